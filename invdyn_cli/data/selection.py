@@ -1,0 +1,103 @@
+"""Which stretches of which trajectories are learned from, watched and tested on: selections in words -> blocks in time.
+
+A selection is "name" or "name[t0:t1]": t0 <= t < t1 in seconds of the log's clock; ends may stay open.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from invdyn_cli.errors import LogError, UsageError, closest, listed
+
+SETS = ("train", "validation", "test")
+_SECONDS = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*"
+_WINDOWED = re.compile(rf"\s*([^\[\]]+?)\s*\[{_SECONDS}:{_SECONDS}\]\s*")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A stretch start <= t < end [s] of the trajectory `key`; what the user `asked` for is never left out quietly."""
+
+    key: str
+    start: float = -np.inf
+    end: float = np.inf
+    asked: bool = True
+
+    def __str__(self) -> str:
+        start, end = ("" if np.isinf(x) else f"{round(x, 3):.10g}" for x in (self.start, self.end))
+        return f"{self.key}[{start}:{end}]" if start or end else self.key
+
+    def rows(self, t: np.ndarray) -> np.ndarray:
+        """Which samples of the clock t (T,) [s] it covers, (T,) bool."""
+        return (t >= self.start) & (t < self.end)
+
+
+def parse(option: str, text: str, keys: Iterable[str]) -> Block:
+    """The block that the selection `text` of `data.<option>` means, among trajectories called `keys`.
+
+    Keys are "name", or "log/name" where there are several logs; then "name" alone will do if only one log has it.
+
+    Raises:
+        UsageError: if it is not written as a selection.
+        LogError: if no trajectory, or more than one, has that name.
+    """
+    keys = list(keys)
+    windowed = None if text in keys else _WINDOWED.fullmatch(text)
+    if windowed is None and text not in keys and set("[]") & set(text):
+        got = f"data.{option}: {text!r} is no selection"
+        raise UsageError(f"{got}; allowed: name, name[t0:t1], name[t0:], name[:t1], in seconds")
+    name, first, last = windowed.groups() if windowed else (text.strip(), None, None)
+    start, end = float(first or -np.inf), float(last or np.inf)
+    if start >= end:
+        got = f"data.{option}: the window of {text!r} is empty"
+        raise UsageError(f"{got}; allowed: name[t0:t1] with t0 < t1, in seconds")
+    meant = [key for key in keys if key == name] or [key for key in keys if key.rpartition("/")[2] == name]
+    if not meant:
+        raise LogError(f"data.{option}: no trajectory {name!r}{closest(name, keys)}; there are {listed(keys)}")
+    if len(meant) > 1:
+        raise LogError(f"data.{option}: {name!r} is in several logs; allowed: {listed(meant)}")
+    return Block(meant[0], start, end)
+
+
+def refuse_overlap(sets: Mapping[str, Iterable[Block]]) -> None:
+    """Raise a UsageError if a stretch was asked for twice: what is tested on must not have been learned from."""
+    for (one, a), (two, b) in combinations([(name, block) for name, blocks in sets.items() for block in blocks], 2):
+        start, end = max(a.start, b.start), min(a.end, b.end)
+        if a.key == b.key and start < end:
+            raise UsageError(
+                f"data.{one} {str(a)!r} and data.{two} {str(b)!r} overlap in {str(Block(a.key, start, end))!r}",
+                advice="windows that end where the next begins, name[:t] and name[t:]",
+            )
+
+
+def complete(
+    asked: Mapping[str, list[Block] | None],
+    clocks: Mapping[str, np.ndarray],
+    train_share: float,
+    validation_share: float,
+) -> dict[str, list[Block]]:
+    """The blocks of all SETS: those asked for, the others (None) from the trajectories that nobody named.
+
+    With neither train nor test, each of these gives its first `train_share` in time to learn from and the rest to test
+    on; with one of the two, the other takes them whole. Validation is the last `validation_share` in time of each block
+    to learn from. `clocks` holds the t (T,) [s] of all trajectories that may be used.
+    """
+    train, validation, test = (list(asked[name] or ()) for name in SETS)
+    named = {block.key for block in (*train, *validation, *test)}
+    for key, t in clocks.items():
+        cut = t[0] + train_share * (t[-1] - t[0])
+        if key not in named and asked["train"] is None:
+            train.append(Block(key, end=np.inf if asked["test"] is not None else cut, asked=False))
+        if key not in named and asked["test"] is None:
+            test.append(Block(key, start=-np.inf if asked["train"] is not None else cut, asked=False))
+    if asked["validation"] is None:
+        for i, block in enumerate(train):
+            first, last = max(block.start, clocks[block.key][0]), min(block.end, clocks[block.key][-1])
+            cut = last - validation_share * (last - first)
+            if first < cut < last:
+                train[i] = replace(block, end=cut)
+                validation.append(replace(block, start=cut, asked=False))
+    return {"train": train, "validation": validation, "test": test}

@@ -1,0 +1,160 @@
+"""data=sim_clean and data=sim_noisy: the sine tasks of section V-A, made from the robot's own rigid-body dynamics.
+
+Eight tasks of 10 s at 0.1 to 0.8 Hz move all joints at once, sampled at 500 Hz; velocities and accelerations come from
+differentiating positions, torques from inverse dynamics on those; 250 samples at either end are dropped, which leaves the
+paper's 8 x 4,500. Noise: the positions are truncated after the fifth decimal and differentiated anew, while the torques stay
+those of the unmodified positions.
+
+Amplitudes, phases, the joints' frequencies and the filter's weights are not in the paper: `PLANS` fixes two readings.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractSource, Progress, silent
+from invdyn_cli.maths import rigid_body, signals
+from invdyn_cli.types import Dataset, Motion, Robot, Splits, Trajectory
+
+TASKS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Frequencies [Hz] of the tasks (paper, V-A.1)."""
+
+TESTED = {"interpolation": (0.5, 0.6), "extrapolation": (0.7, 0.8)}
+"""Tasks [Hz] that are judged; all others are learned from (paper, Table II)."""
+
+MULTIPLES = (1.0, 1.3, 0.7, 1.6, 0.9, 1.15, 1.45)
+"""Every joint's frequency as a multiple of the task's, from the first joint on and over again. One frequency for all joints
+would make the data one closed curve through q, run at different speeds, and extrapolation far too easy."""
+
+PHASES = (0.0, 1.9, 4.1, 0.8, 5.3, 2.7, 3.6)
+"""Every joint's phase [rad], the same in all tasks."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the paper leaves open: amplitudes [rad; m], joint after joint and over again, and the window-3 filter."""
+
+    amplitudes: tuple[float, ...]
+    filter: str
+
+
+PLANS = {
+    "rich": Plan((0.9, 1.0, 0.8, 0.95, 0.85, 1.0, 0.9), "central"),
+    "paper": Plan((0.5, 0.6, 0.4, 0.55, 0.45, 0.6, 0.5), "backward"),
+}
+
+
+@dataclass(frozen=True)
+class SineTasks(AbstractSource):
+    """The simulated data of section V-A.
+
+    Attributes:
+        noisy: whether the positions are truncated after the fifth decimal.
+        split: interpolation (tested on 0.5 and 0.6 Hz) or extrapolation (0.7 and 0.8 Hz).
+        plan: rich or paper, see `PLANS`.
+        filter: backward, central or savgol; None takes the plan's.
+        savgol_window, savgol_order: of filter=savgol [samples; degree].
+        validation_share: the last part of every learned task is watched instead, as a block.
+        duration, rate, trim: length of a task [s], sampling [Hz], samples dropped at either end.
+        decimals: kept by the truncation.
+    """
+
+    noisy: bool = False
+    split: Literal["interpolation", "extrapolation"] = "interpolation"
+    plan: Literal["rich", "paper"] = "rich"
+    filter: Literal["backward", "central", "savgol"] | None = None
+    savgol_window: int = 21
+    savgol_order: int = 3
+    validation_share: float = 0.1
+    duration: float = 10.0
+    rate: float = 500.0
+    trim: int = 250
+    decimals: int = 5
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("split", TESTED), ("plan", PLANS), ("filter", (None, *signals.DERIVATIVES))):
+            if getattr(self, name) not in allowed:
+                named = ", ".join("null" if x is None else str(x) for x in allowed)
+                raise UsageError(f"data.{name}={getattr(self, name)!r}; allowed: {named}")
+        if not 0 <= self.validation_share < 1:
+            raise UsageError(f"data.validation_share={self.validation_share}; allowed: from 0 to below 1")
+        if self.trim < 0 or self.duration * self.rate - 2 * self.trim < 100:
+            raise UsageError(
+                f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples leaves "
+                "fewer than 100; allowed: 100 or more",
+                advice="a longer duration, a higher rate or a smaller trim",
+            )
+
+    def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
+        """36,000 samples; `tests` has "test", and for noisy data "test_clean": the same torques with noise-free inputs."""
+        assert robot is not None
+        clean, noisy = {}, {}
+        for task in TASKS:
+            q = self.positions(robot, task)
+            clean[task] = self._trajectory(robot, task, q, q)
+            modified = np.trunc(q * 10**self.decimals) / 10**self.decimals
+            noisy[task] = self._trajectory(robot, task, modified, q) if self.noisy else clean[task]
+            progress(len(clean) / len(TASKS), f"{task} Hz")
+        tested = TESTED[self.split]
+        learned = [noisy[task] for task in TASKS if task not in tested]
+
+        def dataset(trajectories) -> Dataset:
+            return Dataset(tuple(trajectories), robot.joints, robot)
+
+        tests = {"test": dataset(noisy[task] for task in tested)}
+        if self.noisy:
+            tests["test_clean"] = dataset(clean[task] for task in tested)
+        keep = [round(len(x.t) * (1 - self.validation_share)) for x in learned]
+        return Splits(
+            train=dataset(_rows(x, slice(None, k)) for x, k in zip(learned, keep, strict=True)),
+            validation=dataset(_rows(x, slice(k, None)) for x, k in zip(learned, keep, strict=True))
+            if self.validation_share
+            else None,
+            tests=tests,
+            description={
+                "source": "sine tasks (simulated)",
+                "plan": self.plan,
+                "filter": self._filter,
+                "noise": f"positions truncated after decimal {self.decimals}" if self.noisy else "none",
+                "train_Hz": [task for task in TASKS if task not in tested],
+                "test_Hz": list(tested),
+                "validation": f"last {self.validation_share:.0%} of every learned task",
+            },
+        )
+
+    def positions(self, robot: Robot, task: float) -> np.ndarray:
+        """q (T, n) [rad; m] of a task [Hz]: sines about the middle of each joint's range, at most 95 % of its half."""
+        t = np.arange(round(self.duration * self.rate))[:, None] / self.rate
+        n = robot.dofs
+        bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
+        middle = np.where(bounded, (np.nan_to_num(robot.lower) + np.nan_to_num(robot.upper)) / 2, 0.0)
+        room = np.where(bounded, 0.95 * (np.asarray(robot.upper) - np.asarray(robot.lower)) / 2, np.inf)
+        amplitude = np.minimum(np.resize(PLANS[self.plan].amplitudes, n), room)
+        return middle + amplitude * np.sin(2 * np.pi * task * np.resize(MULTIPLES, n) * t + np.resize(PHASES, n))
+
+    @property
+    def _filter(self) -> str:
+        return self.filter or PLANS[self.plan].filter
+
+    def _trajectory(self, robot: Robot, task: float, q: np.ndarray, q_of_torque: np.ndarray) -> Trajectory:
+        motion = self._motion(q)
+        true = motion if q_of_torque is q else self._motion(q_of_torque)
+        tau = _torques(robot, robot.inertial, true.q.T, true.qd.T, true.qdd.T)
+        t = np.arange(self.trim, self.trim + len(motion)) / self.rate
+        return Trajectory(f"sine_{task:.1f}_Hz", t, motion, np.asarray(tau).T)
+
+    def _motion(self, q: np.ndarray) -> Motion:
+        window, order = (self.savgol_window, self.savgol_order) if self._filter == "savgol" else (3, 2)
+        qd = signals.differentiate(q, self.rate, method=self._filter, window=window, order=order)
+        qdd = signals.differentiate(qd, self.rate, method=self._filter, window=window, order=order)
+        return Motion(q, qd, qdd)[slice(self.trim, len(q) - self.trim)]
+
+
+_torques = jax.jit(rigid_body.inverse_dynamics)
+
+
+def _rows(x: Trajectory, rows: slice) -> Trajectory:
+    return Trajectory(x.name, x.t[rows], x.motion[rows], x.tau[rows])

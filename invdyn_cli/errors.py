@@ -1,0 +1,57 @@
+"""What can go wrong in use, and how it is said: what was got, what is allowed, what to try.
+
+Failures of use are exceptions of this family; the command line prints them as one line and exits with 2.
+Failures of numerics are not exceptions but sentences in a result (`Fit.warnings`).
+"""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class InvdynError(Exception):
+    """A failure of use: one line `got` (and what is allowed), and a hint what to `advice` the user to try."""
+
+    def __init__(self, got: str, *, advice: str = "") -> None:
+        super().__init__(got)
+        self.got = got
+        self.advice = advice
+
+    def __str__(self) -> str:
+        line = f"{self.got}. Try: {self.advice}" if self.advice else self.got
+        return " ".join(line.split())
+
+    def __reduce__(self):
+        return _rebuild, (type(self), self.got, self.advice)
+
+
+class UsageError(InvdynError):
+    """An option, an override or a combination of them that makes no sense."""
+
+
+class RobotError(InvdynError):
+    """A robot description that cannot be read, or does not belong to the data."""
+
+
+class LogError(InvdynError):
+    """A measured log that cannot be read, is broken, or lacks what was asked of it."""
+
+
+class RunFileError(InvdynError):
+    """A run.h5 that cannot be read or written."""
+
+
+def _rebuild(kind: type[InvdynError], got: str, advice: str) -> InvdynError:
+    return kind(got, advice=advice)
+
+
+def listed(names: Iterable[str], *, most: int = 12) -> str:
+    """The names with commas, the long tail counted: what an error offers as allowed."""
+    names = list(names)
+    shown = ", ".join(names[:most]) if names else "(none)"
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def closest(name: str, allowed: Iterable[str]) -> str:
+    """', did you mean X?' for the nearest allowed name, or nothing."""
+    match = get_close_matches(name, list(allowed), n=1)
+    return f", did you mean {match[0]!r}?" if match else ""

@@ -1,0 +1,103 @@
+"""One experiment on objects: source -> fit -> predict -> score -> RunRecord. No files, no config, no printing."""
+
+import hashlib
+import time
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
+from invdyn_cli.maths import metrics
+from invdyn_cli.types import Dataset, Fit, Prediction, Robot, RunRecord, Score, Splits
+
+Stage = Callable[[str], Progress]
+"""Opens a stage of the work by its name and gives what to report its progress to."""
+
+
+def run(
+    source: AbstractSource,
+    model: AbstractModel,
+    adaptation: AbstractAdapter,
+    robot: Robot | None,
+    *,
+    seed: int = 0,
+    stage: Stage = lambda name: silent,
+) -> RunRecord:
+    """Make or read the data, learn, and judge on every set.
+
+    Args:
+        robot: None where the kinematics are unknown; then only sources and models that need none will do.
+        seed: of everything random.
+
+    Raises:
+        UsageError: if the source or the model needs a robot and there is none.
+        LogError: if the source's log cannot be used as asked.
+    """
+    if robot is None and (source.needs_robot or model.needs_robot):
+        who = "this data source" if source.needs_robot else f"the model {type(model).__name__}"
+        raise UsageError(
+            f"{who} needs the robot's kinematics, and these data bring no URDF",
+            advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
+        )
+    started = time.perf_counter()
+    splits = source.load(robot, stage("data"))
+    fit_started = time.perf_counter()
+    fit = adaptation.fit(
+        model, splits.train, jax.random.key(seed), validation=splits.validation, progress=stage("learn")
+    )
+    fitted = time.perf_counter()
+    judge = stage("judge")
+    judged = {"train": splits.train, "validation": splits.validation, **splits.tests}
+    judged = {name: data for name, data in judged.items() if data is not None}
+    predictions = {}
+    for name, data in judged.items():
+        predictions[name] = Prediction(data, predict(model, fit, data))
+        judge(len(predictions) / len(judged), name)
+    predicted = time.perf_counter()
+    members = model.members(fit)
+    member_scores = {
+        name: tuple(score(data, predict(model, member, data)) for member in members)
+        for name, data in judged.items()
+        if len(members) > 1
+    }
+    return RunRecord(
+        choices={"seed": seed},
+        model=model,
+        adaptation=adaptation,
+        fit=fit,
+        predictions={name: p for name, p in predictions.items() if name != "train"},
+        scores={name: score(p.data, p.tau) for name, p in predictions.items()},
+        member_scores=member_scores,
+        samples={name: data.samples for name, data in judged.items()},
+        seconds={
+            "data": fit_started - started,
+            "fit": fitted - fit_started,
+            "predict": predicted - fitted,
+            "total": time.perf_counter() - started,
+        },
+        split=splits.description,
+        digest=digest(splits),
+    )
+
+
+def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
+    """Torques (samples, n) over all trajectories, each on its own: a model may have memory, but not across recordings."""
+    return np.concatenate([model.predict(fit, x.motion) for x in data.trajectories])
+
+
+def score(data: Dataset, prediction: np.ndarray) -> Score:
+    """NMSE and RMSE of every joint over all trajectories together."""
+    tau = data.tau
+    return Score(data.joints, metrics.nmse(tau, prediction), metrics.rmse(tau, prediction))
+
+
+def digest(splits: Splits) -> str:
+    """Sixteen hex digits that change with any number in the data."""
+    hashed = hashlib.sha256()
+    for data in (splits.train, splits.validation, *splits.tests.values()):
+        for x in data.trajectories if data else ():
+            for array in (x.t, x.motion.q, x.motion.qd, x.motion.qdd, x.tau):
+                hashed.update(np.ascontiguousarray(array, float))
+    return hashed.hexdigest()[:16]

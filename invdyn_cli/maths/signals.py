@@ -1,0 +1,80 @@
+"""Sampled signals: derivatives and zero-phase filters, time along the first axis.
+
+Everything here is numpy and SciPy on whole trajectories, before learning starts; nothing is jitted.
+"""
+
+from typing import Any
+
+import numpy as np
+from scipy import signal
+
+DERIVATIVES = ("backward", "central", "savgol")
+"""Ways to differentiate: x_t - x_{t-1}; (x_{t+1} - x_{t-1}) / 2; the slope of a local polynomial (Savitzky and Golay 1964)."""
+
+
+def differentiate(x: np.ndarray, rate: float, *, method: str = "central", window: int = 3, order: int = 2) -> np.ndarray:
+    """Time derivative of x (T, ...) sampled at `rate` [Hz], same shape; one-sided at the ends.
+
+    `backward` and `central` are convolutions with a window of 3 samples, [1, -1, 0] and [1, 0, -1] / 2 (paper, section
+    V-A.1: "a convolution filter with a window size of 3"; its weights are not given there). `savgol` takes the slope of a
+    polynomial of degree `order` over `window` samples.
+
+    Raises:
+        ValueError: on an unknown method, or fewer samples than the window.
+    """
+    if method not in DERIVATIVES:
+        raise ValueError(f"derivative {method!r}; allowed: {', '.join(DERIVATIVES)}")
+    if len(x) < max(window, 3):
+        raise ValueError(f"{len(x)} samples; a window of {max(window, 3)} needs at least as many")
+    if method == "savgol":
+        return signal.savgol_filter(x, window, order, deriv=1, delta=1 / rate, axis=0, mode="interp")
+    if method == "central":
+        return np.gradient(x, 1 / rate, axis=0)
+    steps = np.diff(x, axis=0) * rate
+    return np.concatenate([steps[:1], steps])
+
+
+def settling(rate: float, cutoff: float, order: int = 4) -> int:
+    """Samples until the Butterworth low-pass has forgotten all but 1 %: how far into a block its ends reach.
+
+    Accelerations from filtered positions are wrong by over 100 % at a block's ends, by about 1 % this far inside.
+
+    Raises:
+        ValueError: if the cut-off is not between 0 and half the rate, or the order is below 1.
+    """
+    if not 0 < cutoff < rate / 2:
+        raise ValueError(f"cut-off {cutoff:g} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
+    if order < 1:
+        raise ValueError(f"order {order}; allowed: 1 and more")
+    zpk: Any = signal.butter(order, cutoff, fs=rate, output="zpk")
+    slowest = np.max(np.abs(zpk[1]), initial=1e-9)
+    return int(np.ceil(np.log(0.01) / np.log(slowest)))
+
+
+def lowpass(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
+    """x (T, ...) at `rate` [Hz] through a Butterworth low-pass forth and back: no phase, -6 dB at `cutoff` [Hz].
+
+    It is linear: what is filtered alike stays in proportion. The ends are point-reflected over `settling` samples.
+
+    Raises:
+        ValueError: as `settling` does, or with no more than `settling` samples.
+    """
+    padding = settling(rate, cutoff, order)
+    if len(x) <= padding:
+        raise ValueError(f"{len(x)} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
+    sections = signal.butter(order, cutoff, fs=rate, output="sos")
+    return signal.sosfiltfilt(sections, x, axis=0, padlen=padding)
+
+
+def resample(t: np.ndarray, x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """A uniform clock (S,) [s] at `rate` [Hz] from t[0] to t[-1], and x (S, ...) on it, linear between samples.
+
+    t (T,) [s] increases, x is (T, ...). What already ticks so, within a millionth of a period, comes back untouched.
+    """
+    ticks = t[0] + np.arange(int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1) / rate
+    if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= 1e-6):
+        return t, x
+    after = np.clip(np.searchsorted(t, ticks, side="right"), 1, len(t) - 1)
+    share = (ticks - t[after - 1]) / (t[after] - t[after - 1])
+    share = share.reshape(-1, *[1] * (x.ndim - 1))
+    return ticks, (1 - share) * x[after - 1] + share * x[after]

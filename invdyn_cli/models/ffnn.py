@@ -1,0 +1,167 @@
+"""model=ffnn: one feed-forward net per joint, from the state of all joints to the torque of one (paper, III-B, Table I)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli import training
+from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+
+@dataclass(frozen=True)
+class JointNet:
+    """What Table I fixes per joint: hidden widths and learning rate."""
+
+    hidden: tuple[int, ...] = (100,)
+    learning_rate: float = 0.001
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
+        if any(w < 1 for w in self.hidden):
+            raise UsageError(f"hidden widths {list(self.hidden)}; allowed: a list of whole numbers >= 1")
+        if not self.learning_rate > 0:
+            raise UsageError(f"learning_rate={self.learning_rate}; allowed: a number > 0")
+
+
+@dataclass(frozen=True)
+class Ffnn(AbstractModel):
+    """Per-joint nets (3 n inputs, hidden layers with ReLU, 1 output), inputs and targets standardised, Adam.
+
+    Attributes:
+        hidden, learning_rate: of a joint that `joints` does not name.
+        joints: what differs for single joints: {joint number from 1: {"hidden": [...], "learning_rate": x}}; numbers that
+            the robot does not have are passed over, so that Table I serves arms of any length.
+        epochs, batch_size: as Table I.
+        seeds: how many independently started and shuffled nets per joint are trained in the same program; `predict` gives
+            their mean, `members` each of them.
+    """
+
+    needs_robot = False
+
+    hidden: tuple[int, ...] = (100,)
+    learning_rate: float = 0.001
+    joints: tuple[tuple[int, JointNet], ...] = field(default=((2, JointNet((100, 100))), (3, JointNet(learning_rate=0.0007)), (4, JointNet(learning_rate=0.005))))
+    epochs: int = 100
+    batch_size: int = 32
+    seeds: int = 1
+
+    def __post_init__(self) -> None:
+        common = JointNet(self.hidden, self.learning_rate)
+        object.__setattr__(self, "hidden", common.hidden)
+        object.__setattr__(self, "joints", _per_joint(self.joints, common))
+        for name in ("epochs", "batch_size", "seeds"):
+            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
+                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+
+    def groups(self, n: int) -> tuple[training.Group, ...]:
+        """The nets of n joints by shape, the deepest first."""
+        special = dict(self.joints)
+        nets = [special.get(j + 1, JointNet(self.hidden, self.learning_rate)) for j in range(n)]
+        shapes = sorted({net.hidden for net in nets}, key=lambda h: (-len(h), h))
+        return tuple(
+            training.Group(
+                shape,
+                tuple(j for j, net in enumerate(nets) if net.hidden == shape),
+                tuple(net.learning_rate for net in nets if net.hidden == shape),
+            )
+            for shape in shapes
+        )
+
+    def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
+        """Fresh nets and the standardisation of this dataset."""
+        motion, tau = dataset.motion, dataset.tau
+        nets = [training.initial(g, 3 * tau.shape[1], self._keys(key)) for g in self.groups(tau.shape[1])]
+        return {**_standardisation(motion, tau), "nets": _named(nets)}
+
+    def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
+        """Torque (n,) of one sample: the mean over the members."""
+        n = motion.q.shape[-1]
+        x = (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
+        x = x.astype(jnp.float32)
+        outputs = jnp.zeros(n)
+        for group, nets in zip(self.groups(n), params["nets"].values(), strict=True):
+            net = training.MLP(group.hidden)
+            each = jax.vmap(jax.vmap(lambda p, net=net: net.apply({"params": p}, x)))(nets)
+            outputs = outputs.at[jnp.array(group.columns)].set(each.astype(float).mean(0))
+        return params["target_mean"] + params["target_scale"] * outputs
+
+    def fit(
+        self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
+    ) -> Fit:
+        """Train all joints' nets. history: train_loss and validation_loss (epochs, members, n), mean squared error of the
+        standardised torque."""
+        motion, tau = dataset.motion, dataset.tau
+        n = tau.shape[1]
+        scales = _standardisation(motion, tau)
+        data = _standardised(scales, motion, tau)
+        watched = _standardised(scales, validation.motion, validation.tau) if validation else None
+        groups = self.groups(n)
+        schedule = training.Schedule(self.epochs, self.batch_size)
+        trained = training.train(groups, schedule, data, watched, self._keys(key), progress)
+        history = {}
+        for name in ("train_loss", "validation_loss")[: 2 if watched else 1]:
+            history[name] = np.full((self.epochs, self.seeds, n), np.nan)
+            for group, result in zip(groups, trained, strict=True):
+                history[name][..., list(group.columns)] = getattr(result, name)
+        nets = [x.params for x in trained]
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(nets))
+        return Fit(
+            params={**scales, "nets": _named(nets)},
+            robot=dataset.robot,
+            joints=dataset.joints,
+            parameters=sum(leaf.size for leaf in jax.tree.leaves(nets)),
+            history=history,
+            warnings=() if finite else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
+        )
+
+    def members(self, fit: Fit) -> tuple[Fit, ...]:
+        """The nets of each seed as a fit of their own."""
+
+        def member(k: int) -> Fit:
+            nets = jax.tree.map(lambda leaf: leaf[k : k + 1], fit.params["nets"])
+            return Fit({**fit.params, "nets": nets}, fit.robot, fit.joints, fit.parameters // self.seeds)
+
+        return tuple(member(k) for k in range(self.seeds)) if self.seeds > 1 else (fit,)
+
+    def _keys(self, key: jax.Array) -> jax.Array:
+        """A key per member; the first is that of a fit with one seed."""
+        return jax.vmap(lambda k: jax.random.fold_in(key, k))(jnp.arange(self.seeds))
+
+
+def _per_joint(given, common: JointNet) -> tuple[tuple[int, JointNet], ...]:
+    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, what is not said taken from `common`."""
+    names = [f.name for f in fields(JointNet)]
+    pairs = given.items() if isinstance(given, Mapping) else given
+    out = []
+    for number, net in pairs:
+        if isinstance(net, JointNet):
+            out.append((int(number), net))
+            continue
+        if unknown := set(net) - set(names):
+            raise UsageError(f"model.joints.{number} has {listed(sorted(unknown))}; allowed: {listed(names)}")
+        out.append((int(number), JointNet(**{name: net.get(name, getattr(common, name)) for name in names})))
+    return tuple(sorted(out))
+
+
+def _named(nets: list[PyTree]) -> dict[str, PyTree]:
+    return {f"group{i}": params for i, params in enumerate(nets)}
+
+
+def _standardisation(motion: Motion, tau: np.ndarray) -> dict[str, np.ndarray]:
+    """Mean and standard deviation of inputs (3 n,) and targets (n,); a column that never changes keeps its unit."""
+    inputs = (motion.q, motion.qd, motion.qdd)
+    means = np.concatenate([x.mean(0) for x in inputs]), tau.mean(0)
+    scales = np.concatenate([x.std(0) for x in inputs]), tau.std(0)
+    scales = [np.where(s > 1e-12 * (1 + np.abs(m)), s, 1.0) for m, s in zip(means, scales, strict=True)]
+    return {"input_mean": means[0], "input_scale": scales[0], "target_mean": means[1], "target_scale": scales[1]}
+
+
+def _standardised(scales: dict[str, np.ndarray], motion: Motion, tau: np.ndarray) -> training.Data:
+    x = (np.concatenate([motion.q, motion.qd, motion.qdd], axis=1) - scales["input_mean"]) / scales["input_scale"]
+    y = (tau - scales["target_mean"]) / scales["target_scale"]
+    return training.Data(jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32))

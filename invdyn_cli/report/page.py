@@ -1,0 +1,273 @@
+"""One run as one HTML file that needs nothing else: figures inside, no script, readable in light and dark, printable."""
+
+import base64
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.report.tables import (
+    choice,
+    finite_mean,
+    member_spread,
+    robot_of,
+    round_by_error,
+    score_rows,
+    scored_sets,
+    significant,
+    units,
+    units_said,
+)
+from invdyn_cli.types import RunRecord
+
+CAPTIONS = {
+    "torques": (
+        "Measured and predicted torque at the beginning of the test set, the residual below. A residual that steps when a "
+        "joint reverses points to friction; one that follows the slope of the torque to a delay; one that stays for a "
+        "while to a load."
+    ),
+    "errors": (
+        "Errors per joint of every scored set. Bars of test well above those of train: the model has not learned what the "
+        "test set asks for. A high NMSE with a low RMSE: a joint that has little torque to explain."
+    ),
+    "loss": (
+        "Loss over epochs, the band spans the members. Validation that rises while train falls is overfitting; curves "
+        "that still fall at the end ask for more epochs."
+    ),
+    "residual_velocity": (
+        "Residual over the joint's own velocity, test set. A step at zero is Coulomb friction, a slope viscous friction, "
+        "a hump near zero Stribeck friction; a flat line off zero is a torque offset."
+    ),
+    "singular_values": (
+        "Singular values of the regressor. A clear gap at the threshold means that the rank is well decided; values close "
+        "to it are directions that this motion barely excites."
+    ),
+}
+
+EXACT = 1e-12
+"""Mean NMSE below which an error is one of rounding: ratios of such errors mean nothing."""
+
+APART = 2.0
+"""Ratio of test to train NMSE from which the two are called different; below it, sets of one kind scatter as much."""
+
+STYLE = """
+:root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
+  --worst: #b84e00; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12;
+    --worst: #ff9a57; } }
+body { max-width: 68rem; margin: 2rem auto; padding: 0 1.2rem; color: var(--ink); background: var(--ground);
+  font: 1rem/1.5 system-ui, sans-serif; }
+h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
+.sub, figcaption, caption, .note { color: var(--soft); font-size: .9rem; } .sub { margin-top: .2rem; }
+.lead { font-size: 1.1rem; max-width: 52rem; } .warning { background: var(--mark); border-left: 4px solid #d55e00;
+  padding: .4rem .8rem; margin: .4rem 0; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
+th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }
+thead tr:first-child th[colspan] { text-align: center; border-bottom: 0; }
+tr.mean td { font-weight: 600; border-top: 2px solid var(--soft); } b.worst { color: var(--worst); }
+.scores td:nth-child(even), thead th[colspan], thead tr + tr th:nth-child(odd) { padding-left: 1.8rem; }
+thead tr + tr th:first-child { text-align: right; }
+table.pairs td { text-align: left; white-space: normal; overflow-wrap: anywhere; vertical-align: top; }
+table.pairs td:first-child { color: var(--soft); white-space: nowrap; }
+figure { margin: 1.4rem 0; break-inside: avoid; } figure img { width: 100%; box-sizing: border-box; padding: .4rem;
+  background: #fff; border-radius: 4px; }
+td small { display: block; white-space: normal; max-width: 40rem; color: var(--soft); }
+pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
+summary { cursor: pointer; margin-bottom: .4rem; }
+@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
+  th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
+  details::details-content { content-visibility: visible; } }
+"""
+
+
+def write_page(record: RunRecord, figures: Iterable[str | Path], path: str | Path) -> Path:
+    """Write the report of a run to `path`, whole or not at all; of `figures`, the PNG files are put inside."""
+    path = Path(path)
+    aside = path.with_name(f".{path.name}.tmp")
+    try:
+        aside.write_text(page(record, [Path(x) for x in figures]), encoding="utf-8")
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+    return path
+
+
+def page(record: RunRecord, figures: Sequence[Path]) -> str:
+    """The report as HTML text."""
+    title = f"{choice(record, 'model')} on {choice(record, 'data')}"
+    seed = f", seed {record.choices['seed']}" if record.choices.get("seed") is not None else ""
+    robot = robot_of(record)
+    under = f"{choice(record, 'adaptation')}{seed}" + (f", robot {robot.name}" if robot else "")
+    sections = [
+        ("Scores", _scores(record)),
+        ("Figures", "".join(_figure(x) for x in figures if x.suffix == ".png")),
+        ("Fit", _pairs(_fit_facts(record)) + _base_parameters(record.fit.details.get("base_parameters"))),
+        ("Robot", _robot(record)),
+        ("Data", _pairs({"samples": record.samples, **record.split, "hash": record.digest})),
+        ("Provenance", _pairs({"overrides": record.overrides, **record.provenance})),
+        ("Config", _folded("the resolved config", f"<pre>{escape(record.config)}</pre>") if record.config else ""),
+    ]
+    body = "".join(f"<section><h2>{name}</h2>{content}</section>\n" for name, content in sections if content)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n<body>"
+        f'<h1>{escape(title)}</h1><p class="sub">{escape(under)}</p>\n'
+        f'<p class="lead">{escape(summary(record))}</p>\n'
+        + "".join(f'<p class="warning">{escape(x)}</p>\n' for x in remarks(record))
+        + f"{body}</body></html>\n"
+    )
+
+
+def summary(record: RunRecord) -> str:
+    """Two sentences: how large the test error is and where it is worst; how it compares with the training error."""
+    if "test" not in record.scores:
+        return "This run was not judged on a test set."
+    score = record.scores["test"]
+    mean = finite_mean(score.nmse)
+    if math.isnan(mean):
+        return "No joint's torque changes in the test set, so that an NMSE cannot be given."
+    worst = int(np.nanargmax(score.nmse))
+    where = f"{score.joints[worst]} (NMSE {significant(score.nmse[worst])}, "
+    where += f"RMSE {significant(score.rmse[worst])} {units(record)[worst]})"
+    useless = ", no better than a constant torque," if mean >= 1 else ""
+    first = f"The mean NMSE on the test set is {significant(mean)}{useless}"
+    first += f" and the worst joint is {where}." if len(score.joints) > 1 else f", at {where}."
+    train = finite_mean(record.scores["train"].nmse) if "train" in record.scores else math.nan
+    if math.isnan(train):
+        return f"{first} There is no training error to compare it with."
+    if max(train, mean) < EXACT:
+        return f"{first} The training error ({significant(train)}) is one of rounding too: the model is exact here."
+    ratio = mean / train if train > 0 else math.inf
+    if ratio >= APART:
+        times = f"{significant(ratio)} times the training error ({significant(train)})"
+        return f"{first} That is {times}: it has not learned all that the test set asks for."
+    if ratio <= 1 / APART:
+        return f"{first} That is less than the training error ({significant(train)}): the test set is the easier one."
+    return f"{first} The training error is about the same ({significant(train)})."
+
+
+def remarks(record: RunRecord) -> list[str]:
+    """What the reader must know before believing the numbers: warnings of the fit, joints without a usable score."""
+    found = list(record.fit.warnings)
+    for name, score in record.scores.items():
+        still = [
+            j
+            for j, x, y in zip(score.joints, score.nmse, score.rmse, strict=True)
+            if math.isnan(x) and math.isfinite(y)
+        ]
+        broken = [j for j, y in zip(score.joints, score.rmse, strict=True) if not math.isfinite(y)]
+        if still:
+            found.append(
+                f"In {name} the torque of {', '.join(still)} never changes: no NMSE, and the mean is over the others."
+            )
+        if broken:
+            found.append(f"In {name} the prediction of {', '.join(broken)} is not finite.")
+    return found
+
+
+def _scores(record: RunRecord) -> str:
+    names = scored_sets(record)
+    *joints, mean = score_rows(record)
+    worst = [_worst([values[c] for _, values in joints]) for c in range(len(mean[1]))]
+    head = "".join(f'<th colspan="2">{escape(x)}</th>' for x in names)
+    body = ""
+    for row, (joint, values) in enumerate(joints):
+        shown = (
+            f'<b class="worst">{significant(v)}</b>' if worst[c] == row else significant(v)
+            for c, v in enumerate(values)
+        )
+        body += f"<tr><td>{escape(joint)}</td>{''.join(f'<td>{x}</td>' for x in shown)}</tr>"
+    body += '<tr class="mean"><td>mean</td>' + "".join(f"<td>{significant(v)}</td>" for v in mean[1]) + "</tr>"
+    note = "NMSE is the mean squared error over the variance of the measured torque; "
+    note += f"RMSE is in {units_said(record)}. The worst joint of a column is marked. {member_spread(record)}"
+    return (
+        f'<div class="wide"><table class="scores"><thead><tr><th rowspan="2">joint</th>{head}</tr>'
+        f"<tr>{'<th>NMSE</th><th>RMSE</th>' * len(names)}</tr></thead><tbody>{body}</tbody></table></div>"
+        f'<p class="note">{escape(note)}</p>'
+    )
+
+
+def _worst(values: Sequence[float]) -> int | None:
+    """Row of the largest value, None where the printed digits do not tell it from another."""
+    shown = [significant(x) for x in values]
+    row = max(range(len(values)), key=lambda i: -math.inf if math.isnan(values[i]) else values[i])
+    return row if len(values) > 1 and shown.count(shown[row]) == 1 else None
+
+
+def _fit_facts(record: RunRecord) -> dict[str, Any]:
+    """What can be said in one line about the fit: among its details the numbers, and arrays with one entry per joint."""
+    facts: dict[str, Any] = {"parameters learned": record.fit.parameters}
+    facts |= {f"seconds, {name}": significant(x) for name, x in record.seconds.items()}
+    for name, value in record.fit.details.items():
+        shape = None if isinstance(value, Mapping) or name == "singular_values" else np.shape(value)
+        if shape == ():
+            facts[name.replace("_", " ")] = np.asarray(value).item()
+        elif shape == (len(record.fit.joints),):
+            each = zip(record.fit.joints, value, strict=True)
+            facts[name.replace("_", " ")] = [f"{joint} {significant(float(x))}" for joint, x in each]
+    if "rank" in facts and "singular_values" in record.fit.details:
+        facts["rank"] = f"{facts['rank']} of {np.size(record.fit.details['singular_values'])}"
+    return facts
+
+
+def _base_parameters(found: Mapping[str, Any] | None) -> str:
+    """Names, expressions (where given), values and standard errors of what the data determine, rounded by the error."""
+    if not found:
+        return ""
+    names, values = found["names"], np.asarray(found["values"], float)
+    std = np.asarray(found.get("std", np.full(len(values), np.nan)), float)
+    expressions = found.get("expressions", names)
+    body = ""
+    for name, expression, value, error in zip(names, expressions, values, std, strict=True):
+        label = escape(str(name)) + (f"<small>{escape(str(expression))}</small>" if expression != name else "")
+        share = f"{significant(100 * error / abs(value))} %" if value else "-"
+        body += f"<tr><td>{label}</td><td>{round_by_error(value, error)}</td><td>{share}</td></tr>"
+    head = "<thead><tr><th>base parameter</th><th>value ± standard error</th><th>relative</th></tr></thead>"
+    table = f'<div class="wide"><table>{head}<tbody>{body}</tbody></table></div>'
+    return _folded(f"{len(values)} base parameters", table, shown=True)
+
+
+def _robot(record: RunRecord) -> str:
+    robot = robot_of(record)
+    if robot is None:
+        return "<p>No robot description was used.</p>"
+    kinds = [x + " (slides)" * slides for x, slides in zip(robot.joints, robot.prismatic, strict=True)]
+    notes = "".join(f"<li>{escape(x)}</li>" for x in robot.notes)
+    return _pairs({"name": robot.name, "joints": kinds}) + (f"<ul>{notes}</ul>" if notes else "")
+
+
+def _figure(path: Path) -> str:
+    caption = CAPTIONS.get(path.stem, path.stem.replace("_", " "))
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    alt = escape(caption.partition(".")[0], quote=True)
+    image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
+    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def _folded(label: str, content: str, *, shown: bool = False) -> str:
+    return f"<details{' open' * shown}><summary>{escape(label)}</summary>{content}</details>"
+
+
+def _pairs(facts: Mapping[str, Any]) -> str:
+    """A two-column table; what is nested comes out as dotted names, what is empty is left out."""
+    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(facts) if v)
+    return f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
+
+
+def _flat(facts: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        elif isinstance(value, list | tuple):
+            yield f"{above}{name}", ", ".join(map(str, value))
+        elif isinstance(value, float | np.floating):
+            yield f"{above}{name}", f"{value:.6g}"
+        else:
+            yield f"{above}{name}", "" if value is None else str(value)

@@ -1,0 +1,156 @@
+"""Numbers as they are read: the score table of a run, the table and the CSV of a sweep, a value rounded by its error.
+
+Everything here is a pure function of its arguments; the tables are rich objects, and who calls prints them.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from invdyn_cli.types import Robot, RunRecord
+
+ORDER = ("train", "validation", "test")
+"""The sets that come first, in this order; others follow as the record has them."""
+
+SWEEP_FIELDS = ("job", "overrides", "status", "test_nmse", "test_rmse", "seconds", "message")
+STATUS_STYLE = {"ran": "green", "kept": "cyan", "failed": "bold red"}
+
+
+def choice(record: RunRecord, role: str) -> str:
+    """The name under which the command line knows the model, data or adaptation of this run, else its class."""
+    return str(record.choices.get(role) or type(getattr(record, role, None)).__name__)
+
+
+def scored_sets(record: RunRecord) -> tuple[str, ...]:
+    """Names of the scored sets in the order in which they are shown."""
+    return tuple(x for x in ORDER if x in record.scores) + tuple(x for x in record.scores if x not in ORDER)
+
+
+def robot_of(record: RunRecord) -> Robot | None:
+    """The robot that the model or the data of this run know, None where neither does."""
+    judged = (x.data.robot for x in record.predictions.values())
+    return next((x for x in (record.fit.robot, *judged) if x is not None), None)
+
+
+def units(record: RunRecord) -> tuple[str, ...]:
+    """Unit of every joint's torque: N for a joint known to slide, else N m."""
+    robot = robot_of(record)
+    slides = dict(zip(robot.joints, robot.prismatic, strict=True)) if robot else {}
+    return tuple("N" if slides.get(joint) else "N m" for joint in record.fit.joints)
+
+
+def units_said(record: RunRecord) -> str:
+    """'N m', 'N', or 'N m (N for lift)' where some joints slide and others turn."""
+    every = units(record)
+    sliding = [joint for joint, unit in zip(record.fit.joints, every, strict=True) if unit == "N"]
+    return f"N m (N for {', '.join(sliding)})" if 0 < len(sliding) < len(every) else every[0]
+
+
+def finite_mean(values: Iterable[float]) -> float:
+    """Mean over the joints that have a value (one whose torque never changes has no NMSE); NaN if none has."""
+    kept = [x for x in map(float, values) if not math.isnan(x)]
+    return sum(kept) / len(kept) if kept else math.nan
+
+
+def significant(value: float | None) -> str:
+    """Three significant digits, in scientific notation below 1e-3 and from 1e6; a dash for None and NaN."""
+    if value is None or math.isnan(value):
+        return "-"
+    if value == 0 or math.isinf(value):
+        return f"{value:g}"
+    value = float(f"{value:.2e}")
+    if not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.2e}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def round_by_error(value: float, std: float) -> str:
+    """'value ± std', both cut where the second significant digit of the standard error is.
+
+    A standard error that is zero or not finite says nothing about digits: the value then stands alone with six of them.
+    """
+    if not math.isfinite(value) or not math.isfinite(std) or std <= 0:
+        return f"{value:.6g}"
+    std = float(f"{std:.1e}")
+    top = math.floor(math.log10(max(abs(value), std)))
+    last = math.floor(math.log10(std)) - 1
+    if -4 <= top < 6:
+        decimals = max(0, -last)
+        return f"{round(value, -last) + 0.0:.{decimals}f} ± {std:.{decimals}f}"
+    decimals, scale = max(0, top - last), 10.0**-top
+    return f"({value * scale:.{decimals}f} ± {std * scale:.{decimals}f})e{top:+03d}"
+
+
+def score_rows(record: RunRecord) -> list[tuple[str, list[float]]]:
+    """(joint, [NMSE, RMSE of the first set, NMSE, RMSE of the next, …]) per joint, and the mean over joints last."""
+    scores = [record.scores[name] for name in scored_sets(record)]
+    columns = [np.asarray(x, float) for score in scores for x in (score.nmse, score.rmse)]
+    rows = [(joint, [float(x[i]) for x in columns]) for i, joint in enumerate(record.fit.joints)]
+    return [*rows, ("mean", [finite_mean(x) for x in columns])]
+
+
+def member_spread(record: RunRecord) -> str:
+    """A sentence on how far the seeds of one fit lie apart; empty for a fit of one."""
+    name = next((x for x in ("test", *scored_sets(record)) if len(record.member_scores.get(x, ())) > 1), None)
+    if name is None:
+        return ""
+    means = [finite_mean(score.nmse) for score in record.member_scores[name]]
+    ends = " to ".join(significant(x) for x in (np.min(means), np.max(means)))
+    return f"{len(means)} members: mean {name} NMSE {ends}."
+
+
+def score_table(record: RunRecord) -> Table:
+    """NMSE and RMSE [N m; N] per joint and their mean, two columns for every scored set."""
+    caption = Text(f"RMSE in {units_said(record)}. {member_spread(record)}".rstrip())
+    table = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption=caption)
+    table.add_column("joint", overflow="fold", vertical="bottom")
+    for name in scored_sets(record):
+        head = Text(name.replace("_", "\n") + "\nNMSE")
+        table.add_column(head, justify="right", no_wrap=True, vertical="bottom")
+        table.add_column("RMSE", justify="right", no_wrap=True, vertical="bottom")
+    *joints, mean = score_rows(record)
+    for label, values in joints:
+        table.add_row(Text(label), *map(significant, values))
+    table.add_section()
+    table.add_row(mean[0], *map(significant, mean[1]), style="bold")
+    return table
+
+
+def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """One line per job of a sweep; the lowest test NMSE is marked, a failed job says why."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("job", justify="right", no_wrap=True)
+    table.add_column("overrides", overflow="fold", ratio=2)
+    table.add_column("status", no_wrap=True)
+    for title in ("test NMSE", "test RMSE", "seconds"):
+        table.add_column(title, justify="right", no_wrap=True)
+    told = any(row.get("message") for row in rows)
+    if told:
+        table.add_column("message", overflow="fold", ratio=3)
+    best = min((x for x in (row.get("test_nmse") for row in rows) if x is not None and math.isfinite(x)), default=None)
+    for row in rows:
+        wins = best is not None and row.get("test_nmse") == best
+        numbers = (significant(row.get(key)) for key in ("test_nmse", "test_rmse", "seconds"))
+        status = Text(str(row["status"]), style=STATUS_STYLE.get(row["status"], ""))
+        message = (Text(str(row.get("message") or "")),) if told else ()
+        line = (str(row["job"]), Text(str(row["overrides"])), status, *numbers, *message)
+        table.add_row(*line, style="bold" if wins else "")
+    return table
+
+
+def sweep_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The same rows as CSV with a header line, numbers unrounded, an empty field for None."""
+    text = io.StringIO()
+    writer: csv.DictWriter[str] = csv.DictWriter(
+        text, SWEEP_FIELDS, extrasaction="ignore", restval="", lineterminator="\n"
+    )
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

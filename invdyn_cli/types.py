@@ -1,0 +1,224 @@
+"""The nouns: Robot, Motion, Trajectory, Dataset, Splits, Fit, Score, RunRecord. Frozen, without behaviour of their own.
+
+Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's order.
+Importing this module switches jax to 64 bit: identification in float32 loses the small singular values that decide a rank.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+Array = jax.Array | np.ndarray
+PyTree = Any
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Kinematics, inertials and limits of a chain or tree of n moving joints; fixed and locked joints are merged away.
+
+    Joint frames as in Pinocchio and URDF: frame i moves with joint i, and at q_i = 0 lies at `rotation[i]`,
+    `translation[i]` in the frame of joint `parents[i]` (-1: the base).
+
+    Attributes:
+        name: the robot's name.
+        joints: names of the n moving joints, parents before children.
+        parents: index of each joint's parent joint, -1 for the base.
+        prismatic: whether the joint slides (else it turns).
+        rotation: (n, 3, 3), columns are the joint frame's axes in the parent frame at q = 0.
+        translation: (n, 3) [m], origin of the joint frame in the parent frame at q = 0.
+        axis: (n, 3), unit joint axis in the joint frame.
+        inertial: (n, 10) per link [m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], first moments and
+            rotational inertia about the joint frame's origin [kg, kg m, kg m^2] (Pinocchio's order).
+        gravity: (3,) [m/s^2] in the base frame.
+        lower, upper: (n,) [rad; m], infinite where the joint has none.
+        velocity_limit: (n,) [rad/s; m/s], infinite where none.
+        effort_limit: (n,) [N m; N], infinite where none.
+        damping, friction: (n,) the URDF's <dynamics> tags [N m s/rad], [N m]; zero unless `dynamics_tags=use`.
+        urdf: the whole URDF text it was made from.
+        notes: what the reader should know: locked joints, ignored parts.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    parents: tuple[int, ...]
+    prismatic: tuple[bool, ...]
+    rotation: Array
+    translation: Array
+    axis: Array
+    inertial: Array
+    gravity: Array
+    lower: Array
+    upper: Array
+    velocity_limit: Array
+    effort_limit: Array
+    damping: Array
+    friction: Array
+    urdf: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dofs(self) -> int:
+        """Number n of moving joints."""
+        return len(self.joints)
+
+
+_ROBOT_STATIC = ("name", "joints", "parents", "prismatic", "urdf", "notes")
+jax.tree_util.register_dataclass(
+    Robot,
+    data_fields=[f for f in Robot.__dataclass_fields__ if f not in _ROBOT_STATIC],
+    meta_fields=list(_ROBOT_STATIC),
+)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Positions, velocities and accelerations, (T, n) each, or (n,) for one sample [rad, rad/s, rad/s^2; m, ...]."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, rows: slice) -> "Motion":
+        return Motion(self.q[rows], self.qd[rows], self.qdd[rows])
+
+
+jax.tree_util.register_dataclass(Motion, data_fields=["q", "qd", "qdd"], meta_fields=[])
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One uninterrupted recording: a motion, the torque tau (T, n) [N m; N] that goes with it, and its clock t (T,) [s]."""
+
+    name: str
+    t: Array
+    motion: Motion
+    tau: Array
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Trajectories of one robot (None when its kinematics are unknown), with the joints' names in column order."""
+
+    trajectories: tuple[Trajectory, ...]
+    joints: tuple[str, ...]
+    robot: Robot | None = None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples over all trajectories."""
+        return sum(len(x.t) for x in self.trajectories)
+
+    @property
+    def motion(self) -> Motion:
+        """All trajectories' motions, one below the other (a copy)."""
+        parts = [x.motion for x in self.trajectories]
+        return Motion(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "qd", "qdd")))
+
+    @property
+    def tau(self) -> np.ndarray:
+        """All trajectories' torques (samples, n), one below the other (a copy)."""
+        return np.concatenate([x.tau for x in self.trajectories])
+
+
+@dataclass(frozen=True)
+class Splits:
+    """What a data source gives: sets to learn from, to watch while learning (None: nothing) and to be judged on.
+
+    `tests` holds at least "test"; others are judged and stored likewise ("test_clean": clean inputs for noisy ones).
+    `description` says what was made or read, for the record.
+    """
+
+    train: Dataset
+    validation: Dataset | None
+    tests: Mapping[str, Dataset]
+    description: Mapping[str, Any] = field(default_factory=dict)
+
+
+
+@dataclass(frozen=True)
+class Header:
+    """What data brings along about its robot: joint names in column order, and the URDF's path ("" for none)."""
+
+    robot: str
+    joints: tuple[str, ...]
+    urdf: str = ""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What learning gives.
+
+    Attributes:
+        params: nested dict of arrays, all that `apply` needs beside the robot.
+        robot: the robot whose kinematics `apply` uses, None for models that need none.
+        joints: names of the columns.
+        parameters: how many numbers were learned.
+        history: per-epoch curves, each (epochs, members, n).
+        details: named arrays and numbers worth keeping: rank, singular values, standard deviations.
+        warnings: sentences on numerical trouble; empty when there was none.
+    """
+
+    params: PyTree
+    robot: Robot | None
+    joints: tuple[str, ...]
+    parameters: int
+    history: Mapping[str, np.ndarray] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Score:
+    """NMSE = MSE / Var(target) and RMSE [N m; N] of every joint, (n,) each (paper, section V-B)."""
+
+    joints: tuple[str, ...]
+    nmse: np.ndarray
+    rmse: np.ndarray
+
+    def as_dict(self) -> dict[str, Any]:
+        """{"nmse": {"mean", "joint": {name: x}}, "rmse": …} as in metrics.json."""
+        return {
+            kind: {"mean": float(np.mean(x)), "joint": {j: float(v) for j, v in zip(self.joints, x, strict=True)}}
+            for kind, x in (("nmse", self.nmse), ("rmse", self.rmse))
+        }
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A judged set: what was measured and what the model said, trajectory by trajectory in the order of `data`."""
+
+    data: Dataset
+    tau: np.ndarray
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One experiment, whole: enough to write run.h5, the figures and the page, and to use the fitted model again.
+
+    `model` and `adaptation` are the objects (their hyperparameters), `fit` what they learned; `predictions` and `scores`
+    by set name ("train", "validation", "test", …; predictions of the judged sets alone); `member_scores` where a fit holds several seeds: set -> a
+    score per seed; `choices` the names under which the command line knows them (model, data, adaptation, seed).
+    """
+
+    choices: Mapping[str, Any]
+    model: Any
+    adaptation: Any
+    fit: Fit
+    predictions: Mapping[str, Prediction]
+    scores: Mapping[str, Score]
+    member_scores: Mapping[str, tuple[Score, ...]]
+    samples: Mapping[str, int]
+    seconds: Mapping[str, float]
+    split: Mapping[str, Any]
+    digest: str
+    config: str = ""
+    overrides: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
