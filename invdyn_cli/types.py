@@ -142,7 +142,6 @@ class Splits:
     description: Mapping[str, Any] = field(default_factory=dict)
 
 
-
 @dataclass(frozen=True)
 class Header:
     """What data brings along about its robot: joint names in column order, and the URDF's path ("" for none)."""
@@ -183,10 +182,16 @@ class Score:
     nmse: np.ndarray
     rmse: np.ndarray
 
+    def mean(self, kind: str) -> float:
+        """Mean of "nmse" or "rmse" over the joints that have one: a torque that never changes has no NMSE."""
+        values = getattr(self, kind)
+        finite = values[~np.isnan(values)]
+        return float(np.mean(finite)) if len(finite) else float("nan")
+
     def as_dict(self) -> dict[str, Any]:
         """{"nmse": {"mean", "joint": {name: x}}, "rmse": …} as in metrics.json."""
         return {
-            kind: {"mean": float(np.mean(x)), "joint": {j: float(v) for j, v in zip(self.joints, x, strict=True)}}
+            kind: {"mean": self.mean(kind), "joint": {j: float(v) for j, v in zip(self.joints, x, strict=True)}}
             for kind, x in (("nmse", self.nmse), ("rmse", self.rmse))
         }
 

@@ -4,7 +4,6 @@ Blocks come first so that a zero-phase filter, which looks ahead, carries nothin
 learned. Positions, logged derivatives and torques pass through one and the same filter: none leads or lags another.
 """
 
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -88,7 +87,6 @@ class RealLog(AbstractSource):
         blocks = complete(asked, clocks, self.train_share, self.validation_share)
         sets: dict[str, list[Trajectory]] = {name: [] for name in SETS}
         described: dict[str, list[dict[str, Any]]] = {name: [] for name in SETS}
-        digest = hashlib.sha256()
         todo = [(name, block) for name in SETS for block in blocks[name]]
         for done, (name, block) in enumerate(todo, start=1):
             log, raw = records[block.key]
@@ -96,7 +94,6 @@ class RealLog(AbstractSource):
             if trajectories:
                 sets[name] += trajectories
                 described[name].append(what)
-                _hash(digest, f"{name} {block}", raw, block.rows(raw.t))
             progress(done / len(todo), str(block))
         for name in ("train", "test"):
             if not sets[name]:
@@ -108,7 +105,6 @@ class RealLog(AbstractSource):
             validation=data["validation"] if sets["validation"] else None,
             tests={"test": data["test"]},
             description=self._described(logs) | described | {"notes": notes},
-            digest=digest.hexdigest()[:16],
         )
 
     def _refuse_options(self) -> None:
@@ -282,12 +278,6 @@ def _ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
         for raw in log.trajectories
     )
     return replace(log, joints=robot.joints, drive_gain=gain, trajectories=trajectories)
-
-
-def _hash(digest: Any, label: str, raw: RawTrajectory, rows: np.ndarray) -> None:
-    digest.update(label.encode())
-    for values in (raw.t, raw.q, raw.tau, raw.qd, raw.qdd):
-        digest.update(b"" if values is None else np.ascontiguousarray(values[rows]).tobytes())
 
 
 def _whole(x: float, least: int) -> bool:

@@ -57,7 +57,7 @@ class SineTasks(AbstractSource):
         plan: rich or paper, see `PLANS`.
         filter: backward, central or savgol; None takes the plan's.
         savgol_window, savgol_order: of filter=savgol [samples; degree].
-        validation_share: the last part of every learned task is watched instead, as a block.
+        validation_share: the middle part of every learned task is watched instead, as a block.
         duration, rate, trim: length of a task [s], sampling [Hz], samples dropped at either end.
         decimals: kept by the truncation.
     """
@@ -107,12 +107,10 @@ class SineTasks(AbstractSource):
         tests = {"test": dataset(noisy[task] for task in tested)}
         if self.noisy:
             tests["test_clean"] = dataset(clean[task] for task in tested)
-        keep = [round(len(x.t) * (1 - self.validation_share)) for x in learned]
+        parted = [_parted(x, self.validation_share) for x in learned]
         return Splits(
-            train=dataset(_rows(x, slice(None, k)) for x, k in zip(learned, keep, strict=True)),
-            validation=dataset(_rows(x, slice(k, None)) for x, k in zip(learned, keep, strict=True))
-            if self.validation_share
-            else None,
+            train=dataset(part for before, _, after in parted for part in (before, after) if len(part.t)),
+            validation=dataset(watched for _, watched, _ in parted) if self.validation_share else None,
             tests=tests,
             description={
                 "source": "sine tasks (simulated)",
@@ -121,7 +119,7 @@ class SineTasks(AbstractSource):
                 "noise": f"positions truncated after decimal {self.decimals}" if self.noisy else "none",
                 "train_Hz": [task for task in TASKS if task not in tested],
                 "test_Hz": list(tested),
-                "validation": f"last {self.validation_share:.0%} of every learned task",
+                "validation": f"the middle {self.validation_share:.0%} of every learned task",
             },
         )
 
@@ -156,5 +154,9 @@ class SineTasks(AbstractSource):
 _torques = jax.jit(rigid_body.inverse_dynamics)
 
 
-def _rows(x: Trajectory, rows: slice) -> Trajectory:
-    return Trajectory(x.name, x.t[rows], x.motion[rows], x.tau[rows])
+def _parted(x: Trajectory, share: float) -> tuple[Trajectory, Trajectory, Trajectory]:
+    """What comes before, in and after the middle block of this share."""
+    start, end = round(len(x.t) * (1 - share) / 2), round(len(x.t) * (1 + share) / 2)
+    rows = slice(None, start), slice(start, end), slice(end, None)
+    before, middle, after = (Trajectory(x.name, x.t[r], x.motion[r], x.tau[r]) for r in rows)
+    return before, middle, after

@@ -1,7 +1,7 @@
 """What all figures share: colours with roles, the grid of panels, limits that survive zeros and NaN, thinned curves.
 
-Colours are those of Okabe and Ito, which colour-blind readers can tell apart; a role keeps its colour in all figures. Pure
-black is for data alone, text is dark grey.
+Colours are those of Okabe and Ito, which colour-blind readers can tell apart; a role keeps its colour in all figures.
+Pure black is for data alone, text is dark grey.
 """
 
 import math
@@ -148,8 +148,8 @@ def thinned(t: np.ndarray, y: np.ndarray, most: int = LINE_POINTS) -> tuple[np.n
 def binned(x: np.ndarray, y: np.ndarray, most: int = 40, fewest: int = 10) -> np.ndarray:
     """Centre of x, and 10 %, 50 %, 90 % of y, in about `most` equal bins, fewer for few points: (4, bins).
 
-    The bins cover 99 % of the points, and one edge lies at zero: no bin mixes both directions of motion. A bin with less
-    than `fewest` points is NaN.
+    The bins cover 99 % of the points, and one edge lies at zero: no bin mixes both directions of motion. A bin with
+    less than `fewest` points is NaN.
     """
     low, high = np.percentile(x, [0.5, 99.5]) if len(x) else (0.0, 0.0)
     if not high - low > 0:

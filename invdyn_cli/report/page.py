@@ -1,4 +1,4 @@
-"""One run as one HTML file that needs nothing else: figures inside, no script, readable in light and dark, printable."""
+"""One run as one HTML file that needs nothing else: figures inside, no script, good in light, dark and print."""
 
 import base64
 import math
@@ -12,7 +12,6 @@ import numpy as np
 
 from invdyn_cli.report.tables import (
     choice,
-    finite_mean,
     member_spread,
     robot_of,
     round_by_error,
@@ -26,25 +25,25 @@ from invdyn_cli.types import RunRecord
 
 CAPTIONS = {
     "torques": (
-        "Measured and predicted torque at the beginning of the test set, the residual below. A residual that steps when a "
-        "joint reverses points to friction; one that follows the slope of the torque to a delay; one that stays for a "
-        "while to a load."
+        "Measured and predicted torque at the beginning of the test set, the residual below. A residual that steps "
+        "when a joint reverses points to friction; one that follows the slope of the torque to a delay; one that stays "
+        "for a while to a load."
     ),
     "errors": (
-        "Errors per joint of every scored set. Bars of test well above those of train: the model has not learned what the "
-        "test set asks for. A high NMSE with a low RMSE: a joint that has little torque to explain."
+        "Errors per joint of every scored set. Bars of test well above those of train: the model has not learned what "
+        "the test set asks for. A high NMSE with a low RMSE: a joint that has little torque to explain."
     ),
     "loss": (
         "Loss over epochs, the band spans the members. Validation that rises while train falls is overfitting; curves "
         "that still fall at the end ask for more epochs."
     ),
     "residual_velocity": (
-        "Residual over the joint's own velocity, test set. A step at zero is Coulomb friction, a slope viscous friction, "
-        "a hump near zero Stribeck friction; a flat line off zero is a torque offset."
+        "Residual over the joint's own velocity, test set. A step at zero is Coulomb friction, a slope viscous "
+        "friction, a hump near zero Stribeck friction; a flat line off zero is a torque offset."
     ),
     "singular_values": (
-        "Singular values of the regressor. A clear gap at the threshold means that the rank is well decided; values close "
-        "to it are directions that this motion barely excites."
+        "Singular values of the regressor. A clear gap at the threshold means that the rank is well decided; values "
+        "close to it are directions that this motion barely excites."
     ),
 }
 
@@ -130,7 +129,7 @@ def summary(record: RunRecord) -> str:
     if "test" not in record.scores:
         return "This run was not judged on a test set."
     score = record.scores["test"]
-    mean = finite_mean(score.nmse)
+    mean = score.mean("nmse")
     if math.isnan(mean):
         return "No joint's torque changes in the test set, so that an NMSE cannot be given."
     worst = int(np.nanargmax(score.nmse))
@@ -139,7 +138,7 @@ def summary(record: RunRecord) -> str:
     useless = ", no better than a constant torque," if mean >= 1 else ""
     first = f"The mean NMSE on the test set is {significant(mean)}{useless}"
     first += f" and the worst joint is {where}." if len(score.joints) > 1 else f", at {where}."
-    train = finite_mean(record.scores["train"].nmse) if "train" in record.scores else math.nan
+    train = record.scores["train"].mean("nmse") if "train" in record.scores else math.nan
     if math.isnan(train):
         return f"{first} There is no training error to compare it with."
     if max(train, mean) < EXACT:
@@ -202,7 +201,7 @@ def _worst(values: Sequence[float]) -> int | None:
 
 
 def _fit_facts(record: RunRecord) -> dict[str, Any]:
-    """What can be said in one line about the fit: among its details the numbers, and arrays with one entry per joint."""
+    """What can be said of the fit in one line each: of its details the numbers, and arrays with an entry per joint."""
     facts: dict[str, Any] = {"parameters learned": record.fit.parameters}
     facts |= {f"seconds, {name}": significant(x) for name, x in record.seconds.items()}
     for name, value in record.fit.details.items():

@@ -53,12 +53,6 @@ def units_said(record: RunRecord) -> str:
     return f"N m (N for {', '.join(sliding)})" if 0 < len(sliding) < len(every) else every[0]
 
 
-def finite_mean(values: Iterable[float]) -> float:
-    """Mean over the joints that have a value (one whose torque never changes has no NMSE); NaN if none has."""
-    kept = [x for x in map(float, values) if not math.isnan(x)]
-    return sum(kept) / len(kept) if kept else math.nan
-
-
 def significant(value: float | None) -> str:
     """Three significant digits, in scientific notation below 1e-3 and from 1e6; a dash for None and NaN."""
     if value is None or math.isnan(value):
@@ -88,12 +82,13 @@ def round_by_error(value: float, std: float) -> str:
     return f"({value * scale:.{decimals}f} ± {std * scale:.{decimals}f})e{top:+03d}"
 
 
-def score_rows(record: RunRecord) -> list[tuple[str, list[float]]]:
-    """(joint, [NMSE, RMSE of the first set, NMSE, RMSE of the next, …]) per joint, and the mean over joints last."""
-    scores = [record.scores[name] for name in scored_sets(record)]
+def score_rows(record: RunRecord, sets: Sequence[str] = ()) -> list[tuple[str, list[float]]]:
+    """(joint, [NMSE, RMSE of the first set, NMSE, RMSE of the next, …]) per joint, and the mean over joints last; all sets
+    unless some are named."""
+    scores = [record.scores[name] for name in sets or scored_sets(record)]
     columns = [np.asarray(x, float) for score in scores for x in (score.nmse, score.rmse)]
     rows = [(joint, [float(x[i]) for x in columns]) for i, joint in enumerate(record.fit.joints)]
-    return [*rows, ("mean", [finite_mean(x) for x in columns])]
+    return [*rows, ("mean", [score.mean(kind) for score in scores for kind in ("nmse", "rmse")])]
 
 
 def member_spread(record: RunRecord) -> str:
@@ -101,21 +96,24 @@ def member_spread(record: RunRecord) -> str:
     name = next((x for x in ("test", *scored_sets(record)) if len(record.member_scores.get(x, ())) > 1), None)
     if name is None:
         return ""
-    means = [finite_mean(score.nmse) for score in record.member_scores[name]]
+    means = [score.mean("nmse") for score in record.member_scores[name]]
     ends = " to ".join(significant(x) for x in (np.min(means), np.max(means)))
     return f"{len(means)} members: mean {name} NMSE {ends}."
 
 
-def score_table(record: RunRecord) -> Table:
-    """NMSE and RMSE [N m; N] per joint and their mean, two columns for every scored set."""
+def score_table(record: RunRecord, *, most: int = 3) -> Table:
+    """NMSE and RMSE [N m; N] per joint and their mean, two columns for every scored set; the validation set gives way where
+    there are more than `most`, so that the table fits into 80 columns."""
+    sets = scored_sets(record)
+    sets = tuple(x for x in sets if x != "validation" or len(sets) <= most)
     caption = Text(f"RMSE in {units_said(record)}. {member_spread(record)}".rstrip())
     table = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption=caption)
-    table.add_column("joint", overflow="fold", vertical="bottom")
-    for name in scored_sets(record):
+    table.add_column("joint", overflow="fold", vertical="bottom", min_width=8)
+    for name in sets:
         head = Text(name.replace("_", "\n") + "\nNMSE")
         table.add_column(head, justify="right", no_wrap=True, vertical="bottom")
         table.add_column("RMSE", justify="right", no_wrap=True, vertical="bottom")
-    *joints, mean = score_rows(record)
+    *joints, mean = score_rows(record, sets)
     for label, values in joints:
         table.add_row(Text(label), *map(significant, values))
     table.add_section()

@@ -125,13 +125,10 @@ def test_foreign_joint_names_are_taken_in_order_and_noted(log):
     assert splits.train.joints == ("j1", "j2") and "shoulder, elbow are taken for" in splits.description["notes"][0]
 
 
-def test_description_and_digest_tell_runs_apart(log):
-    """The description is plain JSON of what went where; the digest changes with the data, not with the reading."""
-    path = log()
-    one, again = RealLog(path).load(None), RealLog(path, filter_cutoff=5.0).load(None)
-    other = RealLog(log({"run": motion() | {"tau": motion()["tau"] + 1e-9}}, "other")).load(None)
-    assert json.loads(json.dumps(one.description))["train"][0]["window"] == [0.0, 6.29]
-    assert one.digest == again.digest != other.digest and re.fullmatch("[0-9a-f]{16}", one.digest)
+def test_the_description_is_plain_json(log):
+    """The description says in plain JSON what went where."""
+    description = RealLog(log()).load(None).description
+    assert json.loads(json.dumps(description))["train"][0]["window"] == [0.0, 6.29]
 
 
 def test_progress_ends_at_one(log):

@@ -147,6 +147,6 @@ def test_sweep_csv_round_trips():
             if row[name] is None:
                 assert text == ""
             elif isinstance(row[name], float):
-                assert float(text) == row[name] or math.isnan(row[name]) and math.isnan(float(text))
+                assert float(text) == row[name] or (math.isnan(row[name]) and math.isnan(float(text)))
             else:
                 assert text == str(row[name])

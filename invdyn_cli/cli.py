@@ -1,0 +1,44 @@
+"""The command `invdyn`: argv -> verb. Imports nothing heavy, so that --help answers at once."""
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+VERBS = {
+    "run": "one experiment, or a sweep with -m: data, model, adaptation",
+    "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
+    "report": "draw the figures and the page of a run.h5 anew",
+}
+
+HELP = """invdyn: learn, adapt and compare inverse dynamics models tau = f(q, qd, qdd)
+
+usage: invdyn VERB [option=value ...]
+
+{verbs}
+
+  invdyn run model=ffnn data=sim_noisy                one experiment
+  invdyn run -m model=pest,ffnn seed=0,1,2            a sweep
+  invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
+  invdyn run --help                                   all options of a verb
+  invdyn --version
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit code: 0, 1 (a check failed under strict=true), 2 (wrong use)."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(HELP.format(verbs="\n".join(f"  {name:<9} {said}" for name, said in VERBS.items())), end="")
+        return 0
+    if argv[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"invdyn {version('invdyn')}")
+        return 0
+    verb, *rest = argv
+    if verb not in VERBS:
+        from invdyn_cli.errors import closest, listed
+
+        print(f"invdyn: no verb {verb!r}; allowed: {listed(VERBS)}{closest(verb, VERBS)}", file=sys.stderr)
+        return 2
+    return import_module(f"invdyn_cli.verbs.{verb}").main(rest)

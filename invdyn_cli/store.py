@@ -1,0 +1,246 @@
+"""RunRecord <-> run.h5 (schema invdyn-run/1) and metrics.json (schema invdyn-metrics/1). No pickle.
+
+A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects (models,
+adaptations) are stored as the import path of their class and their fields, and built again by calling it.
+"""
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from invdyn_cli.errors import RunFileError
+from invdyn_cli.interfaces import FittedModel
+from invdyn_cli.types import Dataset, Fit, Motion, Prediction, Robot, RunRecord, Score, Trajectory
+
+RUN_SCHEMA = "invdyn-run/1"
+METRICS_SCHEMA = "invdyn-metrics/1"
+
+
+def write_run(record: RunRecord, path: Path) -> None:
+    """Write run.h5: aside first, then renamed, so that the file is whole or not there."""
+    tree = {
+        "choices": json.dumps(dict(record.choices)),
+        "model": json.dumps(encode(record.model)),
+        "adaptation": json.dumps(encode(record.adaptation)),
+        "config": record.config,
+        "overrides": list(record.overrides),
+        "provenance": json.dumps(dict(record.provenance)),
+        "split": json.dumps(dict(record.split)),
+        "digest": record.digest,
+        "samples": dict(record.samples),
+        "seconds": dict(record.seconds),
+        "robot": None if record.fit.robot is None else vars(record.fit.robot),
+        "fit": {name: value for name, value in vars(record.fit).items() if name != "robot"},
+        "scores": {name: {"nmse": s.nmse, "rmse": s.rmse} for name, s in record.scores.items()},
+        "member_scores": {
+            name: {"nmse": np.array([s.nmse for s in members]), "rmse": np.array([s.rmse for s in members])}
+            for name, members in record.member_scores.items()
+        },
+        "predictions": {name: _prediction_tree(p) for name, p in record.predictions.items()},
+    }
+
+    def write(part: Path) -> None:
+        with h5py.File(part, "w") as file:
+            file.attrs["schema"] = RUN_SCHEMA
+            for name, value in tree.items():
+                _put(file, name, value)
+
+    write_aside(path, write)
+
+
+def load_run(path: str | Path) -> RunRecord:
+    """Read a run.h5 back.
+
+    Raises:
+        RunFileError: if there is no such file, or it is not a whole run.h5 of this schema.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise RunFileError(f"no run at {path}", advice="the run.h5 in the folder that `invdyn run` printed last")
+    try:
+        with h5py.File(path) as file:
+            schema = file.attrs.get("schema")
+            if schema != RUN_SCHEMA:
+                raise RunFileError(f"{path} has schema {schema!r}; allowed: {RUN_SCHEMA!r}")
+            tree = _get(file)
+    except OSError as error:
+        raise RunFileError(f"{path} cannot be read as HDF5 ({error})", advice="running it again") from None
+    robot = None if tree["robot"] is None else _build(Robot, tree["robot"])
+    joints = tuple(tree["fit"]["joints"])
+    members = tree["member_scores"]
+    return RunRecord(
+        choices=json.loads(tree["choices"]),
+        model=decode(json.loads(tree["model"])),
+        adaptation=decode(json.loads(tree["adaptation"])),
+        fit=_build(Fit, {**tree["fit"], "robot": robot}),
+        predictions={name: _prediction(p, joints, robot) for name, p in tree["predictions"].items()},
+        scores={name: Score(joints, **s) for name, s in tree["scores"].items()},
+        member_scores={
+            name: tuple(Score(joints, *x) for x in zip(s["nmse"], s["rmse"], strict=True)) for name, s in members.items()
+        },
+        samples={name: int(x) for name, x in tree["samples"].items()},
+        seconds={name: float(x) for name, x in tree["seconds"].items()},
+        split=json.loads(tree["split"]),
+        digest=tree["digest"],
+        config=tree["config"],
+        overrides=tuple(tree["overrides"]),
+        provenance=json.loads(tree["provenance"]),
+    )
+
+
+def load_model(path: str | Path) -> FittedModel:
+    """The fitted model of a run.h5, ready to predict.
+
+    Raises:
+        RunFileError: as `load_run`; also if the model's class cannot be imported.
+    """
+    record = load_run(path)
+    return FittedModel(record.model, record.fit)
+
+
+def metrics(record: RunRecord) -> dict[str, Any]:
+    """What metrics.json holds. Where a fit has several seeds, `members` lists each seed's mean NMSE and RMSE per set."""
+    out = {
+        "schema": METRICS_SCHEMA,
+        **{name: record.choices.get(name) for name in ("model", "data", "adaptation", "seed")},
+        "joints": list(record.fit.joints),
+        **{name: score.as_dict() for name, score in record.scores.items()},
+        "seconds": {name: record.seconds[name] for name in ("fit", "predict", "total")},
+        "samples": dict(record.samples),
+        "parameters": record.fit.parameters,
+    }
+    if record.member_scores:
+        out["members"] = {name: [s.as_dict() for s in scores] for name, scores in record.member_scores.items()}
+    return out
+
+
+def write_metrics(record: RunRecord, path: Path) -> None:
+    """Write metrics.json, aside and renamed; numbers that do not exist (NaN, infinity) as null."""
+    text = json.dumps(_without_nan(metrics(record)), indent=1)
+    write_aside(path, lambda part: part.write_text(text + "\n"))
+
+
+def write_aside(path: Path, write: Callable[[Path], Any]) -> None:
+    """Let `write` fill a file beside `path`, then rename it: readers see the old one or the new one, nothing between."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        write(part)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def encode(value: Any) -> Any:
+    """A frozen dataclass as {"class": "module:Name", "fields": {...}}, its fields likewise; plain values as they are."""
+    if is_dataclass(value) and not isinstance(value, type):
+        kind = type(value)
+        entries = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.init}
+        return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": entries}
+    if isinstance(value, Mapping):
+        return {str(k): encode(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [encode(v) for v in value]
+    return value
+
+
+def decode(value: Any) -> Any:
+    """What `encode` stored, built again.
+
+    Raises:
+        RunFileError: if a class cannot be imported (a third party's model whose file is not on the path).
+    """
+    if isinstance(value, Mapping) and set(value) == {"class", "fields"}:
+        module, _, name = value["class"].partition(":")
+        try:
+            kind = getattr(import_module(module), name)
+        except (ImportError, AttributeError):
+            raise RunFileError(
+                f"the run's {value['class']} cannot be imported",
+                advice="the folder that holds its file as working directory, or on PYTHONPATH",
+            ) from None
+        return kind(**{k: decode(v) for k, v in value["fields"].items()})
+    if isinstance(value, Mapping):
+        return {k: decode(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return tuple(decode(v) for v in value)
+    return value
+
+
+def _prediction_tree(prediction: Prediction) -> dict[str, Any]:
+    trajectories = prediction.data.trajectories
+    motion = prediction.data.motion
+    return {
+        "trajectories": [x.name for x in trajectories],
+        "lengths": [len(x.t) for x in trajectories],
+        "t": np.concatenate([x.t for x in trajectories]),
+        "q": motion.q,
+        "qd": motion.qd,
+        "qdd": motion.qdd,
+        "tau": prediction.data.tau,
+        "prediction": prediction.tau,
+    }
+
+
+def _prediction(tree: dict[str, Any], joints: tuple[str, ...], robot: Robot | None) -> Prediction:
+    ends = np.cumsum(tree["lengths"])
+    parts = [slice(end - length, end) for end, length in zip(ends, tree["lengths"], strict=True)]
+    trajectories = tuple(
+        Trajectory(name, tree["t"][rows], Motion(*(tree[k][rows] for k in ("q", "qd", "qdd"))), tree["tau"][rows])
+        for name, rows in zip(tree["trajectories"], parts, strict=True)
+    )
+    return Prediction(Dataset(trajectories, joints, robot), tree["prediction"])
+
+
+def _put(group: h5py.Group, name: str, value: Any) -> None:
+    if value is None:
+        group[name] = h5py.Empty("f8")
+    elif isinstance(value, Mapping):
+        child = group.create_group(name)
+        for key, entry in value.items():
+            _put(child, str(key), entry)
+    elif isinstance(value, str):
+        group.create_dataset(name, data=value, dtype=h5py.string_dtype())
+    elif isinstance(value, list | tuple) and all(isinstance(x, str) for x in value):
+        group.create_dataset(name, data=list(value), shape=(len(value),), dtype=h5py.string_dtype())
+    else:
+        array = np.asarray(value)
+        squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if array.size > 4096 else {}
+        group.create_dataset(name, data=array, **squeeze)
+
+
+def _get(node: h5py.Group | h5py.Dataset) -> Any:
+    if isinstance(node, h5py.Group):
+        return {name: _get(child) for name, child in node.items()}
+    if node.shape is None:
+        return None
+    if h5py.check_string_dtype(node.dtype):
+        return node.asstr()[()] if node.shape == () else [str(x) for x in node.asstr()[()]]
+    value = node[()]
+    return value.item() if node.shape == () else value
+
+
+def _build(kind: type, tree: Mapping[str, Any]) -> Any:
+    """A Robot or Fit from its tree: lists become the tuples that they were."""
+    return kind(**{name: tuple(x) if _was_tuple(kind, name) else x for name, x in tree.items()})
+
+
+def _was_tuple(kind: type, name: str) -> bool:
+    return str(kind.__annotations__[name]).startswith("tuple")
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,167 @@
+"""The door to Hydra: where the configs lie, how a config becomes objects, and how failures of use are told in one line."""
+
+import difflib
+import functools
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import hydra
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import ConfigCompositionException, HydraException, InstantiationException, MissingConfigException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from invdyn_cli.errors import InvdynError, UsageError, closest, listed
+
+
+def config_folder() -> Path:
+    """conf/, inside the package where it was installed from a wheel, beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    for folder in (package / "conf", package.parent / "conf"):
+        if (folder / "run.yaml").is_file():
+            return folder
+    raise UsageError(f"no configs beside {package}", advice="installing invdyn again")
+
+
+def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) -> int:
+    """Compose the verb's config with the overrides in argv, run the task (once, or for every job of a sweep).
+
+    Returns:
+        The exit code: 0, or 2 for wrong use, told on stderr in one line.
+    """
+    argv = list(argv)
+    cwd = Path.cwd()
+    sys.path.insert(0, str(cwd))
+    # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml.
+    if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
+        places = ",".join(f"'file://{place}'" for place in (cwd, cwd / "conf") if place.is_dir())
+        argv.append(f"hydra.searchpath=[{places}]")
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
+    sys.argv = [f"invdyn {verb}", *argv]
+    failures: list[Exception] = []
+
+    @functools.wraps(task)
+    def guarded(config: DictConfig) -> None:
+        try:
+            task(config)
+        except (InvdynError, OSError, OmegaConfBaseException) as error:
+            failures.append(error)  # raised outside of Hydra, which would print a line of its own
+
+    try:
+        hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=verb)(guarded)()
+        if failures:
+            raise failures[0]
+    except InvdynError as error:
+        return complain(str(error))
+    except (HydraException, OmegaConfBaseException) as error:
+        return complain(_told(verb, error, argv))
+    except OSError as error:
+        where = error.filename or "a file"
+        return complain(f"{where}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)")
+    return 0
+
+
+def complain(line: str) -> int:
+    """Say on stderr what was wrong, in one line; the exit code for wrong use."""
+    print(f"invdyn: {' '.join(line.split())}", file=sys.stderr)
+    return 2
+
+
+def instantiate(node: DictConfig, **more: Any) -> Any:
+    """The object that a config node describes (`_target_`), nested ones too, in plain Python values.
+
+    Raises:
+        UsageError: for a value of the wrong type, a field that the class does not have, a `_target_` that cannot be imported.
+        InvdynError: whatever the object itself refuses.
+    """
+    _refuse_wrong_types(node)
+    try:
+        return hydra.utils.instantiate(node, **more, _convert_="all")
+    except InstantiationException as error:
+        cause = _cause(error)
+        if isinstance(cause, InvdynError):
+            raise cause from None
+        raise UsageError(f"{node.get('_target_', 'a config')}: {type(cause).__name__}: {cause}") from error
+
+
+def _refuse_wrong_types(node: DictConfig) -> None:
+    """Compare plain values with the annotations of the dataclass that takes them."""
+    try:
+        target = hydra.utils.get_object(node._target_)
+        hints = get_type_hints(target) if is_dataclass(target) else {}
+    except Exception:  # what cannot be found or has unreadable annotations is told by the instantiation itself
+        return
+    for name, hint in hints.items():
+        if name in node and not OmegaConf.is_missing(node, name) and not _fits(node[name], hint):
+            allowed = getattr(hint, "__name__", None) if get_origin(hint) is None else str(hint).replace("typing.", "")
+            raise UsageError(f"{node._get_full_key(name)}={node[name]}; allowed: {allowed}")
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a plain value suits an annotation of plain types; annotations of anything else suit everything."""
+    if get_origin(hint) is Literal:
+        return value in get_args(hint)
+    if get_origin(hint) in (Union, UnionType):
+        return any(_fits(value, one) for one in get_args(hint))
+    if hint in (int, str, bool, NoneType):
+        return type(value) is hint or (hint is NoneType and value is None)
+    if hint is float:
+        return type(value) in (int, float)
+    return True
+
+
+def job() -> Any:
+    """Hydra's view of this run: output folder, choices, overrides, whether it is one job of a sweep."""
+    return HydraConfig.get()
+
+
+def in_sweep() -> bool:
+    """Whether this is one job of a sweep."""
+    return job().mode == RunMode.MULTIRUN
+
+
+def _cause(error: BaseException) -> BaseException:
+    """The failure that started it all."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
+
+
+def _told(verb: str, error: Exception, argv: list[str]) -> str:
+    """Hydra's and OmegaConf's many lines as one, with what is allowed and the nearest match."""
+    text = str(error)
+    if isinstance(error, MissingConfigException) and error.options:
+        group, wanted = error.missing_cfg_file.rsplit("/", 1) if error.missing_cfg_file else ("", "")
+        return f"{group}={wanted}; allowed: {listed(sorted(error.options))}{closest(wanted, error.options)}"
+    if isinstance(error, ConfigCompositionException) and "Could not override" in text:
+        key = text.split("'")[1]
+        allowed = _siblings(verb, key, argv)
+        return f"there is no option {key}; allowed: {listed(allowed, most=30)}{closest(key, allowed)}"
+    if "Missing mandatory value" in text:
+        key = getattr(error, "full_key", None) or text.split(":")[-1].strip()
+        return f"{key} is not set. Try: {key}=…"
+    return text.split("\nfull_key")[0].split("\nSee https")[0].split("\nSet the environment")[0]
+
+
+def _siblings(verb: str, key: str, argv: list[str]) -> list[str]:
+    """The options beside `key` in the config that the other overrides give."""
+    groups = [p.name for p in config_folder().iterdir() if p.is_dir()]
+    chosen = [a for a in argv if a.split("=")[0] in groups]
+    parent = key.rsplit(".", 1)[0] if "." in key else ""
+    try:
+        GlobalHydra.instance().clear()
+        with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+            config = hydra.compose(verb, chosen)
+        node = OmegaConf.select(config, parent) if parent else config
+        names = [str(name) for name in node if not str(name).startswith("_")]
+    except (HydraException, OmegaConfBaseException, TypeError):
+        return []
+    full = [f"{parent}.{name}" if parent else name for name in names]
+    return sorted(full, key=lambda name: -difflib.SequenceMatcher(None, name, key).ratio())

@@ -1,0 +1,49 @@
+"""What a verb shows while it works (progress on stderr), and the compilation cache that makes the second run quick."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import jax
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from invdyn_cli.interfaces import silent
+
+
+@contextmanager
+def stages(*, quiet: bool = False) -> Iterator[Callable]:
+    """Gives a function that opens a stage by name and returns what to report its share and note to."""
+    if quiet:
+        yield lambda name: silent
+        return
+    columns = (
+        TextColumn("{task.description:>8}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+
+        def stage(name: str):
+            task = progress.add_task(name, total=1.0, note="")
+
+            def report(done: float, note: str) -> None:
+                progress.update(task, completed=done, note=note)
+
+            return report
+
+        yield stage
+
+
+def use_compilation_cache() -> None:
+    """Keep compiled programs between runs, in $JAX_COMPILATION_CACHE_DIR or the user's cache folder."""
+    if jax.config.jax_compilation_cache_dir is None:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(home / "invdyn" / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -1,0 +1,76 @@
+"""Sweeps: a folder that the same command finds again, jobs that are skipped when complete, and a table of all at the end."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from invdyn_cli import store
+from invdyn_cli.report import tables
+
+STATUS = "status.json"
+
+
+def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
+    """argv with a sweep folder named after the overrides, unless it names one: run again, the same sweep goes on."""
+    argv = list(argv)
+    if not {"-m", "--multirun"} & set(argv) or any(a.startswith("hydra.sweep.dir=") for a in argv):
+        return argv
+    overrides = sorted(a for a in argv if not a.startswith("-") and not a.startswith("hydra."))
+    return [*argv, f"hydra.sweep.dir=outputs/sweeps/{verb}-{hashlib.sha256(repr(overrides).encode()).hexdigest()[:8]}"]
+
+
+def is_complete(config: DictConfig, folder: Path) -> bool:
+    """Whether the folder holds this very job, finished."""
+    if not (folder / "metrics.json").is_file() or not (folder / "run.h5").is_file():
+        return False
+    try:
+        return store.load_run(folder / "run.h5").config == OmegaConf.to_yaml(config, resolve=True)
+    except Exception:  # whatever is wrong with that file, the job has to run again
+        return False
+
+
+def keep_status(folder: Path, status: str, message: str = "") -> None:
+    """Leave in a job's folder how it went: started, ran, kept, failed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"status": status, "message": message})
+    store.write_aside(folder / STATUS, lambda part: part.write_text(text))
+
+
+class Summary(Callback):
+    """Prints the table of all jobs when a sweep ends, and writes sweep.csv beside them; whatever launcher ran them."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Read what the jobs left in their folders."""
+        folder = Path(config.hydra.sweep.dir)
+        rows = sorted((_row(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda row: row["job"])
+        store.write_aside(folder / "sweep.csv", lambda part: part.write_text(tables.sweep_csv(rows)))
+        console = Console()
+        console.print(tables.sweep_table(rows))
+        console.print(str(folder), highlight=False, soft_wrap=True)
+
+
+def _row(folder: Path) -> dict[str, Any]:
+    status = json.loads((folder / STATUS).read_text())
+    overrides = folder / ".hydra" / "overrides.yaml"
+    row = {
+        "job": int(folder.name) if folder.name.isdigit() else 0,
+        "overrides": " ".join(yaml.safe_load(overrides.read_text())) if overrides.is_file() else folder.name,
+        "status": "failed" if status["status"] == "started" else status["status"],
+        "message": "killed" if status["status"] == "started" else status["message"],
+        "test_nmse": None,
+        "test_rmse": None,
+        "seconds": None,
+    }
+    if row["status"] != "failed":
+        found = json.loads((folder / "metrics.json").read_text())
+        row["test_nmse"] = found["test"]["nmse"]["mean"]
+        row["test_rmse"] = found["test"]["rmse"]["mean"]
+        row["seconds"] = found["seconds"]["total"]
+    return row
