@@ -21,11 +21,13 @@ usage: invdyn VERB [option=value ...]
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
   invdyn run --help                                   all options of a verb
   invdyn --version
+
+Exit code: 0, 1 (a check failed under strict=true), 2 (wrong use, or a job of a sweep failed).
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code: 0, 1 (a check failed under strict=true), 2 (wrong use)."""
+    """Run the command line; the exit code, as HELP says."""
     argv = list(sys.argv[1:] if argv is None else argv)
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(HELP.format(verbs="\n".join(f"  {name:<9} {said}" for name, said in VERBS.items())), end="")

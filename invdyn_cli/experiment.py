@@ -83,7 +83,7 @@ def run(
 
 
 def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
-    """Torques (samples, n) over all trajectories, each on its own: a model may have memory, but not across recordings."""
+    """Torques (samples, n) over all trajectories, each on its own: a model's memory ends with a recording."""
     return np.concatenate([model.predict(fit, x.motion) for x in data.trajectories])
 
 
@@ -99,5 +99,5 @@ def digest(splits: Splits) -> str:
     for data in (splits.train, splits.validation, *splits.tests.values()):
         for x in data.trajectories if data else ():
             for array in (x.t, x.motion.q, x.motion.qd, x.motion.qdd, x.tau):
-                hashed.update(np.ascontiguousarray(array, float))
+                hashed.update(np.ascontiguousarray(array, float).data)
     return hashed.hexdigest()[:16]

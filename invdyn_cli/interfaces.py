@@ -1,8 +1,8 @@
 """The contracts, in one file: who has read it can add a model, an adaptation or a data source as one file and one YAML.
 
-Rules for all of them: a class is either abstract or final, a frozen dataclass whose fields are its hyperparameters (plain
-values, or other objects of this kind); what is learned lives in a nested dict of arrays; state is passed in and given back;
-randomness comes from a key. `invdyn_cli.testing` checks whether an implementation keeps its contract.
+Rules for all of them: a class is either abstract or final, a frozen dataclass whose fields are its hyperparameters
+(plain values, or other objects of this kind); what is learned lives in a nested dict of arrays; state is passed in and
+given back; randomness comes from a key. `invdyn_cli.testing` checks whether an implementation keeps its contract.
 """
 
 import abc
@@ -55,8 +55,8 @@ class AbstractModel(abc.ABC):
 class AbstractAdapter(abc.ABC):
     """A way to learn a model, and to go on learning while the robot works.
 
-    `fit` is the pretraining; then predict comes before learn: `predict(state, …)`, `update(state, …)`, both pure, so that
-    they run in `lax.scan` over a log and sample by sample in a control loop.
+    `fit` is the pretraining; then predict comes before learn: `predict(state, …)`, `update(state, …)`, both pure, so
+    that they run in `lax.scan` over a log and sample by sample in a control loop.
     """
 
     @abc.abstractmethod
@@ -120,7 +120,9 @@ class FittedModel:
         arrays = [np.asarray(x, float) for x in (q, qd, qdd)]
         shapes = [x.shape for x in arrays]
         if len(set(shapes)) > 1 or not shapes[0] or shapes[0][-1] != len(self.joints) or len(shapes[0]) > 2:
-            raise ValueError(f"q, qd, qdd have shapes {shapes}; allowed: one shape, (T, {len(self.joints)}) or ({len(self.joints)},)")
+            raise ValueError(
+                f"q, qd, qdd have shapes {shapes}; allowed: one shape, (T, {len(self.joints)}) or ({len(self.joints)},)"
+            )
         tau = self.model.predict(self.fit, Motion(*(np.atleast_2d(x) for x in arrays)))
         return tau.reshape(shapes[0])
 
@@ -130,7 +132,7 @@ CHUNK = 4096
 
 
 def in_chunks(function: Callable[[Motion], Array], motion: Motion) -> np.ndarray:
-    """`function` of a motion (T, n), in chunks padded to few shapes (powers of two up to CHUNK), so that it compiles rarely: (T, n)."""
+    """`function` of a motion (T, n) in chunks padded to powers of two up to CHUNK, few compilations: (T, n)."""
     total = len(motion)
     size = min(CHUNK, 1 << max(0, total - 1).bit_length())
     out = [np.empty((0, motion.q.shape[1]))]

@@ -117,7 +117,7 @@ def write_log(log: Log, path: str | Path) -> None:
                     values = getattr(trajectory, channel)
                     if values is not None:
                         _store(group, channel, np.asarray(values))
-        os.replace(aside, path)
+        aside.replace(path)
     except (OSError, ValueError) as error:
         raise LogError(f"cannot write {path}: {error}", advice="a folder that exists and can be written") from error
     finally:

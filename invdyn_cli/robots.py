@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore[reportMissingImports]: its wheel lies behind a .pth file
 
 from invdyn_cli.errors import RobotError, closest, listed
 from invdyn_cli.types import Robot

@@ -1,7 +1,7 @@
 """RunRecord <-> run.h5 (schema invdyn-run/1) and metrics.json (schema invdyn-metrics/1). No pickle.
 
-A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects (models,
-adaptations) are stored as the import path of their class and their fields, and built again by calling it.
+A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects
+(models, adaptations) are stored as the import path of their class and their fields, and built again by calling it.
 """
 
 import json
@@ -71,8 +71,16 @@ def load_run(path: str | Path) -> RunRecord:
             if schema != RUN_SCHEMA:
                 raise RunFileError(f"{path} has schema {schema!r}; allowed: {RUN_SCHEMA!r}")
             tree = _get(file)
-    except OSError as error:
+    except (OSError, RuntimeError, UnicodeDecodeError) as error:
         raise RunFileError(f"{path} cannot be read as HDF5 ({error})", advice="running it again") from None
+    try:
+        return _record(tree)
+    except (KeyError, TypeError, ValueError) as error:
+        got = f"{path} is no whole run ({type(error).__name__}: {error})"
+        raise RunFileError(got, advice="running it again") from None
+
+
+def _record(tree: dict[str, Any]) -> RunRecord:
     robot = None if tree["robot"] is None else _build(Robot, tree["robot"])
     joints = tuple(tree["fit"]["joints"])
     members = tree["member_scores"]
@@ -84,7 +92,8 @@ def load_run(path: str | Path) -> RunRecord:
         predictions={name: _prediction(p, joints, robot) for name, p in tree["predictions"].items()},
         scores={name: Score(joints, **s) for name, s in tree["scores"].items()},
         member_scores={
-            name: tuple(Score(joints, *x) for x in zip(s["nmse"], s["rmse"], strict=True)) for name, s in members.items()
+            name: tuple(Score(joints, *x) for x in zip(s["nmse"], s["rmse"], strict=True))
+            for name, s in members.items()
         },
         samples={name: int(x) for name, x in tree["samples"].items()},
         seconds={name: float(x) for name, x in tree["seconds"].items()},
@@ -107,7 +116,7 @@ def load_model(path: str | Path) -> FittedModel:
 
 
 def metrics(record: RunRecord) -> dict[str, Any]:
-    """What metrics.json holds. Where a fit has several seeds, `members` lists each seed's mean NMSE and RMSE per set."""
+    """What metrics.json holds; `members` lists the scores of each seed where a fit has several."""
     out = {
         "schema": METRICS_SCHEMA,
         **{name: record.choices.get(name) for name in ("model", "data", "adaptation", "seed")},
@@ -129,7 +138,7 @@ def write_metrics(record: RunRecord, path: Path) -> None:
 
 
 def write_aside(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let `write` fill a file beside `path`, then rename it: readers see the old one or the new one, nothing between."""
+    """Let `write` fill a file beside `path`, then rename it: readers see the old or the new one, nothing between."""
     part = path.with_name(f".{path.name}.part")
     try:
         write(part)
@@ -141,7 +150,7 @@ def write_aside(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def encode(value: Any) -> Any:
-    """A frozen dataclass as {"class": "module:Name", "fields": {...}}, its fields likewise; plain values as they are."""
+    """A frozen dataclass as {"class": "module:Name", "fields": {...}}, its fields likewise; plain values stay."""
     if is_dataclass(value) and not isinstance(value, type):
         kind = type(value)
         entries = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.init}

@@ -1,8 +1,8 @@
 """Training of many small nets at once: minibatches and epochs in one `lax.scan`, `vmap` over nets of one shape.
 
-A group is a stack of nets of one shape, each with its own target column, its own learning rate and its own seed; the whole
-of its training is one compiled program. Groups of different shapes know nothing of each other and run side by side, a
-thread each: padding them to a common shape, or one scan over all, costs about twice the time on a CPU.
+A group is a stack of nets of one shape, each with its own target column, its own learning rate and its own seed; the
+whole of its training is one compiled program. Groups of different shapes know nothing of each other and run side by
+side, a thread each: padding them to a common shape, or one scan over all, costs about twice the time on a CPU.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,8 +44,8 @@ class Group:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and in which bites: `epochs` over all rows, minibatches of `batch_size` rows (an incomplete last one waits
-    for the next epoch's shuffle)."""
+    """How long and in which bites: `epochs` over all rows, minibatches of `batch_size` rows (an incomplete last one
+    waits for the next epoch's shuffle)."""
 
     epochs: int = 100
     batch_size: int = 32
@@ -67,9 +67,10 @@ class Trained(NamedTuple):
     validation_loss: np.ndarray
 
 
+@partial(jax.jit, static_argnums=(0, 1))
 def initial(group: Group, inputs: int, keys: Array) -> PyTree:
-    """Fresh parameters of a group, leading axes (members, nets), from one key per member: member k does not depend on how
-    many there are, and a net does not depend on which other joints share its shape."""
+    """Fresh parameters of a group, leading axes (members, nets), from one key per member: member k does not depend on
+    how many there are, and a net does not depend on which other joints share its shape."""
     net = MLP(group.hidden)
     blank = jnp.zeros((1, inputs), jnp.float32)
     per_net = jax.vmap(lambda key, column: net.init(jax.random.fold_in(key, column), blank)["params"], (None, 0))
@@ -167,8 +168,9 @@ def _epochs(group: Group, batch: int, epochs: int, state, data: Data, validation
             batches = table[order].reshape(steps, batch, -1)
 
             def step(state, rows):
+                params, moments = state
                 x, y = rows[:, : data.x.shape[1]], rows[:, data.x.shape[1] :]
-                params, moments, value = jax.vmap(learn, (0, 0, 0, None, 1))(*state, rates, x, y)
+                params, moments, value = jax.vmap(learn, (0, 0, 0, None, 1))(params, moments, rates, x, y)
                 return (params, moments), value
 
             state, losses = jax.lax.scan(step, state, batches)

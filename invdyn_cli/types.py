@@ -1,7 +1,8 @@
 """The nouns: Robot, Motion, Trajectory, Dataset, Splits, Fit, Score, RunRecord. Frozen, without behaviour of their own.
 
-Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's order.
-Importing this module switches jax to 64 bit: identification in float32 loses the small singular values that decide a rank.
+Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's
+order. Importing this module switches jax to 64 bit: identification in float32 loses the small singular values that
+decide a rank.
 """
 
 from collections.abc import Mapping
@@ -95,7 +96,7 @@ jax.tree_util.register_dataclass(Motion, data_fields=["q", "qd", "qdd"], meta_fi
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One uninterrupted recording: a motion, the torque tau (T, n) [N m; N] that goes with it, and its clock t (T,) [s]."""
+    """One uninterrupted recording: a motion, the torque tau (T, n) [N m; N] that goes with it, and its t (T,) [s]."""
 
     name: str
     t: Array
@@ -208,9 +209,10 @@ class Prediction:
 class RunRecord:
     """One experiment, whole: enough to write run.h5, the figures and the page, and to use the fitted model again.
 
-    `model` and `adaptation` are the objects (their hyperparameters), `fit` what they learned; `predictions` and `scores`
-    by set name ("train", "validation", "test", …; predictions of the judged sets alone); `member_scores` where a fit holds several seeds: set -> a
-    score per seed; `choices` the names under which the command line knows them (model, data, adaptation, seed).
+    `model` and `adaptation` are the objects (their hyperparameters), `fit` what they learned; `predictions` and
+    `scores` by set name ("train", "validation", "test", …; predictions of the judged sets alone); `member_scores` where
+    a fit holds several seeds: set -> a score per seed; `choices` the names under which the command line knows them
+    (model, data, adaptation, seed).
     """
 
     choices: Mapping[str, Any]

@@ -1,9 +1,9 @@
 """data=sim_clean and data=sim_noisy: the sine tasks of section V-A, made from the robot's own rigid-body dynamics.
 
 Eight tasks of 10 s at 0.1 to 0.8 Hz move all joints at once, sampled at 500 Hz; velocities and accelerations come from
-differentiating positions, torques from inverse dynamics on those; 250 samples at either end are dropped, which leaves the
-paper's 8 x 4,500. Noise: the positions are truncated after the fifth decimal and differentiated anew, while the torques stay
-those of the unmodified positions.
+differentiating positions, torques from inverse dynamics on those; 250 samples at either end are dropped, which leaves
+the paper's 8 x 4,500. Noise: the positions are truncated after the fifth decimal and differentiated anew, while the
+torques stay those of the unmodified positions.
 
 Amplitudes, phases, the joints' frequencies and the filter's weights are not in the paper: `PLANS` fixes two readings.
 """
@@ -26,8 +26,8 @@ TESTED = {"interpolation": (0.5, 0.6), "extrapolation": (0.7, 0.8)}
 """Tasks [Hz] that are judged; all others are learned from (paper, Table II)."""
 
 MULTIPLES = (1.0, 1.3, 0.7, 1.6, 0.9, 1.15, 1.45)
-"""Every joint's frequency as a multiple of the task's, from the first joint on and over again. One frequency for all joints
-would make the data one closed curve through q, run at different speeds, and extrapolation far too easy."""
+"""Every joint's frequency as a multiple of the task's, from the first joint on and over again. One frequency for all
+joints would make the data one closed curve through q, run at different speeds, and extrapolation far too easy."""
 
 PHASES = (0.0, 1.9, 4.1, 0.8, 5.3, 2.7, 3.6)
 """Every joint's phase [rad], the same in all tasks."""
@@ -81,15 +81,20 @@ class SineTasks(AbstractSource):
                 raise UsageError(f"data.{name}={getattr(self, name)!r}; allowed: {named}")
         if not 0 <= self.validation_share < 1:
             raise UsageError(f"data.validation_share={self.validation_share}; allowed: from 0 to below 1")
+        if not 1 <= self.savgol_order < self.savgol_window <= self.duration * self.rate:
+            raise UsageError(
+                f"data.savgol_order={self.savgol_order} and data.savgol_window={self.savgol_window}; allowed: an order "
+                "from 1, a longer window, and no more samples than a task has"
+            )
         if self.trim < 0 or self.duration * self.rate - 2 * self.trim < 100:
             raise UsageError(
-                f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples leaves "
-                "fewer than 100; allowed: 100 or more",
+                f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples "
+                "leaves fewer than 100; allowed: 100 or more",
                 advice="a longer duration, a higher rate or a smaller trim",
             )
 
     def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
-        """36,000 samples; `tests` has "test", and for noisy data "test_clean": the same torques with noise-free inputs."""
+        """36,000 samples; `tests` has "test", and for noisy data "test_clean": the same torques, noise-free inputs."""
         assert robot is not None
         clean, noisy = {}, {}
         for task in TASKS:

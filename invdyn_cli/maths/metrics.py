@@ -14,3 +14,22 @@ def nmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     return np.divide(
         np.mean((target - prediction) ** 2, axis=0), variance, out=np.full(variance.shape, np.nan), where=variance > 0
     )
+
+
+def noise_floor(q: np.ndarray, tau: np.ndarray, q_again: np.ndarray, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:
+    """RMS per joint (n,) of half the difference of the torques (T, n) of a trajectory and its repetition [N m; N].
+
+    What no model of the motion can do better than, if both differ by noise alone. The repetition is shifted by the lag, at
+    most `most` samples, at which its positions (T, n) agree best.
+    """
+
+    def overlap(lag: int) -> tuple[slice, slice]:
+        length = min(len(q) - max(lag, 0), len(q_again) + min(lag, 0))
+        return slice(max(lag, 0), max(lag, 0) + length), slice(max(-lag, 0), max(-lag, 0) + length)
+
+    def distance(lag: int) -> float:
+        here, there = overlap(lag)
+        return float(np.mean((q[here] - q_again[there]) ** 2))
+
+    here, there = overlap(min(range(-most, most + 1), key=distance))
+    return np.sqrt(np.mean(((tau[here] - tau_again[there]) / 2) ** 2, axis=0))

@@ -1,12 +1,13 @@
 r"""Rigid-body dynamics in JAX: inverse dynamics and the joint-torque regressor, in the base frame.
 
-Arrays put joints first and samples last, q (n, *batch), and a 3-vector is a tuple of three such rows: XLA then sees nothing
-but elementwise work on long rows, which it fuses and vectorises. The same code serves one sample (n,), a trajectory (n, T),
-and `jax.vmap`.
+Arrays put joints first and samples last, q (n, *batch), and a 3-vector is a tuple of three such rows: XLA then sees
+nothing but elementwise work on long rows, which it fuses and vectorises. The same code serves one sample (n,), a
+trajectory (n, T), and `jax.vmap`.
 
-One outward recursion (`lax.scan` over joints) says how every link moves in the base frame: Newton and Euler's forward pass
-(Luh, Walker and Paul 1980), gravity as an acceleration of the base. After it there is no recursion left: with all wrenches
-about the base's origin, joint i feels the sum over the links that it carries, and its torque is their power along its twist.
+One outward recursion (`lax.scan` over joints) says how every link moves in the base frame: Newton and Euler's forward
+pass (Luh, Walker and Paul 1980), gravity as an acceleration of the base. After it there is no recursion left: with all
+wrenches about the base's origin, joint i feels the sum over the links that it carries, and its torque is their power
+along its twist.
 """
 
 from typing import NamedTuple
@@ -18,17 +19,17 @@ import numpy as np
 from invdyn_cli.types import Array, Robot
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-"""Inertial parameters of a link in the order of `Robot.inertial`: mass, first moments, inertia about the joint frame's origin."""
+"""Parameters of a link in the order of `Robot.inertial`: mass, first moments, inertia about the frame's origin."""
 
 Row = Array
-Vector = tuple[Row, Row, Row]
-Rotation = tuple[Vector, Vector, Vector]
+Vector = tuple[Row, ...]  # x, y, z
+Rotation = tuple[Vector, ...]  # three rows
 
 
 class LinkMotion(NamedTuple):
-    """How all links move, in the base frame, rows (n, *batch): pose (rows of the rotation link -> base, origin), angular
-    velocity and acceleration, acceleration of the origin less gravity, and the joint's own twist (angular, linear at the
-    base's origin) for unit joint speed."""
+    """How all links move, in the base frame, rows (n, *batch): pose (rows of the rotation link -> base, origin),
+    angular velocity and acceleration, acceleration of the origin less gravity, and the joint's own twist (angular,
+    linear at the base's origin) for unit joint speed."""
 
     rotation: Rotation
     origin: Vector
@@ -62,8 +63,8 @@ def inverse_dynamics(robot: Robot, inertial: Array, q: Array, qd: Array, qdd: Ar
 def regressor(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
     """The joint-torque regressor transposed, (n links, 10 parameters, n joints, *batch) for a motion (n, *batch).
 
-    tau_i = sum_jc regressor[j, c, i] psi[j, c] (paper, equation 5: tau = K psi): the twist of joint i is carried to link j,
-    and multiplied with the link's own 6 x 10 regressor. Zero where joint i does not carry link j.
+    tau_i = sum_jc regressor[j, c, i] psi[j, c] (paper, equation 5: tau = K psi): the twist of joint i is carried to
+    link j, and multiplied with the link's own 6 x 10 regressor. Zero where joint i does not carry link j.
     """
     links = link_motions(robot, q, qd, qdd)
     omega, alpha, a = _in_link_frames(links)
@@ -92,8 +93,8 @@ def link_motions(robot: Robot, q: Array, qd: Array, qdd: Array) -> LinkMotion:
         "parent": jnp.asarray(robot.parents) + 1,
         "slides": jnp.asarray(slides, float),
         "axis": jnp.asarray(robot.axis),
-        "offset": jnp.asarray(robot.translation),
-        "along": jnp.einsum("nij,nj->ni", robot.rotation, robot.axis),
+        "offset": tuple(jnp.asarray(robot.translation).T),
+        "along": tuple(jnp.einsum("nij,nj->in", robot.rotation, robot.axis)),
         "turn": jax.vmap(_turn_coefficients)(jnp.asarray(robot.rotation), jnp.asarray(robot.axis)),
         "sin": turns * jnp.sin(q),
         "vers": turns * (1 - jnp.cos(q)),
@@ -143,7 +144,7 @@ def carries(robot: Robot) -> np.ndarray:
 
 
 def random_states(robot: Robot, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States q, qd, qdd (n, samples) all over the joints' ranges: what a robot could do at most, for structural ranks."""
+    """States q, qd, qdd (n, samples) all over the joints' ranges: what a robot could do, for structural rank."""
     rng = np.random.default_rng(seed)
     low = np.where(np.isfinite(robot.lower), robot.lower, -np.pi)[:, None]
     high = np.where(np.isfinite(robot.upper), robot.upper, np.pi)[:, None]
@@ -165,13 +166,13 @@ def _power(w: Vector, u: Vector, omega: Vector, alpha: Vector, a: Vector) -> tup
 
 
 def _turn_coefficients(at_zero: Array, axis: Array) -> tuple[Array, Array, Array]:
-    """(3, 3) each: `at_zero` times a turn about `axis` is the first + the second sin + the third (1 - cos) (Rodrigues)."""
+    """(3, 3) each: `at_zero` times a turn about `axis` is first + second sin + third (1 - cos) (Rodrigues)."""
     x, y, z = axis
     skew = jnp.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
     return at_zero, at_zero @ skew, at_zero @ skew @ skew
 
 
-def _in_link_frames(links: LinkMotion) -> tuple[Vector, Vector, Vector]:
+def _in_link_frames(links: LinkMotion) -> tuple[Vector, ...]:
     return tuple(_rotate_back(links.rotation, x) for x in (links.omega, links.alpha, links.a))
 
 
@@ -197,7 +198,7 @@ def _add(x: Vector, y: Vector) -> Vector:
     return x[0] + y[0], x[1] + y[1], x[2] + y[2]
 
 
-def _scale(factor: Row, v: Vector) -> Vector:
+def _scale(factor: Row | float, v: Vector) -> Vector:
     return factor * v[0], factor * v[1], factor * v[2]
 
 

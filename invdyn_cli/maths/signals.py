@@ -9,15 +9,17 @@ import numpy as np
 from scipy import signal
 
 DERIVATIVES = ("backward", "central", "savgol")
-"""Ways to differentiate: x_t - x_{t-1}; (x_{t+1} - x_{t-1}) / 2; the slope of a local polynomial (Savitzky and Golay 1964)."""
+"""Ways to differentiate: x_t - x_{t-1}; (x_{t+1} - x_{t-1}) / 2; a local polynomial's slope (Savitzky, Golay 1964)."""
 
 
-def differentiate(x: np.ndarray, rate: float, *, method: str = "central", window: int = 3, order: int = 2) -> np.ndarray:
+def differentiate(
+    x: np.ndarray, rate: float, *, method: str = "central", window: int = 3, order: int = 2
+) -> np.ndarray:
     """Time derivative of x (T, ...) sampled at `rate` [Hz], same shape; one-sided at the ends.
 
     `backward` and `central` are convolutions with a window of 3 samples, [1, -1, 0] and [1, 0, -1] / 2 (paper, section
-    V-A.1: "a convolution filter with a window size of 3"; its weights are not given there). `savgol` takes the slope of a
-    polynomial of degree `order` over `window` samples.
+    V-A.1: "a convolution filter with a window size of 3"; its weights are not given there). `savgol` takes the slope of
+    a polynomial of degree `order` over `window` samples.
 
     Raises:
         ValueError: on an unknown method, or fewer samples than the window.
@@ -27,7 +29,7 @@ def differentiate(x: np.ndarray, rate: float, *, method: str = "central", window
     if len(x) < max(window, 3):
         raise ValueError(f"{len(x)} samples; a window of {max(window, 3)} needs at least as many")
     if method == "savgol":
-        return signal.savgol_filter(x, window, order, deriv=1, delta=1 / rate, axis=0, mode="interp")
+        return np.asarray(signal.savgol_filter(x, window, order, deriv=1, delta=1 / rate, axis=0, mode="interp"))
     if method == "central":
         return np.gradient(x, 1 / rate, axis=0)
     steps = np.diff(x, axis=0) * rate

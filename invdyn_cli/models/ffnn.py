@@ -1,4 +1,4 @@
-"""model=ffnn: one feed-forward net per joint, from the state of all joints to the torque of one (paper, III-B, Table I)."""
+"""model=ffnn: one feed-forward net per joint, from all joints' state to the torque of one (paper, III-B, Table I)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -34,18 +34,20 @@ class Ffnn(AbstractModel):
 
     Attributes:
         hidden, learning_rate: of a joint that `joints` does not name.
-        joints: what differs for single joints: {joint number from 1: {"hidden": [...], "learning_rate": x}}; numbers that
-            the robot does not have are passed over, so that Table I serves arms of any length.
+        joints: what differs for single joints: {joint number from 1: {"hidden": [...], "learning_rate": x}}; numbers
+            that the robot does not have are passed over, so that Table I serves arms of any length.
         epochs, batch_size: as Table I.
-        seeds: how many independently started and shuffled nets per joint are trained in the same program; `predict` gives
-            their mean, `members` each of them.
+        seeds: how many independently started and shuffled nets per joint are trained in the same program; `predict`
+            gives their mean, `members` each of them.
     """
 
     needs_robot = False
 
     hidden: tuple[int, ...] = (100,)
     learning_rate: float = 0.001
-    joints: tuple[tuple[int, JointNet], ...] = field(default=((2, JointNet((100, 100))), (3, JointNet(learning_rate=0.0007)), (4, JointNet(learning_rate=0.005))))
+    joints: tuple[tuple[int, JointNet], ...] = field(
+        default=((2, JointNet((100, 100))), (3, JointNet(learning_rate=0.0007)), (4, JointNet(learning_rate=0.005)))
+    )
     epochs: int = 100
     batch_size: int = 32
     seeds: int = 1
@@ -84,17 +86,18 @@ class Ffnn(AbstractModel):
         x = (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
         x = x.astype(jnp.float32)
         outputs = jnp.zeros(n)
-        for group, nets in zip(self.groups(n), params["nets"].values(), strict=True):
+        for i, group in enumerate(self.groups(n)):
+            nets = params["nets"][f"group{i}"]
             net = training.MLP(group.hidden)
             each = jax.vmap(jax.vmap(lambda p, net=net: net.apply({"params": p}, x)))(nets)
-            outputs = outputs.at[jnp.array(group.columns)].set(each.astype(float).mean(0))
+            outputs = outputs.at[jnp.array(group.columns)].set(jnp.asarray(each, float).mean(0))
         return params["target_mean"] + params["target_scale"] * outputs
 
     def fit(
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
     ) -> Fit:
-        """Train all joints' nets. history: train_loss and validation_loss (epochs, members, n), mean squared error of the
-        standardised torque."""
+        """Train all joints' nets. history: train_loss and validation_loss (epochs, members, n), mean squared error of
+        the standardised torque."""
         motion, tau = dataset.motion, dataset.tau
         n = tau.shape[1]
         scales = _standardisation(motion, tau)
@@ -116,7 +119,9 @@ class Ffnn(AbstractModel):
             joints=dataset.joints,
             parameters=sum(leaf.size for leaf in jax.tree.leaves(nets)),
             history=history,
-            warnings=() if finite else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
+            warnings=()
+            if finite
+            else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
         )
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
@@ -134,7 +139,7 @@ class Ffnn(AbstractModel):
 
 
 def _per_joint(given, common: JointNet) -> tuple[tuple[int, JointNet], ...]:
-    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, what is not said taken from `common`."""
+    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, the unsaid taken from `common`."""
     names = [f.name for f in fields(JointNet)]
     pairs = given.items() if isinstance(given, Mapping) else given
     out = []

@@ -1,9 +1,10 @@
 """model=pest: inertial parameter estimation, tau = K psi by a truncated singular value decomposition (paper, III-A).
 
-K (samples x joints rows, 10 parameters a link) is never held: it is worked off in blocks, so that memory does not grow with
-the number of samples. A Gram matrix K'K would square the condition number and blur the small singular values that decide
-the rank; here the columns are preconditioned first, K = Z T with T from a sample of the rows, so that Z'Z is harmless and the
-singular values of K are those of the small matrix (Z'Z)^(1/2) T (Cholesky QR with a preconditioner; Fukaya et al. 2020).
+K (samples x joints rows, 10 parameters a link) is never held: it is worked off in blocks, so that memory does not grow
+with the number of samples. A Gram matrix K'K would square the condition number and blur the small singular values that
+decide the rank; here the columns are preconditioned first, K = Z T with T from a sample of the rows, so that Z'Z is
+harmless and the singular values of K are those of the small matrix (Z'Z)^(1/2) T (Cholesky QR with a preconditioner;
+Fukaya et al. 2020).
 """
 
 from collections.abc import Iterator
@@ -24,8 +25,15 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 BLOCK = 256
 """Samples whose regressor exists at a time (1 MB at 7 joints: it stays in cache)."""
 
+RESIDUALS = 1 << 16
+"""Samples of a trajectory that its residuals' autocorrelation is taken from: they are held in memory."""
+
+REST_SPEED = 0.02
+"""Speed [rad/s; m/s] below which the sign of a measured velocity is noise: sign(qd) is a ramp there, so that samples at rest
+do not enter with full friction (on a UR10e log a bare sign made the held-out error four times as large)."""
+
 FEW_BLOCKS = 20
-"""Fewer independent stretches than this leave a standard deviation uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
+"""Fewer independent stretches leave a standard deviation uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +42,12 @@ class Pest(AbstractModel):
 
     Attributes:
         threshold: singular values of K at or below it are set to zero (paper, III-A: 0.001).
-        relative: whether the threshold is a share of the largest singular value. The paper's is absolute; a relative one
-            deletes real base parameters when the motion is small.
-        weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque, so that the noise of
-            a strong joint does not drown a weak one; "none" is the paper's.
-        friction: "coulomb_viscous" adds the columns sign(qd) and qd for every joint; "none" is the paper's.
+        relative: whether the threshold is a share of the largest singular value. The paper's is absolute; a relative
+            one deletes real base parameters when the motion is small.
+        weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque, so that the noise
+            of a strong joint does not drown a weak one; "none" is the paper's.
+        friction: "coulomb_viscous" adds the columns sign(qd) (a ramp within `REST_SPEED`) and qd for every joint; "none" is
+            the paper's.
         offset: adds a constant torque per joint (a sensor's or a drive's zero).
         rotor_inertia: adds a column qdd per joint (reflected rotor inertia; only where torque is taken at the motor).
     """
@@ -93,7 +102,8 @@ class Pest(AbstractModel):
     ) -> Fit:
         """Least squares over all rows; standard deviations count the residuals' autocorrelation.
 
-        details: rank, singular_values (descending), threshold (in use), base_parameters {names, expressions, values, std},
+        details: rank, singular_values (descending), threshold (in use), base_parameters {names, expressions, values,
+            std},
         effective_samples (n,), blocks.
 
         Raises:
@@ -109,7 +119,7 @@ class Pest(AbstractModel):
         weights = 1 / _torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
         solution = solve(robot, dataset, self.extras, weights, self.threshold, self.relative, progress)
         progress(0.6, f"rank {solution.rank} of {10 * n + len(self.extras) * n}")
-        covariance, details = _uncertainty(self.extras, dataset, weights, solution, progress)
+        covariance, details = _uncertainty(robot, self.extras, dataset, weights, solution, progress)
         params = {"psi": solution.psi[: 10 * n].reshape(n, 10), "extras": solution.psi[10 * n :].reshape(-1, n)}
         few = details["blocks"] < FEW_BLOCKS
         return Fit(
@@ -133,8 +143,8 @@ class Pest(AbstractModel):
 
 @dataclass(frozen=True)
 class Solution:
-    """psi (p,) and what led to it: singular values of the (weighted) K, its kept right-singular vectors (p, rank), and the
-    map from scores of the preconditioned columns to scores of psi."""
+    """psi (p,) and what led to it: singular values of the (weighted) K, its kept right-singular vectors (p, rank), and
+    the map from scores of the preconditioned columns to scores of psi."""
 
     psi: np.ndarray
     rank: int
@@ -207,19 +217,20 @@ def base_parameters(solution: Solution, covariance: np.ndarray, columns: list[st
     }
 
 
-def _uncertainty(extras, dataset: Dataset, weights, solution: Solution, progress: Progress):
+def _uncertainty(robot: Robot, extras, dataset: Dataset, weights, solution: Solution, progress: Progress):
     """Covariance (rank, rank) of the kept coordinates from block scores, and what it rests on."""
-    robot = dataset.robot
     times = np.ones(robot.dofs)
     scores = []
     for trajectory in dataset.trajectories:
-        parts = [
-            _scores(robot, extras, weights, *chunk, solution.preconditioner, solution.psi)
-            for chunk in _chunks(Dataset((trajectory,), dataset.joints))
-        ]
-        residual = np.concatenate([np.asarray(r) for _, r in parts])[: min(len(trajectory.t), 1 << 16)]
+        blocks, residuals = [], []
+        for chunk in _chunks(Dataset((trajectory,), dataset.joints)):
+            score, residual = _scores(robot, extras, weights, *chunk, solution.preconditioner, solution.psi)
+            blocks.append(np.asarray(score))
+            if len(residuals) * CHUNK < RESIDUALS:
+                residuals.append(np.asarray(residual))
+        residual = np.concatenate(residuals)[: len(trajectory.t)]
         times = np.maximum(times, [statistics.autocorrelation_time(r) for r in residual.T])
-        scores.append(np.concatenate([np.asarray(s) for s, _ in parts])[: -(-len(trajectory.t) // BLOCK)])
+        scores.append(np.concatenate(blocks)[: -(-len(trajectory.t) // BLOCK)])
         progress(0.6 + 0.4 * len(scores) / len(dataset.trajectories), "standard deviations")
     size = int(np.ceil(10 * times.max() / BLOCK))
     merged = np.concatenate([statistics.merge_blocks(s, size) for s in scores])
@@ -228,7 +239,7 @@ def _uncertainty(extras, dataset: Dataset, weights, solution: Solution, progress
 
 
 def _possible_directions(robot: Robot, extras: tuple[str, ...]) -> np.ndarray:
-    """Orthonormal directions (p, r) of parameter space that some motion of this robot could show; the rest never shows."""
+    """Orthonormal directions (p, r) of parameter space that some motion of this robot can show; the rest never does."""
     motion = Motion(*(x.T for x in rigid_body.random_states(robot, 256, seed=0)))
     scale, directions = _svd_of_rows(robot, extras, np.ones(robot.dofs), motion, np.eye(_width(robot, extras)))
     return directions[:, scale > 1e-10 * scale[0]]
@@ -243,8 +254,14 @@ def _svd_of_rows(robot, extras, weights, motion: Motion, basis) -> tuple[np.ndar
 
 
 def _subsample(dataset: Dataset, most: int) -> Motion:
-    step = -(-dataset.samples // most)
-    parts = [x.motion[slice(i % step, None, step)] for i, x in enumerate(dataset.trajectories)]
+    """So many samples, evenly from all over: one shape (one compilation) for all datasets that have as many."""
+    rows = np.linspace(0, dataset.samples - 1, min(most, dataset.samples)).astype(int)
+    ends = np.cumsum([len(x.t) for x in dataset.trajectories])
+    owner = np.searchsorted(ends, rows, side="right")
+    parts = [
+        jax.tree.map(lambda a, r=rows[owner == i] - end + len(x.t): np.asarray(a)[r], x.motion)
+        for i, (x, end) in enumerate(zip(dataset.trajectories, ends, strict=True))
+    ]
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
@@ -262,7 +279,7 @@ def _accumulate(robot, extras, weights, dataset: Dataset, preconditioner, progre
     return np.asarray(state[0]), np.asarray(state[1])
 
 
-def _chunks(dataset: Dataset) -> Iterator[tuple[Motion, np.ndarray, np.ndarray]]:
+def _chunks(dataset: Dataset) -> Iterator[tuple[Motion, Array, np.ndarray]]:
     """Motion, torque and validity (CHUNK rows each, the last of a trajectory padded with rows that do not count)."""
     for x in dataset.trajectories:
         for start in range(0, len(x.t), CHUNK):
@@ -318,7 +335,7 @@ def _weighted_rows(robot, extras, factor, motion: Motion) -> Array:
 
 def _extra_columns(extras: tuple[str, ...], motion: Motion) -> list[Array]:
     column = {
-        "coulomb": lambda: jnp.sign(motion.qd),
+        "coulomb": lambda: jnp.clip(motion.qd / REST_SPEED, -1, 1),
         "viscous": lambda: motion.qd,
         "offset": lambda: jnp.ones_like(motion.qd),
         "armature": lambda: motion.qdd,
@@ -342,12 +359,15 @@ def _column_names(robot: Robot, extras: tuple[str, ...]) -> list[str]:
 
 def _expression(columns: list[str], lead: int, factors: np.ndarray) -> str:
     others = [c for c in np.flatnonzero(np.abs(factors) > 1e-6) if c != lead]
-    return columns[lead] + "".join(f" {'-' if factors[c] < 0 else '+'} {abs(factors[c]):.4g} {columns[c]}" for c in others)
+    return columns[lead] + "".join(
+        f" {'-' if factors[c] < 0 else '+'} {abs(factors[c]):.4g} {columns[c]}" for c in others
+    )
 
 
 def _torque_spread(dataset: Dataset) -> np.ndarray:
     """Standard deviation of every joint's torque (n,) over all trajectories, 1 for a joint without any."""
     count = dataset.samples
     mean = sum(x.tau.sum(0) for x in dataset.trajectories) / count
-    spread = np.sqrt(sum(((x.tau - mean) ** 2).sum(0) for x in dataset.trajectories) / count)
+    parts = (x.tau[start : start + CHUNK] for x in dataset.trajectories for start in range(0, len(x.t), CHUNK))
+    spread = np.sqrt(sum(((part - mean) ** 2).sum(0) for part in parts) / count)
     return np.where(spread > 0, spread, 1.0)

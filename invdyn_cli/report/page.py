@@ -2,7 +2,6 @@
 
 import base64
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -91,7 +90,7 @@ def write_page(record: RunRecord, figures: Iterable[str | Path], path: str | Pat
     aside = path.with_name(f".{path.name}.tmp")
     try:
         aside.write_text(page(record, [Path(x) for x in figures]), encoding="utf-8")
-        os.replace(aside, path)
+        aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
     return path

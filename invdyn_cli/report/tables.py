@@ -6,7 +6,7 @@ Everything here is a pure function of its arguments; the tables are rich objects
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,8 +83,8 @@ def round_by_error(value: float, std: float) -> str:
 
 
 def score_rows(record: RunRecord, sets: Sequence[str] = ()) -> list[tuple[str, list[float]]]:
-    """(joint, [NMSE, RMSE of the first set, NMSE, RMSE of the next, …]) per joint, and the mean over joints last; all sets
-    unless some are named."""
+    """(joint, [NMSE, RMSE of the first set, NMSE, RMSE of the next, …]) per joint, and the mean over joints last; all
+    sets unless some are named."""
     scores = [record.scores[name] for name in sets or scored_sets(record)]
     columns = [np.asarray(x, float) for score in scores for x in (score.nmse, score.rmse)]
     rows = [(joint, [float(x[i]) for x in columns]) for i, joint in enumerate(record.fit.joints)]
@@ -102,8 +102,8 @@ def member_spread(record: RunRecord) -> str:
 
 
 def score_table(record: RunRecord, *, most: int = 3) -> Table:
-    """NMSE and RMSE [N m; N] per joint and their mean, two columns for every scored set; the validation set gives way where
-    there are more than `most`, so that the table fits into 80 columns."""
+    """NMSE and RMSE [N m; N] per joint and their mean, two columns for every scored set; the validation set gives way
+    where there are more than `most`, so that the table fits into 80 columns."""
     sets = scored_sets(record)
     sets = tuple(x for x in sets if x != "validation" or len(sets) <= most)
     caption = Text(f"RMSE in {units_said(record)}. {member_spread(record)}".rstrip())

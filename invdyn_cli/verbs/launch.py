@@ -1,4 +1,4 @@
-"""The door to Hydra: where the configs lie, how a config becomes objects, and how failures of use are told in one line."""
+"""The door to Hydra: where configs lie, how a config becomes objects, how failures of use are told in one line."""
 
 import difflib
 import functools
@@ -13,12 +13,21 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import ConfigCompositionException, HydraException, InstantiationException, MissingConfigException
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    InstantiationException,
+    MissingConfigException,
+    OverrideParseException,
+)
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from invdyn_cli.errors import InvdynError, UsageError, closest, listed
+
+WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", NoneType: "null"}
+"""Plain types, and how they are called before a user."""
 
 
 def config_folder() -> Path:
@@ -34,24 +43,25 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     """Compose the verb's config with the overrides in argv, run the task (once, or for every job of a sweep).
 
     Returns:
-        The exit code: 0, or 2 for wrong use, told on stderr in one line.
+        The exit code: 0; 2 for wrong use, told on stderr in one line, or where a job of a sweep failed; 130: stopped.
     """
     argv = list(argv)
     cwd = Path.cwd()
     sys.path.insert(0, str(cwd))
     # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml.
     if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
-        places = ",".join(f"'file://{place}'" for place in (cwd, cwd / "conf") if place.is_dir())
-        argv.append(f"hydra.searchpath=[{places}]")
+        places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
+        argv.append("hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
-    sys.argv = [f"invdyn {verb}", *argv]
+    overrides = [a for a in argv if "=" in a and not a.startswith("-")]
+    sys.argv = [f"invdyn {verb}", *overrides, *(a for a in argv if a not in overrides)]  # argparse wants them together
     failures: list[Exception] = []
 
     @functools.wraps(task)
     def guarded(config: DictConfig) -> None:
         try:
             task(config)
-        except (InvdynError, OSError, OmegaConfBaseException) as error:
+        except (InvdynError, OSError, MemoryError, OmegaConfBaseException) as error:
             failures.append(error)  # raised outside of Hydra, which would print a line of its own
 
     try:
@@ -62,9 +72,16 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         return complain(str(error))
     except (HydraException, OmegaConfBaseException) as error:
         return complain(_told(verb, error, argv))
+    except MemoryError as error:
+        return complain(f"out of memory: {error}")
     except OSError as error:
         where = error.filename or "a file"
         return complain(f"{where}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)")
+    except SystemExit as end:  # what a callback at the end of a sweep decides; Hydra itself swallows its exceptions
+        return end.code if isinstance(end.code, int) else 2
+    except KeyboardInterrupt:
+        complain("stopped")
+        return 130
     return 0
 
 
@@ -78,7 +95,8 @@ def instantiate(node: DictConfig, **more: Any) -> Any:
     """The object that a config node describes (`_target_`), nested ones too, in plain Python values.
 
     Raises:
-        UsageError: for a value of the wrong type, a field that the class does not have, a `_target_` that cannot be imported.
+        UsageError: for a value of the wrong type, a field that the class does not have, a `_target_` that cannot be
+            imported.
         InvdynError: whatever the object itself refuses.
     """
     _refuse_wrong_types(node)
@@ -100,8 +118,9 @@ def _refuse_wrong_types(node: DictConfig) -> None:
         return
     for name, hint in hints.items():
         if name in node and not OmegaConf.is_missing(node, name) and not _fits(node[name], hint):
-            allowed = getattr(hint, "__name__", None) if get_origin(hint) is None else str(hint).replace("typing.", "")
-            raise UsageError(f"{node._get_full_key(name)}={node[name]}; allowed: {allowed}")
+            raise UsageError(
+                f"{node._get_full_key(name)}={'null' if node[name] is None else node[name]}; allowed: {_in_words(hint)}"
+            )
 
 
 def _fits(value: Any, hint: Any) -> bool:
@@ -110,11 +129,25 @@ def _fits(value: Any, hint: Any) -> bool:
         return value in get_args(hint)
     if get_origin(hint) in (Union, UnionType):
         return any(_fits(value, one) for one in get_args(hint))
-    if hint in (int, str, bool, NoneType):
-        return type(value) is hint or (hint is NoneType and value is None)
+    if _is_list(hint):
+        return isinstance(value, ListConfig) and all(_fits(one, get_args(hint)[0]) for one in value)
     if hint is float:
         return type(value) in (int, float)
-    return True
+    return hint not in WORDS or type(value) is hint
+
+
+def _is_list(hint: Any) -> bool:
+    """Whether an annotation is tuple[X, ...] or Sequence[X] with a plain X."""
+    return get_origin(hint) in (tuple, Sequence) and get_args(hint)[0] in WORDS
+
+
+def _in_words(hint: Any) -> str:
+    """An annotation of plain types as a user would say it."""
+    if get_origin(hint) is Literal:
+        return listed(map(str, get_args(hint)))
+    if get_origin(hint) in (Union, UnionType):
+        return " or ".join(map(_in_words, get_args(hint)))
+    return f"a list, each {_in_words(get_args(hint)[0])}" if _is_list(hint) else WORDS.get(hint, str(hint))
 
 
 def job() -> Any:
@@ -141,9 +174,12 @@ def _told(verb: str, error: Exception, argv: list[str]) -> str:
         group, wanted = error.missing_cfg_file.rsplit("/", 1) if error.missing_cfg_file else ("", "")
         return f"{group}={wanted}; allowed: {listed(sorted(error.options))}{closest(wanted, error.options)}"
     if isinstance(error, ConfigCompositionException) and "Could not override" in text:
-        key = text.split("'")[1]
+        key = getattr(_cause(error), "full_key", None) or text.split("'")[1]
         allowed = _siblings(verb, key, argv)
-        return f"there is no option {key}; allowed: {listed(allowed, most=30)}{closest(key, allowed)}"
+        offer = f"; allowed: {listed(allowed, most=30)}{closest(key, allowed)}" if allowed else ""
+        return f"there is no option {key}{offer}"
+    if isinstance(error, OverrideParseException):
+        return f"{error.override!r} cannot be read as an override; allowed: group=choice, option=value"
     if "Missing mandatory value" in text:
         key = getattr(error, "full_key", None) or text.split(":")[-1].strip()
         return f"{key} is not set. Try: {key}=…"
@@ -153,7 +189,7 @@ def _told(verb: str, error: Exception, argv: list[str]) -> str:
 def _siblings(verb: str, key: str, argv: list[str]) -> list[str]:
     """The options beside `key` in the config that the other overrides give."""
     groups = [p.name for p in config_folder().iterdir() if p.is_dir()]
-    chosen = [a for a in argv if a.split("=")[0] in groups]
+    chosen = [a for a in argv if a.split("=")[0] in (*groups, "hydra.searchpath")]
     parent = key.rsplit(".", 1)[0] if "." in key else ""
     try:
         GlobalHydra.instance().clear()

@@ -2,27 +2,30 @@
 
 import datetime
 import importlib.metadata
-import json
 import platform
 import subprocess
-import sys
-import time
+import traceback
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
+from rich.markup import escape
 
 from invdyn_cli import experiment, store
-from invdyn_cli.errors import InvdynError, UsageError
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
+from invdyn_cli.errors import InvdynError, UsageError, listed
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 
 PACKAGES = ("invdyn", "jax", "jaxlib", "flax", "optax", "numpy", "scipy", "pin", "hydra-core", "h5py")
+FORMATS = ("png", "svg", "pdf")
+METRICS = "metrics.json"
 
 
 def main(argv: Sequence[str]) -> int:
@@ -31,53 +34,61 @@ def main(argv: Sequence[str]) -> int:
 
 
 def task(config: DictConfig) -> None:
-    """One job: skipped where its folder already holds the same job, finished; in a sweep a failure is a row, not the end."""
+    """One job. In a sweep one that its folder already holds, complete, is kept, and a failure is a row, not the end."""
     folder = Path(job().runtime.output_dir)
     if not in_sweep():
         execute(config, folder, Console())
         return
-    if sweep.is_complete(config, folder):
-        sweep.keep_status(folder, "kept")
-        return
-    try:
+    status, message = "kept" if sweep.is_complete(config, folder) else "ran", ""
+    if status == "ran":
         sweep.keep_status(folder, "started")
-        execute(config, folder, None)
-        sweep.keep_status(folder, "ran")
-    except Exception as error:
-        sweep.keep_status(folder, "failed", str(error) if isinstance(error, InvdynError) else f"{type(error).__name__}: {error}")
+        try:
+            execute(config, folder)
+        except Exception as error:
+            status, message = "failed", str(error)
+            if not isinstance(error, InvdynError):
+                message = f"{type(error).__name__}: {message}"
+                (folder / "traceback.txt").write_text(traceback.format_exc())
+    sweep.keep_status(folder, status, message)
+    screen.tell(f"job {job().job.num} {status}: {message or ' '.join(job().overrides.task)}")
 
 
-def execute(config: DictConfig, folder: Path, console: Console | None) -> RunRecord:
-    """Config -> objects -> experiment -> files in `folder`; tells the result on `console` where there is one."""
+def execute(config: DictConfig, folder: Path, console: Console | None = None, view: Any = None) -> RunRecord:
+    """Config -> objects -> experiment -> files in `folder`; tells the result on `console` where there is one.
+
+    `view` is Hydra's view of the job (choices, overrides) where it is not the running one.
+    """
+    console = console or Console(quiet=True)
     screen.use_compilation_cache()
     started = datetime.datetime.now(datetime.UTC)
+    _refuse_options(config)
     source = _object(config, "data", AbstractSource)
     model = _object(config, "model", AbstractModel)
     adaptation = _object(config, "adaptation", AbstractAdapter)
     robot = make_robot(config, source.header())
-    for note in robot.notes if robot and console else ():
-        console.print(f"[dim]robot: {note}[/]", highlight=False)
-    with screen.stages(quiet=console is None) as stage:
+    for note in robot.notes if robot else ():
+        console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
+    with screen.stages(quiet=console.quiet) as stage:
         made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
-        record = _with_origin(made, config, started)
+        record = _with_origin(made, config, started, view or job())
         write(record, folder, tuple(config.figures.formats), stage("write"))
-    if console:
-        console.print(tables.score_table(record))
-        for warning in record.fit.warnings:
-            console.print(f"[yellow]{warning}[/]", highlight=False)
-        console.print(f"{_relative(folder)}", highlight=False, soft_wrap=True)
+    console.print(tables.score_table(record))
+    for warning in record.fit.warnings:
+        console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
+    console.print(str(_relative(folder)), highlight=False, markup=False, soft_wrap=True)
     return record
 
 
-def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), progress=lambda done, note: None) -> None:
+def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), progress: Progress = silent) -> None:
     """All files of a run; metrics.json comes last: where it is, the run is complete."""
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / METRICS).unlink(missing_ok=True)
     store.write_run(record, folder / "run.h5")
     progress(0.2, "figures")
     drawn = figures.draw_all(record, folder / "figures", tuple({"png", *formats}))
     progress(0.9, "report")
     page.write_page(record, [path for path in drawn if path.suffix == ".png"], folder / "report.html")
-    store.write_metrics(record, folder / "metrics.json")
+    store.write_metrics(record, folder / METRICS)
     progress(1.0, "done")
 
 
@@ -87,7 +98,9 @@ def make_robot(config: DictConfig, header: Header | None) -> Robot | None:
     path = node.path or (header.urdf if header else "")
     if not path:
         if header is None:
-            raise UsageError("robot=from_log, but these data bring no robot", advice="robot=apollo_arm, or robot=urdf robot.path=…")
+            raise UsageError(
+                "robot=from_log, but these data bring no robot", advice="robot=apollo_arm, or robot=urdf robot.path=…"
+            )
         return None
     joints = node.joints
     if joints is None and header is not None and node.tip is None:
@@ -95,27 +108,32 @@ def make_robot(config: DictConfig, header: Header | None) -> Robot | None:
     return instantiate(node, path=str(path), joints=joints)()
 
 
+def _refuse_options(config: DictConfig) -> None:
+    """What belongs to no group."""
+    if not isinstance(config.seed, int) or config.seed < 0:
+        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up")
+    formats = config.figures.formats
+    if not isinstance(formats, Sequence) or not set(formats) <= set(FORMATS):
+        raise UsageError(f"figures.formats={formats}; allowed: a list of {listed(FORMATS)}")
+
+
 def _object(config: DictConfig, group: str, kind: type) -> Any:
     made = instantiate(config[group])
     if not isinstance(made, kind):
         raise UsageError(
-            f"{group}={job().runtime.choices.get(group)} gives a {type(made).__name__}; allowed: a {kind.__name__}"
+            f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}"
         )
     return made
 
 
-def _with_origin(record: RunRecord, config: DictConfig, started: datetime.datetime) -> RunRecord:
+def _with_origin(record: RunRecord, config: DictConfig, started: datetime.datetime, view: Any) -> RunRecord:
     """The record with where it came from: choices, config, overrides, versions, machine, times."""
-    from dataclasses import replace
-
-    import jax
-
-    choices = {group: job().runtime.choices.get(group) for group in ("model", "data", "adaptation", "robot")}
+    choices = {group: view.runtime.choices.get(group) for group in ("model", "data", "adaptation", "robot")}
     return replace(
         record,
         choices={**choices, **record.choices},
         config=OmegaConf.to_yaml(config, resolve=True),
-        overrides=tuple(job().overrides.task),
+        overrides=tuple(view.overrides.task),
         provenance={
             "started": started.isoformat(timespec="seconds"),
             "versions": {name: _version(name) for name in PACKAGES} | {"python": platform.python_version()},

@@ -15,7 +15,8 @@ from invdyn_cli.interfaces import silent
 @contextmanager
 def stages(*, quiet: bool = False) -> Iterator[Callable]:
     """Gives a function that opens a stage by name and returns what to report its share and note to."""
-    if quiet:
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
         yield lambda name: silent
         return
     columns = (
@@ -27,7 +28,7 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
 
         def stage(name: str):
             task = progress.add_task(name, total=1.0, note="")
@@ -40,9 +41,14 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
         yield stage
 
 
+def tell(line: str) -> None:
+    """One line on stderr, as it stands."""
+    Console(stderr=True).print(line, highlight=False, markup=False, soft_wrap=True)
+
+
 def use_compilation_cache() -> None:
     """Keep compiled programs between runs, in $JAX_COMPILATION_CACHE_DIR or the user's cache folder."""
-    if jax.config.jax_compilation_cache_dir is None:
+    if jax.config.values["jax_compilation_cache_dir"] is None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "invdyn" / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)

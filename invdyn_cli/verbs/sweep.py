@@ -1,4 +1,4 @@
-"""Sweeps: a folder that the same command finds again, jobs that are skipped when complete, and a table of all at the end."""
+"""Sweeps: a folder that the same command finds again, complete jobs that are kept, and a table of all at the end."""
 
 import hashlib
 import json
@@ -44,16 +44,27 @@ def keep_status(folder: Path, status: str, message: str = "") -> None:
 
 
 class Summary(Callback):
-    """Prints the table of all jobs when a sweep ends, and writes sweep.csv beside them; whatever launcher ran them."""
+    """Prints the table of all jobs when a sweep ends, and writes sweep.csv beside them; whatever launcher ran them.
+
+    Raises SystemExit with the command's exit code 2 where a job failed.
+    """
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Read what the jobs left in their folders."""
         folder = Path(config.hydra.sweep.dir)
         rows = sorted((_row(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda row: row["job"])
         store.write_aside(folder / "sweep.csv", lambda part: part.write_text(tables.sweep_csv(rows)))
+        shared = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
         console = Console()
-        console.print(tables.sweep_table(rows))
+        console.print(tables.sweep_table([{**row, "overrides": _without(row["overrides"], shared)} for row in rows]))
         console.print(str(folder), highlight=False, soft_wrap=True)
+        if any(row["status"] == "failed" for row in rows):
+            raise SystemExit(2)
+
+
+def _without(overrides: str, shared: set[str]) -> str:
+    """What a job does not have in common with all others."""
+    return " ".join(x for x in overrides.split() if x not in shared)
 
 
 def _row(folder: Path) -> dict[str, Any]:

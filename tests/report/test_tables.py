@@ -8,7 +8,6 @@ from rich.console import Console
 
 from invdyn_cli.report.tables import (
     SWEEP_FIELDS,
-    finite_mean,
     round_by_error,
     score_table,
     significant,
@@ -66,11 +65,6 @@ def test_joint_without_variance():
     row = next(line for line in text.splitlines() if line.split()[:1] == ["joint2"])
     assert row.split()[5] == "-"
     assert significant((record.scores["test"].nmse[0] + record.scores["test"].nmse[2]) / 2) in text
-
-
-def test_finite_mean_of_nothing():
-    """Where no joint has a score the mean is NaN, without a warning."""
-    assert math.isnan(finite_mean([math.nan, math.nan])) and math.isnan(finite_mean([]))
 
 
 def test_units_follow_the_joints():

@@ -1,0 +1,58 @@
+# `make run` or `make test` is all that a fresh machine with Python and make needs: the environment comes by itself.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help venv run test lint format tables real bench wheel clean
+
+help:  ## what there is to make
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+venv: $(INSTALLED)  ## the environment: .venv with the package (editable) and what developing it takes
+
+run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs/runs
+	$(BIN)/invdyn run model=ffnn data=sim_noisy
+
+test: lint  ## everything that must hold: lint, then all tests
+	$(BIN)/python -m pytest
+
+lint: $(INSTALLED)  ## ruff and pyright
+	$(BIN)/ruff check --quiet
+	$(BIN)/ruff format --check --quiet
+	$(BIN)/pyright
+
+format: $(INSTALLED)  ## put imports and lines in order
+	$(BIN)/ruff check --quiet --fix
+	$(BIN)/ruff format
+
+tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables
+	$(BIN)/invdyn tables experiment=batch_simulated
+
+real: $(INSTALLED)  ## the same models on real robots' logs
+	$(BIN)/invdyn tables experiment=real_logs
+
+bench: $(INSTALLED)  ## times against PyTorch (pip install torch; left out with a word without it) and Pinocchio
+	$(BIN)/python experiments/bench.py
+
+wheel: dist/.built  ## the wheel, into dist
+
+clean:  ## remove what building and testing left; outputs and .venv stay
+	rm -rf dist build .cache .pytest_cache .ruff_cache .import_linter_cache *.egg-info
+	find invdyn_cli tests experiments -name __pycache__ -prune -exec rm -rf {} +
+
+$(INSTALLED): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "$(PYTHON) is too old; allowed: 3.11 and later. Try: make PYTHON=python3.12"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --editable . --group dev
+	@touch $@
+
+dist/.built: $(INSTALLED) $(SOURCES)
+	$(BIN)/python -m build --wheel --no-isolation
+	@touch $@

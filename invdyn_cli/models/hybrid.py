@@ -1,0 +1,66 @@
+"""model=hybrid: a model and a learner for what it leaves over, fitted one after the other on the same data.
+
+tau = base(q, qd, qdd) + learner(q, qd, qdd), the learner's target being tau - base (paper, equations 9 and 10, in batch).
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+
+from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+
+@dataclass(frozen=True)
+class Hybrid(AbstractModel):
+    """Any two models: `base` learns the torque, `learner` its residual."""
+
+    base: AbstractModel
+    learner: AbstractModel
+
+    @property
+    def needs_robot(self) -> bool:  # type: ignore[override]
+        """Whether either part does."""
+        return self.base.needs_robot or self.learner.needs_robot
+
+    def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
+        """Both parts' parameters."""
+        base_key, learner_key = jax.random.split(key)
+        return {"base": self.base.init(dataset, base_key), "learner": self.learner.init(dataset, learner_key)}
+
+    def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
+        """Torque (n,) of one sample, the sum."""
+        return self.base.apply(params["base"], motion, robot) + self.learner.apply(params["learner"], motion, robot)
+
+    def fit(
+        self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
+    ) -> Fit:
+        """Fit the base, then the learner on what it leaves; details are the base's, history the learner's."""
+        base_key, learner_key = jax.random.split(key)
+        base = self.base.fit(dataset, base_key, validation=validation)
+        left = self._residual(base, dataset)
+        watched = self._residual(base, validation) if validation else None
+        learner = self.learner.fit(left, learner_key, validation=watched, progress=progress)
+        return Fit(
+            params={"base": base.params, "learner": learner.params},
+            robot=dataset.robot,
+            joints=dataset.joints,
+            parameters=base.parameters + learner.parameters,
+            history=learner.history,
+            details={**learner.details, **base.details},
+            warnings=base.warnings + learner.warnings,
+        )
+
+    def predict(self, fit: Fit, motion: Motion) -> Array:
+        """Torques (T, n), each part predicted its own way."""
+        base, learner = (replace(fit, params=fit.params[part]) for part in ("base", "learner"))
+        return self.base.predict(base, motion) + self.learner.predict(learner, motion)
+
+    def members(self, fit: Fit) -> tuple[Fit, ...]:
+        """The members of the learner, each with the same base."""
+        learners = self.learner.members(replace(fit, params=fit.params["learner"]))
+        return tuple(replace(x, params={"base": fit.params["base"], "learner": x.params}) for x in learners)
+
+    def _residual(self, base: Fit, dataset: Dataset) -> Dataset:
+        left = (replace(x, tau=x.tau - self.base.predict(base, x.motion)) for x in dataset.trajectories)
+        return replace(dataset, trajectories=tuple(left))

@@ -1,0 +1,123 @@
+"""The table of a published experiment, and the paper's statements with what was found and a verdict. Pure functions of
+metrics.json contents: a job is a pair of its labels ({name: value}) and its metrics."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from invdyn_cli.report.tables import significant
+
+Job = tuple[Mapping[str, str], Mapping[str, Any]]
+
+SETS = {"train": "train", "test": "test", "test_clean": "test, clean inputs"}
+"""Scored sets that a table by sets shows, and their column heads."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: a head for each column, and rows of text."""
+
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def by_sets(jobs: Sequence[Job]) -> Grid:
+    """A row per job, a column per scored set: mean NMSE over joints, the range over seeds where there are several."""
+    labels = _labels(jobs)
+    rows = [
+        (*_cells(job, labels), *(_band(values_of(metrics, name)) for name in SETS), _seconds(metrics))
+        for job, metrics in jobs
+    ]
+    return Grid((*labels, *(f"NMSE {head}" for head in SETS.values()), "fit s"), tuple(rows))
+
+
+def by_joints(jobs: Sequence[Job], floors: Mapping[str, Sequence[float]] | None = None) -> Grid:
+    """Two rows per job, test NMSE and test RMSE [N m; N], a column per joint and the mean; `floors` (by the jobs' names)
+    adds a row with the noise floor after a robot's last job."""
+    labels = _labels(jobs)
+    most = max(len(metrics["joints"]) for _, metrics in jobs)
+    rows: list[tuple[str, ...]] = []
+    for i, (job, metrics) in enumerate(jobs):
+        for kind in ("nmse", "rmse"):
+            found = metrics["test"][kind]
+            cells = [significant(found["joint"][joint]) for joint in metrics["joints"]]
+            rows.append((*_cells(job, labels), kind.upper(), *_filled(cells, most), significant(found["mean"])))
+        floor = (floors or {}).get(job["name"])
+        if floor is not None and (i + 1 == len(jobs) or jobs[i + 1][0]["name"] != job["name"]):
+            cells = [significant(x) for x in floor]
+            mean = significant(sum(floor) / len(floor))
+            rows.append((job["name"], *("noise floor",) * (len(labels) - 1), "RMSE", *_filled(cells, most), mean))
+    return Grid((*labels, "", *(f"J{j + 1}" for j in range(most)), "mean"), tuple(rows))
+
+
+def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
+    """Each statement of the paper beside what was found: all values of the jobs that it picks, whether they are in its band,
+    and if not, by what factor they miss it.
+
+    A statement has `paper` (what it says), `claim` (what is compared), `each` (labels of the jobs it picks), `band` (lowest
+    and highest value allowed), and may have `over`: jobs whose median divides the median of the picked ones.
+    """
+    rows = []
+    for statement in statements:
+        picked = [values_of(metrics, "test") for labels, metrics in jobs if _matches(labels, statement["each"])]
+        if over := statement.get("over"):
+            others = [values_of(metrics, "test") for labels, metrics in jobs if _matches(labels, over)]
+            picked = [[median(a) / median(b)] for a, b in zip(picked, others, strict=True)]
+        values = [x for group in picked for x in group]
+        low, high = statement["band"]
+        band = f"{significant(low)} to {significant(high)}" if low else f"below {significant(high)}"
+        rows.append((statement["paper"], statement["claim"], band, _band(values), _verdict(values, low, high)))
+    return Grid(("the paper", "compared here (test NMSE)", "expected", "found", "verdict"), tuple(rows))
+
+
+def values_of(metrics: Mapping[str, Any], name: str) -> list[float]:
+    """Mean NMSE on a set: of every seed where the fit has several, else of the one model; none where it was not scored."""
+    found = metrics.get("members", {}).get(name) or ([metrics[name]] if name in metrics else [])
+    return [math.nan if x["nmse"]["mean"] is None else x["nmse"]["mean"] for x in found]
+
+
+def markdown(grid: Grid) -> str:
+    """The grid as a Markdown table."""
+    lines = [grid.heads, ("---",) * len(grid.heads), *grid.rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def _verdict(values: Sequence[float], low: float, high: float) -> str:
+    if not values:
+        return "not run"
+    if all(low <= x <= high for x in values):
+        return "holds"
+    inside = sum(low <= x <= high for x in values)
+    under = max((low / x for x in values if 0 < x < low), default=1.0)
+    over = max((x / high for x in values if x > high), default=1.0)
+    misses = [f"below by up to {under:.3g} x"] * (under > 1) + [f"above by up to {over:.3g} x"] * (over > 1)
+    return f"{'differs' if not inside else f'holds for {inside} of {len(values)}'}: {', '.join(misses)}"
+
+
+def _matches(labels: Mapping[str, str], wanted: Mapping[str, Any]) -> bool:
+    return all(labels.get(key) == str(value) for key, value in wanted.items())
+
+
+def _labels(jobs: Sequence[Job]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(key for labels, _ in jobs for key in labels))
+
+
+def _cells(labels: Mapping[str, str], names: Sequence[str]) -> list[str]:
+    return [labels.get(name, "") for name in names]
+
+
+def _filled(cells: Sequence[str], most: int) -> list[str]:
+    return [*cells, *[""] * (most - len(cells))]
+
+
+def _band(values: Sequence[float]) -> str:
+    if not values:
+        return ""
+    low, high = significant(min(values)), significant(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
+def _seconds(metrics: Mapping[str, Any]) -> str:
+    return f"{metrics['seconds']['fit']:.1f}"

@@ -1,0 +1,26 @@
+"""invdyn report: the figures and the page of a finished run, drawn anew from its run.h5."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+from invdyn_cli import store
+from invdyn_cli.report import figures, page
+from invdyn_cli.verbs.launch import launch
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run with the overrides in argv, a bare path meaning run=PATH; the exit code."""
+    return launch("report", [a if "=" in a or a.startswith("-") else f"run={a}" for a in argv], task)
+
+
+def task(config: DictConfig) -> None:
+    """Read, draw, say where."""
+    path = Path(config.run)
+    path = path / "run.h5" if path.is_dir() else path
+    record = store.load_run(path)
+    drawn = figures.draw_all(record, path.parent / "figures", ("png", *config.formats))
+    page.write_page(record, [x for x in drawn if x.suffix == ".png"], path.parent / "report.html")
+    Console().print(str(path.parent / "report.html"), highlight=False, soft_wrap=True)

@@ -1,0 +1,35 @@
+"""Runs the command line as a user would, in a process of its own, and nowhere near the user's home."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = {"XDG_CACHE_HOME": str(ROOT / ".cache"), "JAX_PLATFORMS": "cpu", "COLUMNS": "200"}
+"""What makes commands quick and alike: compiled programs stay in the checkout's .cache, which git ignores."""
+
+TINY = ("data.duration=2", "robot.dofs=2")
+"""Simulated data that are made at once: two joints, half a second of each task after trimming 500 samples."""
+
+
+def python(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """`python argv…` in `cwd`."""
+    env = {**os.environ, **ENVIRONMENT, **environment}
+    return subprocess.run([sys.executable, *argv], cwd=cwd, env=env, capture_output=True, text=True, timeout=300)
+
+
+def invdyn(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """`invdyn argv…` in `cwd`, by the installed script."""
+    return python(script(), *argv, cwd=cwd, **environment)
+
+
+def script(folder: Path | None = None) -> str:
+    """The `invdyn` that was installed into a folder; None: beside this Python."""
+    return str((folder or Path(sys.executable).parent) / "invdyn")
+
+
+def tree(folder: Path) -> Mapping[str, float]:
+    """All files below a folder, and when each was written."""
+    return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in sorted(folder.rglob("*")) if p.is_file()}

@@ -1,0 +1,273 @@
+"""PEST against numpy's SVD of the whole stacked regressor, made by Pinocchio; and whether its intervals are honest."""
+# pyright: reportAttributeAccessIssue=false
+
+import itertools
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy import signal
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.maths.metrics import nmse
+from invdyn_cli.models.pest import Pest, solve
+from invdyn_cli.robots import pinocchio_model
+from invdyn_cli.types import Dataset, Motion, Trajectory
+
+KEY = jax.random.key(0)
+NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+
+
+def random_motion(n: int, samples: int, seed: int = 0) -> Motion:
+    """States all around (samples, n), no joint slower than 0.2 rad/s: what is taken for standstill plays no role."""
+    rng = np.random.default_rng(seed)
+    qd = rng.choice([-1, 1], (samples, n)) * rng.uniform(0.2, 2, (samples, n))
+    return Motion(rng.uniform(-2, 2, (samples, n)), qd, rng.normal(0, 3, (samples, n)))
+
+
+def sines(n: int, samples: int, rate: float = 500.0) -> Motion:
+    """Three sines for each joint (samples, n), of frequencies that no two share: all that an arm can show, smoothly."""
+    t = np.arange(samples)[:, None] / rate
+    q, qd, qdd = np.zeros((3, samples, n))
+    for k in range(3):
+        w = 2 * np.pi * (0.13 + 0.07 * np.arange(n) + 0.31 * k)
+        angle, size = w * t + 1.7 * np.arange(n) + k, 0.6 / (1 + k)
+        q, qd, qdd = q + size * np.sin(angle), qd + size * w * np.cos(angle), qdd - size * w**2 * np.sin(angle)
+    return Motion(q, qd, qdd)
+
+
+def oracle_rows(robot, motion: Motion, extras: tuple[str, ...] = ()) -> np.ndarray:
+    """K (samples, n, columns) by Pinocchio, with the extra columns behind it, name by name, joint by joint."""
+    model = pinocchio_model(robot)
+    data, n = model.createData(), robot.dofs
+    samples = zip(motion.q, motion.qd, motion.qdd, strict=True)
+    rows = np.array([np.array(pin.computeJointTorqueRegressor(model, data, *x)) for x in samples])
+    column = {
+        "coulomb": np.sign(motion.qd),
+        "viscous": motion.qd,
+        "offset": np.ones_like(motion.qd),
+        "armature": motion.qdd,
+    }
+    return np.concatenate([rows, *(column[name][:, :, None] * np.eye(n) for name in extras)], axis=2)
+
+
+def dataset(robot, motion: Motion, tau: np.ndarray, rate: float = 500.0) -> Dataset:
+    """The motion as two trajectories of unequal length."""
+    cut, t = len(motion) // 3, np.arange(len(motion)) / rate
+    parts = slice(0, cut), slice(cut, None)
+    return Dataset(tuple(Trajectory(f"x{p.start}", t[p], motion[p], tau[p]) for p in parts), robot.joints, robot)
+
+
+def columns(robot) -> list[str]:
+    """Names of K's columns."""
+    return [f"{name}[{joint}]" for joint in robot.joints for name in NAMES]
+
+
+def rigid_torque(robot, motion: Motion) -> np.ndarray:
+    model = pinocchio_model(robot)
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *x) for x in zip(motion.q, motion.qd, motion.qdd, strict=True)])
+
+
+CASES = {
+    "plain": Pest(),
+    "relative": Pest(threshold=2e-3, relative=True),
+    "all columns, weighted": Pest(1e-2, False, "torque_spread", "coulomb_viscous", True, True),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_solution_is_the_svds(apollo4, case):
+    """Singular values, rank and parameters are those of numpy's SVD of the whole K, truncated, on noisy torques."""
+    model, robot = CASES[case], apollo4
+    motion = random_motion(4, 1100)
+    rng = np.random.default_rng(1)
+    tau = rigid_torque(robot, motion) + rng.normal(0, [3.0, 1.0, 0.3, 0.1], (1100, 4)) + 0.5 * motion.qd
+    weights = 1 / tau.std(0) if model.weighting == "torque_spread" else np.ones(4)
+    rows = (oracle_rows(robot, motion, model.extras) * weights[:, None]).reshape(4400, -1)
+    u, s, vt = np.linalg.svd(rows, full_matrices=False)
+    limit = model.threshold * (s[0] if model.relative else 1.0)
+    rank = int(np.sum(s > limit))
+    psi = vt[:rank].T @ (u[:, :rank].T @ (tau * weights).ravel() / s[:rank])
+
+    fit = model.fit(dataset(robot, motion, tau), KEY)
+    found = fit.details["singular_values"]
+    real = s[s > 1e-9 * s[0]]  # below, they are rounding errors of K itself
+    assert fit.details["rank"] == fit.parameters == rank and fit.details["threshold"] == pytest.approx(limit, rel=1e-6)
+    np.testing.assert_allclose(found[: len(real)], real, rtol=1e-7)
+    learned = np.concatenate([np.ravel(fit.params["psi"]), np.ravel(fit.params["extras"])])
+    np.testing.assert_allclose(learned, psi, atol=1e-7 * np.abs(psi).max())
+
+
+def test_truncation_drops_what_lies_below(apollo4):
+    """A relative threshold between two singular values drops the lower ones: the rank is the number above it."""
+    motion = random_motion(4, 1100)
+    data = dataset(apollo4, motion, rigid_torque(apollo4, motion))
+    values = Pest().fit(data, KEY).details["singular_values"]
+    for kept in (3, 7, 12):
+        between = np.sqrt(values[kept - 1] * values[kept])
+        assert Pest(threshold=float(between)).fit(data, KEY).details["rank"] == kept
+        assert Pest(threshold=float(between / values[0]), relative=True).fit(data, KEY).details["rank"] == kept
+
+
+def test_a_motion_that_shows_little_gives_a_small_rank(apollo4):
+    """With one joint moving and three at rest, the rank is that of the oracle, and that joint's motion is predicted."""
+    motion = random_motion(4, 1100)
+    moves = np.array([False, False, True, False])
+    motion = Motion(np.where(moves, motion.q, [0.3, -0.4, 0.0, 0.5]), motion.qd * moves, motion.qdd * moves)
+    tau = rigid_torque(apollo4, motion)
+    train, test = slice(0, 1050), slice(1050, None)
+    fit = Pest().fit(dataset(apollo4, motion[train], tau[train]), KEY)
+    s = np.linalg.svd(oracle_rows(apollo4, motion[train]).reshape(4200, -1), compute_uv=False)
+    assert fit.details["rank"] == np.sum(s > 1e-3) < 15
+    assert np.abs(Pest().predict(fit, motion[test]) - tau[test]).max() < 1e-9 * np.abs(tau).max()
+
+
+def test_clean_torques_are_learned_to_rounding(apollo4):
+    """On the paper's four joints without noise, NMSE on other states is below 1e-20, as float64 allows."""
+    train, test = random_motion(4, 1500), random_motion(4, 60, seed=1)
+    fit = Pest().fit(dataset(apollo4, train, rigid_torque(apollo4, train)), KEY)
+    assert nmse(rigid_torque(apollo4, test), Pest().predict(fit, test)).max() < 1e-20
+
+
+def friction_and_more(robot, motion: Motion) -> np.ndarray:
+    """Torque of the rigid body, with friction, offset and rotor inertia that differ from joint to joint."""
+    own = np.arange(1, robot.dofs + 1)
+    extra = 0.7 * own * np.sign(motion.qd) + 0.4 * own * motion.qd - 0.3 * own + 0.05 * own * motion.qdd
+    return rigid_torque(robot, motion) + extra
+
+
+def test_friction_offset_and_rotor_inertia_come_out_as_planted(apollo4):
+    """Coulomb 0.7 j, viscous 0.4 j and an offset of -0.3 j in joint j are found to 1e-6. Rotor inertia is found only in
+    the torque: in the joints near the base the links' own inertia takes its place."""
+    motion = random_motion(4, 3000)
+    model = Pest(friction="coulomb_viscous", offset=True, rotor_inertia=True)
+    fit = model.fit(dataset(apollo4, motion, friction_and_more(apollo4, motion)), KEY)
+    own = np.arange(1, 5)
+    np.testing.assert_allclose(fit.params["extras"][:3], [0.7 * own, 0.4 * own, -0.3 * own], atol=1e-6)
+    other = random_motion(4, 60, seed=1)
+    assert nmse(friction_and_more(apollo4, other), model.predict(fit, other)).max() < 1e-18
+
+
+def test_base_parameters_are_the_combinations_that_they_say(apollo4):
+    """On clean data each value is the combination of the true parameters that its expression spells (four digits)."""
+    motion = sines(4, 3000)
+    table = Pest().fit(dataset(apollo4, motion, rigid_torque(apollo4, motion)), KEY).details["base_parameters"]
+    truth = dict(zip(columns(apollo4), np.ravel(apollo4.inertial), strict=True))
+    for name, expression, value in zip(table["names"], table["expressions"], table["values"], strict=True):
+        terms = re.findall(r"(?:([+-]) ([\d.e+-]+) )?(\w+\[\w+\])", expression)
+        assert terms[0] == ("", "", name)
+        parts = [truth[x] * float(f"{sign}{factor}" if sign else "1") for sign, factor, x in terms]
+        assert value == pytest.approx(sum(parts), abs=1e-3 * sum(map(abs, parts)) + 1e-9), expression
+
+
+def test_intervals_hold_the_truth_and_white_noise_intervals_do_not(apollo4):
+    """With AR(1) torque noise (autocorrelation time 39 samples) 95 % intervals of the base parameters, pooled over 24
+    draws, hold the truth in 85 to 100 %; the usual formula for white residuals, too narrow by up to sqrt(39), in under
+    60 %. About 100 independent stretches for 20 parameters leave the sandwich a few per cent below its nominal 95 %."""
+    samples, a, size = 60_000, 0.95, 0.5
+    motion = sines(4, samples)
+    clean = rigid_torque(apollo4, motion)
+    true = Pest().fit(dataset(apollo4, motion, clean), KEY).details["base_parameters"]
+    chosen = [columns(apollo4).index(name) for name in true["names"]]
+    base = oracle_rows(apollo4, motion)[:, :, chosen].reshape(4 * samples, -1)
+    white = size * np.sqrt(np.diag(np.linalg.inv(base.T @ base)))
+    held, held_white = [], []
+    for draw in range(24):
+        e = np.random.default_rng(draw).normal(0, size * np.sqrt(1 - a**2), (samples, 4))
+        noise = signal.lfilter([1], [1, -a], e, axis=0)
+        found = Pest().fit(dataset(apollo4, motion, clean + noise), KEY).details["base_parameters"]
+        assert found["names"] == true["names"]
+        off = np.abs(found["values"] - true["values"])
+        held.append(off <= 1.96 * found["std"])
+        held_white.append(off <= 1.96 * white)
+    print(np.mean(held), np.mean(held_white), np.mean(held, axis=0))
+    assert 0.85 <= np.mean(held) <= 1.0
+    assert np.mean(held_white) < 0.6
+    assert min(np.mean(held, axis=0)) > 0.5  # no single parameter is hopeless
+
+
+def test_effective_samples_of_correlated_residuals(apollo4):
+    """AR(1) residuals with autocorrelation time 39 make 60,000 samples worth 60,000 / 39, within a third (the
+    estimate's own spread over 40,000 samples is 14 %)."""
+    motion = sines(4, 60_000)
+    e = np.random.default_rng(0).normal(0, 0.2, (60_000, 4))
+    tau = rigid_torque(apollo4, motion) + signal.lfilter([1], [1, -0.95], e, axis=0)
+    details = Pest().fit(dataset(apollo4, motion, tau), KEY).details
+    np.testing.assert_allclose(details["effective_samples"], 60_000 / 39, rtol=1 / 3)
+
+
+def test_few_independent_stretches_are_warned_of(apollo4):
+    """A short log says in a sentence that its standard deviations are rough; a long one says nothing."""
+    motion = sines(4, 20_000)
+    tau = rigid_torque(apollo4, motion) + np.random.default_rng(0).normal(size=(20_000, 4))
+    short, long = (Pest().fit(dataset(apollo4, motion[slice(0, n)], tau[:n]), KEY) for n in (1500, 20_000))
+    assert "independent stretches" in short.warnings[0] and not long.warnings
+
+
+def test_trajectories_may_come_in_any_pieces(apollo4):
+    """Cutting a trajectory in pieces of odd lengths, one of a single sample, changes the solution by rounding alone."""
+    motion = random_motion(4, 5000)
+    tau = rigid_torque(apollo4, motion) + np.random.default_rng(0).normal(size=(5000, 4))
+    cuts = [0, 1, 300, 4500, 5000]
+    parts = [slice(a, b) for a, b in itertools.pairwise(cuts)]
+    t = np.arange(5000) / 500
+    pieces = Dataset(tuple(Trajectory("x", t[p], motion[p], tau[p]) for p in parts), apollo4.joints, apollo4)
+    one, many = (solve(apollo4, x, (), np.ones(4), 1e-3, False) for x in (dataset(apollo4, motion, tau), pieces))
+    assert one.rank == many.rank
+    np.testing.assert_allclose(one.psi, many.psi, atol=1e-9 * np.abs(one.psi).max())
+
+
+MEMORY = """
+import resource
+import jax, numpy as np
+from invdyn_cli.models.pest import Pest
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Dataset, Motion, Trajectory
+robot = load_urdf("apollo_arm", dofs=3)
+t = np.arange(1_000_000) / 500
+wave = [np.sin(t[:, None] * f) for f in ((1.0, 1.3, 0.7), (1.1, 0.6, 0.9), (0.8, 1.7, 1.2))]
+tau = sum(wave)
+model = Pest(weighting="torque_spread")
+for samples in (20_000, 200_000, 1_000_000):
+    one = Trajectory("x", t[:samples], Motion(*(x[:samples] for x in wave)), tau[:samples])
+    model.fit(Dataset((one,), robot.joints, robot), jax.random.key(0))
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def test_memory_does_not_grow_with_the_samples():
+    """A fit on a million samples takes under 12 MB more than on 200,000. A copy of one channel, or the residuals, would
+    take 19 MB each, K 580 MB; the block scores, 1 / 256 of K, take 2 MB, and the allocator gets the rest."""
+    script = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True, timeout=120)
+    print(script.stdout)
+    _, middle, large = map(float, script.stdout.split())
+    assert large - middle < 12, script.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"weighting": "spread"}, "model.weighting='spread'; allowed: none, torque_spread"),
+        ({"friction": "stribeck"}, "model.friction='stribeck'; allowed: none, coulomb_viscous"),
+        ({"threshold": -1.0}, "model.threshold=-1.0; allowed: a number >= 0"),
+        ({"threshold": float("nan")}, "model.threshold=nan"),
+    ],
+)
+def test_misuse_is_refused(options, words):
+    """Options that make no sense are refused by name, with what is allowed."""
+    with pytest.raises(UsageError, match=re.escape(words)):
+        Pest(**options)
+
+
+def test_without_a_robot_it_is_refused(apollo4):
+    """Data without kinematics are refused, and the sentence names a way out."""
+    motion = random_motion(4, 10)
+    data = replace(dataset(apollo4, motion, motion.q), robot=None)
+    with pytest.raises(UsageError, match=r"needs the robot's kinematics.*robot\.path=.*model=ffnn"):
+        Pest().fit(data, KEY)
