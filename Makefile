@@ -32,6 +32,7 @@ format: $(INSTALLED)  ## put imports and lines in order
 
 tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables
 	$(BIN)/invdyn tables experiment=batch_simulated
+	$(BIN)/invdyn tables experiment=filters
 
 real: $(INSTALLED)  ## the same models on real robots' logs
 	$(BIN)/invdyn tables experiment=real_logs

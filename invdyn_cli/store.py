@@ -71,13 +71,15 @@ def load_run(path: str | Path) -> RunRecord:
             if schema != RUN_SCHEMA:
                 raise RunFileError(f"{path} has schema {schema!r}; allowed: {RUN_SCHEMA!r}")
             tree = _get(file)
-    except (OSError, RuntimeError, UnicodeDecodeError) as error:
-        raise RunFileError(f"{path} cannot be read as HDF5 ({error})", advice="running it again") from None
+    except RunFileError:
+        raise
+    except Exception as error:  # h5py raises nearly anything on a damaged file
+        raise RunFileError(f"{path} cannot be read as HDF5 ({error})", advice="running it again") from error
     try:
         return _record(tree)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         got = f"{path} is no whole run ({type(error).__name__}: {error})"
-        raise RunFileError(got, advice="running it again") from None
+        raise RunFileError(got, advice="running it again") from error
 
 
 def _record(tree: dict[str, Any]) -> RunRecord:
@@ -229,7 +231,7 @@ def _put(group: h5py.Group, name: str, value: Any) -> None:
 
 def _get(node: h5py.Group | h5py.Dataset) -> Any:
     if isinstance(node, h5py.Group):
-        return {name: _get(child) for name, child in node.items()}
+        return {name: _get(node[name]) for name in node}
     if node.shape is None:
         return None
     if h5py.check_string_dtype(node.dtype):

@@ -6,17 +6,27 @@ import numpy as np
 def autocorrelation_time(x: np.ndarray, *, window: float = 5.0) -> float:
     """Integrated autocorrelation time of a series x (T,) in samples, at least 1: T / it is the effective sample size.
 
-    1 + 2 sum rho_k up to the smallest lag that is `window` times the sum so far (Sokal 1997, section 3); FFT, O(T log
-    T).
+    1 + 2 sum rho_k up to the smallest lag that is `window` times the sum so far (Sokal 1997, section 3).
     """
+    times = 2 * np.cumsum(_correlation(x)) - 1
+    enough = np.arange(len(x)) >= window * times
+    return float(max(1.0, times[np.argmax(enough)] if enough.any() else times.max()))
+
+
+def resonance_time(x: np.ndarray) -> float:
+    """1 + 2 sum rho_k^2 over half the series, in samples, at least 1 (Bartlett 1946): by how much the variance of a sum of
+    products grows when both factors are correlated like x. It sees what oscillates, which adds up to nothing in
+    `autocorrelation_time`."""
+    rho = _correlation(x)[: max(1, len(x) // 2)]
+    return float(max(1.0, 2 * np.sum(rho**2) - 1))
+
+
+def _correlation(x: np.ndarray) -> np.ndarray:
+    """Autocorrelation of x (T,) at lags 0 to T - 1 by FFT; 1 and zeros for a constant."""
     x = x - np.mean(x)
     power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
     correlation = np.fft.irfft(power)[: len(x)]
-    if correlation[0] <= 0:
-        return 1.0
-    times = 2 * np.cumsum(correlation / correlation[0]) - 1
-    enough = np.arange(len(x)) >= window * times
-    return float(max(1.0, times[np.argmax(enough)] if enough.any() else times.max()))
+    return correlation / correlation[0] if correlation[0] > 0 else np.eye(1, len(x))[0]
 
 
 def merge_blocks(scores: np.ndarray, size: int) -> np.ndarray:

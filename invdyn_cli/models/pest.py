@@ -218,24 +218,56 @@ def base_parameters(solution: Solution, covariance: np.ndarray, columns: list[st
 
 
 def _uncertainty(robot: Robot, extras, dataset: Dataset, weights, solution: Solution, progress: Progress):
-    """Covariance (rank, rank) of the kept coordinates from block scores, and what it rests on."""
-    times = np.ones(robot.dofs)
+    """Covariance (rank, rank) of the kept coordinates, and what it rests on.
+
+    Sandwich estimator with stretches of ten autocorrelation times as independent blocks; where there are fewer than
+    FEW_BLOCKS of them, the white-noise formula, each joint's noise variance times its residual's correlation time.
+    """
+    slow, times = np.ones(robot.dofs), np.ones(robot.dofs)
+    squares = np.zeros(robot.dofs)
     scores = []
     for trajectory in dataset.trajectories:
         blocks, residuals = [], []
         for chunk in _chunks(Dataset((trajectory,), dataset.joints)):
             score, residual = _scores(robot, extras, weights, *chunk, solution.preconditioner, solution.psi)
             blocks.append(np.asarray(score))
+            squares += np.sum(np.asarray(residual)[chunk[2]] ** 2, axis=0)
             if len(residuals) * CHUNK < RESIDUALS:
                 residuals.append(np.asarray(residual))
         residual = np.concatenate(residuals)[: len(trajectory.t)]
-        times = np.maximum(times, [statistics.autocorrelation_time(r) for r in residual.T])
+        slow = np.maximum(slow, [statistics.autocorrelation_time(r) for r in residual.T])
+        times = np.maximum(times, [statistics.resonance_time(r) for r in residual.T])
         scores.append(np.concatenate(blocks)[: -(-len(trajectory.t) // BLOCK)])
         progress(0.6 + 0.4 * len(scores) / len(dataset.trajectories), "standard deviations")
-    size = int(np.ceil(10 * times.max() / BLOCK))
+    size = int(np.ceil(10 * slow.max() / BLOCK))
     merged = np.concatenate([statistics.merge_blocks(s, size) for s in scores])
-    covariance = solution.to_scores @ statistics.score_covariance(merged) @ solution.to_scores.T
-    return covariance, {"blocks": len(merged), "effective_samples": dataset.samples / times}
+    if len(merged) >= FEW_BLOCKS:
+        meat = statistics.score_covariance(merged)
+    else:
+        noise = squares / dataset.samples * weights**2 * np.maximum(slow, times)
+        meat = np.einsum("j,jab->ab", noise, _grams(robot, extras, weights, dataset, solution.preconditioner))
+    covariance = solution.to_scores @ meat @ solution.to_scores.T
+    return covariance, {"blocks": len(merged), "effective_samples": dataset.samples / slow}
+
+
+def _grams(robot: Robot, extras, weights, dataset: Dataset, preconditioner) -> np.ndarray:
+    """Z_j'Z_j (n, r, r) of every joint's own rows."""
+    r = preconditioner.shape[1]
+    grams = jnp.zeros((robot.dofs, r, r))
+    for motion, _, valid in _chunks(dataset):
+        grams = _add_grams(robot, extras, weights, motion, valid, preconditioner, grams)
+    return np.asarray(grams)
+
+
+@jax.jit(static_argnames="extras")
+def _add_grams(robot, extras, weights, motion, valid, preconditioner, grams):
+    def add(grams, block):
+        motion, valid = block
+        rows = _weighted_rows(robot, extras, weights[:, None] * valid, motion)
+        z = jnp.einsum("pr,pnb->nrb", preconditioner, rows)
+        return grams + jnp.einsum("nrb,nsb->nrs", z, z), None
+
+    return jax.lax.scan(add, grams, (jax.tree.map(_blocks, motion), _blocks(valid)))[0]
 
 
 def _possible_directions(robot: Robot, extras: tuple[str, ...]) -> np.ndarray:

@@ -57,7 +57,8 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
     and if not, by what factor they miss it.
 
     A statement has `paper` (what it says), `claim` (what is compared), `each` (labels of the jobs it picks), `band` (lowest
-    and highest value allowed), and may have `over`: jobs whose median divides the median of the picked ones.
+    and highest value allowed), and may have `over` (jobs whose median divides the median of the picked ones) and `why` (said
+    where it does not hold).
     """
     rows = []
     for statement in statements:
@@ -68,7 +69,10 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
         values = [x for group in picked for x in group]
         low, high = statement["band"]
         band = f"{significant(low)} to {significant(high)}" if low else f"below {significant(high)}"
-        rows.append((statement["paper"], statement["claim"], band, _band(values), _verdict(values, low, high)))
+        verdict = _verdict(values, low, high)
+        if verdict != "holds" and statement.get("why"):
+            verdict += f"; {statement['why']}"
+        rows.append((statement["paper"], statement["claim"], band, _band(values), verdict))
     return Grid(("the paper", "compared here (test NMSE)", "expected", "found", "verdict"), tuple(rows))
 
 

@@ -22,7 +22,7 @@ class Said:
 
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd) -> Callable[..., Said]:
-    """command("run", "model=pest", …) -> Said, with tmp_path as working directory; what it changes in the process goes."""
+    """command("run", "model=pest", …) -> Said, in tmp_path; what it changes in the process is undone."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(sys, "argv", list(sys.argv))

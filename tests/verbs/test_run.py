@@ -43,7 +43,7 @@ def test_says_nothing_on_stderr(finished):
 
 
 def test_metrics_have_the_fixed_schema(finished):
-    """metrics.json has the keys that DESIGN section 5 fixes, a number for every joint, and the choices of the command."""
+    """metrics.json has the keys that DESIGN section 5 fixes, a number per joint, and the command's choices."""
     metrics = json.loads((finished[1] / "metrics.json").read_text())
     assert metrics["schema"] == "invdyn-metrics/1"
     assert [metrics[k] for k in ("model", "data", "adaptation", "seed")] == ["ffnn", "sim_noisy", "batch", 3]
@@ -136,7 +136,7 @@ MISUSE = {
     "no override": (NO_FILES, ("model",), "'model'", "group=choice, option=value"),
     "wrong type": (NO_FILES, ("model=ffnn", "model.epochs=many"), "model.epochs=many; allowed: a whole number"),
     "wrong word": (NO_FILES, ("data.split=both",), "data.split=both; allowed: interpolation, extrapolation"),
-    "wrong type in a list": (NO_FILES, ("model=ffnn", "model.hidden=[a]"), "model.hidden", "a list, each a whole number"),
+    "wrong type in list": (NO_FILES, ("model=ffnn", "model.hidden=[a]"), "model.hidden", "a list, each a whole number"),
     "wrong number": (NO_FILES, ("model=ffnn", "model.epochs=0"), "model.epochs=0; allowed: a whole number >= 1"),
     "wrong seed": (NO_FILES, ("seed=-1",), "seed=-1; allowed: a whole number from 0 up"),
     "wrong format": (NO_FILES, ("figures.formats=[bmp]",), "figures.formats", "png, svg, pdf"),
@@ -159,7 +159,7 @@ MISUSE = {
         "tau has shape (999, 2), t has 1000 rows",
     ),
     "no gains": (broken_log(torque_unit="A"), LOG, "torque_unit is 'A'", "data.drive_gain=[…], 2 numbers"),
-    "too short": (broken_log(trajectories={"run": motion(seconds=0.3)}), LOG, "samples at 100 Hz are needed for filter"),
+    "too short": (broken_log(trajectories={"run": motion(seconds=0.3)}), LOG, "samples at 100 Hz are needed for"),
     "no trajectory": (broken_log(), (*LOG, "data.train=[walk]"), "walk", "run"),
     "no URDF": (
         broken_log(),
@@ -169,7 +169,7 @@ MISUSE = {
     ),
     "URDF missing": (broken_log(), (*LOG, "robot=urdf", "robot.path=arm.urdf"), "no robot description at 'arm.urdf'"),
     "URDF broken": (with_other_urdf, (*LOG, "robot=urdf", "robot.path=arm.urdf"), "arm.urdf is not XML"),
-    "URDF of another robot": (broken_log(), (*LOG, "robot=apollo_arm"), "no moving joint 'shoulder'; allowed: arm_joint_1"),
+    "URDF of another": (broken_log(), (*LOG, "robot=apollo_arm"), "no moving joint 'shoulder'; allowed: arm_joint_1"),
     "file in the way": (lambda: Path("taken").touch(), ("hydra.run.dir=taken/run",), "taken", "hydra.run.dir"),
 }  # fmt: skip
 

@@ -1,0 +1,105 @@
+"""A third party's model, data source and adaptation: the code of docs/extending.md, in a folder of its own."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.commands import ROOT, TINY, invdyn, python
+
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+FILES = {code.split("\n")[0].removeprefix("# "): code for _, code in BLOCKS if re.match(r"# \S+\.(py|yaml)\n", code)}
+COMMANDS = [line.removeprefix("$ ") for kind, code in BLOCKS if kind == "console" for line in code.splitlines()]
+SNIPPETS = [code for kind, code in BLOCKS if kind == "python" and code not in FILES.values()]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder with the page's files and nothing else."""
+    made = tmp_path_factory.mktemp("mine")
+    for name, code in FILES.items():
+        (made / name).parent.mkdir(exist_ok=True)
+        (made / name).write_text(code)
+    return made
+
+
+def run(folder: Path, command: str) -> Path:
+    """Does what the page says to type, on data that are quickly made; the run's folder."""
+    tiny = () if "data=" in command else TINY
+    done = invdyn(*command.split()[1:], *tiny, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / done.stdout.splitlines()[-1]
+
+
+def test_the_page_has_what_it_promises():
+    """One file and one YAML for each of the three, two commands, one snippet of Python."""
+    assert sorted(FILES) == [
+        "adaptation/offset.yaml", "data/pendulum.yaml", "mine.py", "model/mine.yaml", "offset.py", "pendulum.py",
+    ]  # fmt: skip
+    assert (len(COMMANDS), len(SNIPPETS)) == (2, 1)
+
+
+@pytest.fixture(scope="module")
+def finished(folder) -> Path:
+    """The folder of the run with a model of one's own."""
+    return run(folder, COMMANDS[0])
+
+
+def test_a_model_of_ones_own(folder, finished):
+    """`invdyn run model=mine` finds mine.py and model/mine.yaml in the working directory; its run loads as on the page."""
+    metrics = json.loads((finished / "metrics.json").read_text())
+    assert metrics["model"] == "mine"
+    assert metrics["parameters"] == 2 * 7
+    code = (
+        "import numpy as np\n"
+        "from invdyn_cli import load_run\n"
+        f"stored = load_run({str(finished / 'run.h5')!r}).predictions['test']\n"
+        "q, qd, qdd = (getattr(stored.data.motion, name) for name in ('q', 'qd', 'qdd'))\n"
+        + SNIPPETS[0].replace("run.h5", str(finished / "run.h5"))
+        + "print(type(model.model).__name__, np.abs(tau - stored.tau).max() < 1e-9)\n"
+    )
+    said = python("-c", code, cwd=folder)
+    assert said.stdout == "Ridge True\n", said.stderr
+
+
+def test_its_config_in_a_conf_folder(folder, tmp_path):
+    """The YAML is found in conf/ too, beside mine.py."""
+    shutil.copy(folder / "mine.py", tmp_path)
+    shutil.copytree(folder / "model", tmp_path / "conf" / "model")
+    said = invdyn("run", "model=mine", "--cfg", "job", cwd=tmp_path)
+    assert "_target_: mine.Ridge" in said.stdout, said.stderr
+
+
+def test_a_run_of_a_model_that_is_not_here(finished, tmp_path):
+    """Elsewhere the run of a third party's model cannot be loaded, and one line says which file is missing."""
+    code = f"from invdyn_cli import load_model; load_model({str(finished / 'run.h5')!r})"
+    said = python("-c", code, cwd=tmp_path)
+    assert "RunFileError: the run's mine:Ridge cannot be imported" in said.stderr
+
+
+def test_all_three_together(folder):
+    """Model, data source and adaptation of one's own make a run together: a pendulum's joint, learned nearly."""
+    made = run(folder, COMMANDS[1])
+    metrics = json.loads((made / "metrics.json").read_text())
+    assert [metrics[k] for k in ("model", "data", "adaptation")] == ["mine", "pendulum", "offset"]
+    assert metrics["joints"] == ["hinge"]
+    assert metrics["train"]["nmse"]["mean"] < 0.1
+
+
+def test_they_keep_their_contracts(folder):
+    """The page's model, adaptation and data source pass the checks that the package's own pass."""
+    code = (
+        "from dataclasses import replace\n"
+        "from invdyn_cli import testing\n"
+        "from mine import Ridge; from offset import Offset; from pendulum import Pendulum\n"
+        "data = Pendulum().load(None).train\n"
+        "testing.check_model(Ridge(), data)\n"
+        "testing.check_adapter(Offset(), Ridge(), data)\n"
+        "testing.check_source(Pendulum(), None)\n"
+        "print('kept')\n"
+    )
+    said = python("-c", code, cwd=folder)
+    assert said.stdout == "kept\n", said.stderr

@@ -1,0 +1,149 @@
+"""Sweeps: a table of all jobs, failures as rows, and going on where a sweep stopped."""
+
+import csv
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from invdyn_cli import load_run
+from tests.commands import ENVIRONMENT, TINY, script, tree
+from tests.logs import make_log
+
+JOB = ("model=pest", *TINY)
+SPLITS = ("model=pest", "data.split=interpolation,extrapolation", *TINY)
+
+
+def folder_of(said) -> Path:
+    """The sweep's folder, the last line printed."""
+    return Path(said.out[-1])
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    """sweep.csv."""
+    with (folder / "sweep.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_failed_job_is_a_row(command):
+    """All jobs run, the table and sweep.csv hold each, a failed one with what was wrong; exit code 2.
+
+    Called again, the same command finds the same folder, keeps the complete jobs untouched and tries the others again.
+    """
+    argv = ("run", "-m", *SPLITS, "model.threshold=0.001,-1")
+    said = command(*argv)
+    folder = folder_of(said)
+    rows = rows_of(folder)
+    assert said.code == 2
+    assert [row["status"] for row in rows] == ["ran", "failed", "ran", "failed"]
+    assert [row["job"] for row in rows] == ["0", "1", "2", "3"]
+    assert rows[0]["overrides"].split() == ["model=pest", "data.split=interpolation", *TINY, "model.threshold=0.001"]
+    assert rows[1]["message"] == "model.threshold=-1; allowed: a number >= 0"
+    for row in (rows[0], rows[2]):
+        scores = json.loads((folder / row["job"] / "metrics.json").read_text())["test"]
+        assert float(row["test_nmse"]) == scores["nmse"]["mean"]
+        assert float(row["test_rmse"]) == scores["rmse"]["mean"]
+    assert rows[0]["test_nmse"] != rows[2]["test_nmse"]
+    table = "\n".join(said.out)
+    assert table.count("failed") == 2
+    assert "allowed: a number >= 0" in table
+    assert said.err[1] == "job 1 failed: model.threshold=-1; allowed: a number >= 0"
+    assert not [p for p in folder.glob("[13]/*") if p.name in ("run.h5", "metrics.json")]
+
+    before = tree(folder)
+    again = command(*argv)
+    after = tree(folder)
+    assert (again.code, folder_of(again)) == (2, folder)
+    assert [row["status"] for row in rows_of(folder)] == ["kept", "failed", "kept", "failed"]
+    kept = [
+        name for name in before if name.startswith(("0/", "2/")) and name.endswith((".h5", ".png", ".html", "cs.json"))
+    ]
+    assert len(kept) >= 8
+    assert all(after[name] == before[name] for name in kept)
+    assert all(after[f"{job}/status.json"] > before[f"{job}/status.json"] for job in (1, 3))
+
+
+def test_what_failed_may_succeed_later(command):
+    """A job that failed for want of a log runs when the sweep is called again and the log is there; exit code 0."""
+    argv = ("run", "-m", "model=ffnn", "model.epochs=1", "data=real_log", "data.path=a.h5,b.h5")
+    make_log(Path("a.h5"), urdf="")
+    said = command(*argv)
+    assert said.code == 2
+    assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed"]
+    make_log(Path("b.h5"), urdf="")
+    said = command(*argv)
+    assert said.code == 0
+    assert [row["status"] for row in rows_of(folder_of(said))] == ["kept", "ran"]
+
+
+def test_another_job_in_the_same_folder_is_not_kept(command):
+    """A job is kept for its config, not for its number: with other settings in the same folder it runs."""
+    argv = ("run", "-m", *JOB, "hydra.sweep.dir=here")
+    for threshold in ("0.001", "0.002"):
+        assert command(*argv, f"model.threshold={threshold}").code == 0
+        assert [row["status"] for row in rows_of(Path("here"))] == ["ran"]
+
+
+def test_a_bug_in_one_job_leaves_the_others(command):
+    """A model that raises something unforeseen fails alone, and leaves its traceback in its folder."""
+    Path("bad.py").write_text(
+        "from invdyn_cli.models.pest import Pest\n"
+        "class Bad(Pest):\n"
+        "    def fit(self, *args, **kwargs):\n"
+        "        return 1 / 0\n"
+    )
+    argv = ("run", "-m", *JOB, "model._target_=bad.Bad,invdyn_cli.models.pest.Pest")
+    said = command(*argv)
+    folder = folder_of(said)
+    assert said.code == 2
+    assert [row["message"] for row in rows_of(folder)] == ["ZeroDivisionError: division by zero", ""]
+    assert "return 1 / 0" in (folder / "0" / "traceback.txt").read_text()
+
+
+def test_a_killed_sweep_goes_on(command, tmp_path):
+    """After SIGKILL in the middle, whatever run.h5 there is can be read, and the same command finishes the sweep."""
+    argv = ("run", "-m", *SPLITS, "model.threshold=0.001,0.002")
+    process = subprocess.Popen(
+        [script(), *argv],
+        cwd=tmp_path,
+        env=os.environ | ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("outputs/sweeps/*/1/status.json")):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    [folder] = tmp_path.glob("outputs/sweeps/*")
+    assert not (folder / "sweep.csv").exists()
+    for path in folder.glob("*/run.h5"):
+        load_run(path)
+    first = (folder / "0" / "run.h5").stat().st_mtime_ns
+
+    said = command(*argv)
+    assert said.code == 0
+    statuses = [row["status"] for row in rows_of(folder)]
+    assert statuses[0] == "kept"
+    assert statuses[-1] == "ran"
+    assert set(statuses) == {"kept", "ran"}
+    assert (folder / "0" / "run.h5").stat().st_mtime_ns == first
+    assert not list(folder.glob("*/.*.part"))
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("hydra_plugins.hydra_joblib_launcher") is None, reason="no hydra-joblib-launcher"
+)
+def test_side_by_side(command):
+    """With hydra/launcher=joblib jobs run in processes of their own, and end in the same table and exit code."""
+    said = command("run", "-m", *JOB, "model.threshold=0.001,-1", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    assert said.code == 2
+    assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed"]
+    assert sorted(line.split(":")[0] for line in said.err) == ["job 0 ran", "job 1 failed"]
