@@ -229,7 +229,7 @@ def _put(group: h5py.Group, name: str, value: Any) -> None:
         group.create_dataset(name, data=array, **squeeze)
 
 
-def _get(node: h5py.Group | h5py.Dataset) -> Any:
+def _get(node: Any) -> Any:
     if isinstance(node, h5py.Group):
         return {name: _get(node[name]) for name in node}
     if node.shape is None:

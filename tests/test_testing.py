@@ -52,7 +52,9 @@ BROKEN = {
     "init gives list; allowed: a nested dict": {"init": lambda self, d, k: [1.0]},
     "holds float at 'gain'": {"init": lambda self, d, k: {"gain": 1.0}},
     "a key 'a/b'": {"init": lambda self, d, k: {"a/b": jnp.ones(2)}},
-    "another structure or other shapes": {"fit": lambda self, d, k, **_: fitted(self, lambda p: {"gain": p["gain"]}, d, k)},
+    "another structure or other shapes": {
+        "fit": lambda self, d, k, **_: fitted(self, lambda p: {"gain": p["gain"]}, d, k)
+    },
     "same key": {"fit": lambda self, d, k, **_: fitted(self, lambda p: p | {"gain": p["gain"] + next(COUNT)}, d, k)},
     "names the joints": {"fit": lambda self, d, k, **_: replace(Linear.fit(self, d, k), joints=("x", "y"))},
     "has history 'loss'": {
@@ -61,6 +63,9 @@ BROKEN = {
     r"gives \(2, 1\) for one sample": {"apply": lambda self, p, m, r: said(self, lambda x: x[:, None], p, m)},
     "not finite": {"apply": lambda self, p, m, r: said(self, lambda x: x / 0.0, p, m)},
     "under vmap differ": {"apply": lambda self, p, m, r: said(self, lambda x: x * (1 + next(COUNT)), p, m)},
+    "computes two different things": {
+        "apply": lambda self, p, m, r: said(self, lambda x: x * (1 + 1e-9 * next(COUNT)), p, m)
+    },
     "gradient in its motion at rest": {"apply": lambda self, p, m, r: said(self, lambda x: x + jnp.sqrt(m.q**2), p, m)},
     "gradient in its parameters gives a slope": {
         "apply": lambda self, p, m, r: Linear.apply(self, jax.lax.stop_gradient(p), m, r)
@@ -68,12 +73,12 @@ BROKEN = {
     "gradient in its motion gives a slope": {
         "apply": lambda self, p, m, r: Linear.apply(self, p, jax.lax.stop_gradient(m), r)
     },
-    "predict and apply on every sample differ": {"predict": lambda self, f, m: 1.01 * AbstractModel.predict(self, f, m)},
-    "predict gives .*; allowed: a numpy array": {"predict": lambda self, f, m: jnp.asarray(AbstractModel.predict(self, f, m))},
+    "predict and apply on every sample differ": {"predict": lambda self, f, m: 1.01 * Linear().predict(f, m)},
+    "predict gives .*; allowed: a numpy array": {"predict": lambda self, f, m: jnp.asarray(Linear().predict(f, m))},
     "the mean over its 2 members": {
         "members": lambda self, f: (f, replace(f, params=jax.tree.map(lambda x: x + 1, f.params)))
     },
-    "once stored and built again": {"field": complex(1, 2)},
+    "cannot be stored and built again: .* cannot be imported": {},
 }  # fmt: skip
 
 

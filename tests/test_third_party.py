@@ -49,7 +49,7 @@ def finished(folder) -> Path:
 
 
 def test_a_model_of_ones_own(folder, finished):
-    """`invdyn run model=mine` finds mine.py and model/mine.yaml in the working directory; its run loads as on the page."""
+    """`invdyn run model=mine` finds mine.py and model/mine.yaml in its working directory; the run loads again."""
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["model"] == "mine"
     assert metrics["parameters"] == 2 * 7

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from invdyn_cli.types import Array
+
 
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     """Root mean squared error per joint (n,) of torques (T, n) [N m; N]."""
@@ -16,11 +18,11 @@ def nmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     )
 
 
-def noise_floor(q: np.ndarray, tau: np.ndarray, q_again: np.ndarray, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:
+def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:
     """RMS per joint (n,) of half the difference of the torques (T, n) of a trajectory and its repetition [N m; N].
 
-    What no model of the motion can do better than, if both differ by noise alone. The repetition is shifted by the lag, at
-    most `most` samples, at which its positions (T, n) agree best.
+    What no model of the motion can do better than, if both differ by noise alone. The repetition is shifted by the lag,
+    at most `most` samples, at which its positions (T, n) agree best.
     """
 
     def overlap(lag: int) -> tuple[slice, slice]:

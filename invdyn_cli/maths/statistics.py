@@ -14,8 +14,8 @@ def autocorrelation_time(x: np.ndarray, *, window: float = 5.0) -> float:
 
 
 def resonance_time(x: np.ndarray) -> float:
-    """1 + 2 sum rho_k^2 over half the series, in samples, at least 1 (Bartlett 1946): by how much the variance of a sum of
-    products grows when both factors are correlated like x. It sees what oscillates, which adds up to nothing in
+    """1 + 2 sum rho_k^2 over half the series, in samples, at least 1 (Bartlett 1946): by how much the variance of a sum
+    of products grows when both factors are correlated like x. It sees what oscillates, which adds up to nothing in
     `autocorrelation_time`."""
     rho = _correlation(x)[: max(1, len(x) // 2)]
     return float(max(1.0, 2 * np.sum(rho**2) - 1))

@@ -1,6 +1,7 @@
 """model=hybrid: a model and a learner for what it leaves over, fitted one after the other on the same data.
 
-tau = base(q, qd, qdd) + learner(q, qd, qdd), the learner's target being tau - base (paper, equations 9 and 10, in batch).
+tau = base(q, qd, qdd) + learner(q, qd, qdd), the learner's target being tau - base (paper, equations 9 and 10, in
+batch).
 """
 
 from dataclasses import dataclass, replace

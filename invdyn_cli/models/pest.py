@@ -7,6 +7,7 @@ harmless and the singular values of K are those of the small matrix (Z'Z)^(1/2) 
 Fukaya et al. 2020).
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -29,8 +30,8 @@ RESIDUALS = 1 << 16
 """Samples of a trajectory that its residuals' autocorrelation is taken from: they are held in memory."""
 
 REST_SPEED = 0.02
-"""Speed [rad/s; m/s] below which the sign of a measured velocity is noise: sign(qd) is a ramp there, so that samples at rest
-do not enter with full friction (on a UR10e log a bare sign made the held-out error four times as large)."""
+"""Speed [rad/s; m/s] below which the sign of a measured velocity is noise: sign(qd) is a ramp there, so that samples at
+rest do not enter with full friction (on a UR10e log a bare sign made the held-out error four times as large)."""
 
 FEW_BLOCKS = 20
 """Fewer independent stretches leave a standard deviation uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
@@ -46,8 +47,8 @@ class Pest(AbstractModel):
             one deletes real base parameters when the motion is small.
         weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque, so that the noise
             of a strong joint does not drown a weak one; "none" is the paper's.
-        friction: "coulomb_viscous" adds the columns sign(qd) (a ramp within `REST_SPEED`) and qd for every joint; "none" is
-            the paper's.
+        friction: "coulomb_viscous" adds the columns sign(qd) (a ramp within `REST_SPEED`) and qd for every joint;
+            "none" is the paper's.
         offset: adds a constant torque per joint (a sensor's or a drive's zero).
         rotor_inertia: adds a column qdd per joint (reflected rotor inertia; only where torque is taken at the motor).
     """
@@ -288,11 +289,11 @@ def _svd_of_rows(robot, extras, weights, motion: Motion, basis) -> tuple[np.ndar
 def _subsample(dataset: Dataset, most: int) -> Motion:
     """So many samples, evenly from all over: one shape (one compilation) for all datasets that have as many."""
     rows = np.linspace(0, dataset.samples - 1, min(most, dataset.samples)).astype(int)
-    ends = np.cumsum([len(x.t) for x in dataset.trajectories])
-    owner = np.searchsorted(ends, rows, side="right")
+    starts = np.cumsum([0, *(len(x.t) for x in dataset.trajectories)])
+    owned = [rows[(rows >= a) & (rows < b)] - a for a, b in itertools.pairwise(starts)]
     parts = [
-        jax.tree.map(lambda a, r=rows[owner == i] - end + len(x.t): np.asarray(a)[r], x.motion)
-        for i, (x, end) in enumerate(zip(dataset.trajectories, ends, strict=True))
+        jax.tree.map(lambda array, own=own: np.asarray(array)[own], x.motion)
+        for x, own in zip(dataset.trajectories, owned, strict=True)
     ]
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 

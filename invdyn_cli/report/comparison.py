@@ -34,8 +34,8 @@ def by_sets(jobs: Sequence[Job]) -> Grid:
 
 
 def by_joints(jobs: Sequence[Job], floors: Mapping[str, Sequence[float]] | None = None) -> Grid:
-    """Two rows per job, test NMSE and test RMSE [N m; N], a column per joint and the mean; `floors` (by the jobs' names)
-    adds a row with the noise floor after a robot's last job."""
+    """Two rows per job, test NMSE and test RMSE [N m; N], a column per joint and the mean; `floors` (by the jobs'
+    names) adds a row with the noise floor after a robot's last job."""
     labels = _labels(jobs)
     most = max(len(metrics["joints"]) for _, metrics in jobs)
     rows: list[tuple[str, ...]] = []
@@ -53,12 +53,12 @@ def by_joints(jobs: Sequence[Job], floors: Mapping[str, Sequence[float]] | None 
 
 
 def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
-    """Each statement of the paper beside what was found: all values of the jobs that it picks, whether they are in its band,
-    and if not, by what factor they miss it.
+    """Each statement of the paper beside what was found: all values of the jobs that it picks, whether they are in its
+    band, and if not, by what factor they miss it.
 
-    A statement has `paper` (what it says), `claim` (what is compared), `each` (labels of the jobs it picks), `band` (lowest
-    and highest value allowed), and may have `over` (jobs whose median divides the median of the picked ones) and `why` (said
-    where it does not hold).
+    A statement has `paper` (what it says), `claim` (what is compared), `each` (labels of the jobs it picks), `band`
+    (lowest and highest value allowed), and may have `over` (jobs whose median divides the median of the picked ones)
+    and `why` (said where it does not hold).
     """
     rows = []
     for statement in statements:
@@ -77,7 +77,7 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
 
 
 def values_of(metrics: Mapping[str, Any], name: str) -> list[float]:
-    """Mean NMSE on a set: of every seed where the fit has several, else of the one model; none where it was not scored."""
+    """Mean NMSE on a set: of every seed where the fit has several, else of the model; none where it was not scored."""
     found = metrics.get("members", {}).get(name) or ([metrics[name]] if name in metrics else [])
     return [math.nan if x["nmse"]["mean"] is None else x["nmse"]["mean"] for x in found]
 

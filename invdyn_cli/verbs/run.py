@@ -120,9 +120,7 @@ def _refuse_options(config: DictConfig) -> None:
 def _object(config: DictConfig, group: str, kind: type) -> Any:
     made = instantiate(config[group])
     if not isinstance(made, kind):
-        raise UsageError(
-            f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}"
-        )
+        raise UsageError(f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}")
     return made
 
 

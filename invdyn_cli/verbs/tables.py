@@ -38,7 +38,8 @@ def task(config: DictConfig) -> None:
     missing = sorted({path for _, overrides in jobs for path in _logs(overrides) if not path.is_file()})
     if missing:
         raise LogError(
-            f"experiment {config.experiment} needs {listed(map(str, missing))}", advice="INVDYN_REAL_DATA=FOLDER of those"
+            f"experiment {config.experiment} needs {listed(map(str, missing))}",
+            advice="INVDYN_REAL_DATA=FOLDER of those",
         )
     done: list[Job] = []
     with screen.stages() as stage:
@@ -78,7 +79,10 @@ def expand(spec: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], list[str]]
         for combination in itertools.product(*values):
             chosen = dict(zip(keys, map(str, combination), strict=True))
             spelled = [choices.get(key, {}).get(value, [f"{key}={value}"]) for key, value in chosen.items()]
-            yield {"name": job["name"], **chosen}, [*spec.get("common", ()), *job["overrides"], *itertools.chain(*spelled)]
+            yield (
+                {"name": job["name"], **chosen},
+                [*spec.get("common", ()), *job["overrides"], *itertools.chain(*spelled)],
+            )
 
 
 def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[str, Any]:
@@ -95,7 +99,9 @@ def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[
 def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:
     if spec["columns"] == "sets":
         return comparison.by_sets(done)
-    floors = {name: _noise_floor(real_data / path, *repeated) for name, (path, *repeated) in spec.get("floors", {}).items()}
+    floors = {
+        name: _noise_floor(real_data / path, *repeated) for name, (path, *repeated) in spec.get("floors", {}).items()
+    }
     return comparison.by_joints(done, floors)
 
 
@@ -130,7 +136,9 @@ def _write(spec: Mapping[str, Any], grid: Grid, statements: Grid | None, folder:
 
 
 def _table(title: str, grid: Grid) -> Table:
-    table = Table(title=title, title_justify="left", show_lines=any(len(cell) > 60 for row in grid.rows for cell in row))
+    table = Table(
+        title=title, title_justify="left", show_lines=any(len(cell) > 60 for row in grid.rows for cell in row)
+    )
     for head in grid.heads:
         table.add_column(head, overflow="fold")
     for row in grid.rows:

@@ -6,8 +6,8 @@ from invdyn_cli.maths.metrics import noise_floor
 
 
 def test_it_recovers_noise_over_a_lag():
-    """Two recordings of one motion, started seven samples apart, with independent noise sigma: RMS of half the difference is
-    sigma / sqrt(2), within 5 % (20,000 samples: the standard error is 0.5 %)."""
+    """Two recordings of one motion, started seven samples apart, with independent noise sigma: RMS of half the
+    difference is sigma / sqrt(2), within 5 % (20,000 samples: the standard error is 0.5 %)."""
     rng = np.random.default_rng(1)
     t = np.arange(20_000)[:, None] / 500
     q, tau, sigma = np.sin(t * [1.0, 1.7]), 30 * np.cos(t * [1.0, 1.7]), np.array([0.3, 0.02])

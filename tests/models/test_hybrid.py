@@ -30,7 +30,9 @@ def test_the_learner_explains_what_the_base_cannot(data):
     train, test = data
     key = jax.random.key(0)
     base, hybrid = Pest(), Hybrid(Pest(), Ffnn(epochs=15))
-    errors = [experiment.score(test, experiment.predict(m, m.fit(train, key), test)).mean("rmse") for m in (base, hybrid)]
+    errors = [
+        experiment.score(test, experiment.predict(m, m.fit(train, key), test)).mean("rmse") for m in (base, hybrid)
+    ]
     assert errors[1] < 0.5 * errors[0]
 
 
@@ -42,7 +44,9 @@ def test_members_are_those_of_the_learner(data):
     motion = test.trajectories[0].motion
     members = [model.predict(member, motion) for member in model.members(fit)]
     assert len(members) == 3 and not np.allclose(members[0], members[1])
-    np.testing.assert_allclose(np.mean(members, axis=0), model.predict(fit, motion), rtol=1e-5, atol=1e-5)  # float32 nets
+    np.testing.assert_allclose(
+        np.mean(members, axis=0), model.predict(fit, motion), rtol=1e-5, atol=1e-5
+    )  # float32 nets
 
 
 def test_it_needs_a_robot_if_a_part_does():

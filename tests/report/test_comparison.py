@@ -19,7 +19,11 @@ def job(name, test, *, seeds=None, **labels):
     return {"name": name, **labels}, metrics
 
 
-JOBS = [job("PEST", 0.01, data="clean"), job("NN", 0.5, data="clean", seeds=[0.2, 0.4, 0.9]), job("NN", 5.0, data="noisy")]
+JOBS = [
+    job("PEST", 0.01, data="clean"),
+    job("NN", 0.5, data="clean", seeds=[0.2, 0.4, 0.9]),
+    job("NN", 5.0, data="noisy"),
+]
 
 
 @pytest.mark.parametrize(
@@ -27,11 +31,19 @@ JOBS = [job("PEST", 0.01, data="clean"), job("NN", 0.5, data="clean", seeds=[0.2
     [
         ({"each": {"name": "PEST"}, "band": [0, 0.1]}, "0.0100", "holds"),
         ({"each": {"name": "NN", "data": "clean"}, "band": [0, 1]}, "0.200 to 0.900", "holds"),
-        ({"each": {"name": "NN", "data": "clean"}, "band": [0, 0.5]}, "0.200 to 0.900", "holds for 2 of 3: above by up to 1.8 x"),
+        (
+            {"each": {"name": "NN", "data": "clean"}, "band": [0, 0.5]},
+            "0.200 to 0.900",
+            "holds for 2 of 3: above by up to 1.8 x",
+        ),
         ({"each": {"name": "PEST"}, "band": [0.02, 1]}, "0.0100", "differs: below by up to 2 x"),
         ({"each": {"name": "NN", "data": "clean"}, "over": {"name": "PEST"}, "band": [30, 50]}, "40.0", "holds"),
         ({"each": {"name": "DBM"}, "band": [0, 1]}, "", "not run"),
-        ({"each": {"name": "NN", "data": "noisy"}, "band": [0, 1], "why": "too far"}, "5.00", "differs: above by up to 5 x; too far"),
+        (
+            {"each": {"name": "NN", "data": "noisy"}, "band": [0, 1], "why": "too far"},
+            "5.00",
+            "differs: above by up to 5 x; too far",
+        ),
     ],
 )
 def test_verdicts(statement, found, verdict):

@@ -36,18 +36,29 @@ def printed(table, width: int = 120) -> str:
 def test_score_table_has_every_number():
     """The score table shows NMSE and RMSE of every joint in every scored set, and their mean, with three digits."""
     record = make_record(5)
-    text = printed(score_table(record))
+    text = printed(score_table(record, most=4))
     for score in record.scores.values():
         for value in (*score.nmse, *score.rmse, np.mean(score.nmse), np.mean(score.rmse)):
             assert significant(value) in text
     assert "mean" in text and all(joint in text for joint in record.fit.joints)
 
 
+def test_validation_gives_way():
+    """Where more sets were scored than the table may show, it leaves out validation, and no other."""
+    record = make_record(2)
+    for i, score in enumerate(record.scores.values()):
+        score.rmse[0] = 111.0 * (i + 1)
+    shown, whole = printed(score_table(record)), printed(score_table(record, most=4))
+    assert significant(record.scores["validation"].rmse[0]) not in shown
+    assert significant(record.scores["validation"].rmse[0]) in whole
+    assert all(significant(record.scores[x].rmse[0]) in shown for x in ("train", "test", "test_clean"))
+
+
 def test_score_table_fits_a_terminal():
     """Four scored sets fit into 80 columns without cutting a number."""
     record = make_record(3, joints=("right_shoulder_pitch", "j2", "j3"))
     record.scores["test"].nmse[:] = 1.234e-27
-    text = printed(score_table(record), width=80)
+    text = printed(score_table(record, most=4), width=80)
     assert "…" not in text and text.count("1.23e-27") == 4
 
 
@@ -61,7 +72,7 @@ def test_joint_without_variance():
     """A joint without an NMSE shows a dash, and the mean is taken over the others."""
     record = make_record(3)
     record.scores["test"].nmse[1] = np.nan
-    text = printed(score_table(record))
+    text = printed(score_table(record, most=4))
     row = next(line for line in text.splitlines() if line.split()[:1] == ["joint2"])
     assert row.split()[5] == "-"
     assert significant((record.scores["test"].nmse[0] + record.scores["test"].nmse[2]) / 2) in text

@@ -1,4 +1,4 @@
-"""invdyn tables: experiments become runs, a table and verdicts; the readers of README and experiments are told the truth."""
+"""invdyn tables: experiments become runs, a table and verdicts; readers of README and experiments hear the truth."""
 
 import json
 import subprocess
@@ -30,7 +30,10 @@ def test_a_sweep_is_spelled_out():
     }
     jobs = list(tables.expand(spec))
     assert len(jobs) == 4
-    assert jobs[0] == ({"name": "X", "model": "good", "seed": "0"}, ["a=1", "b=2", "model=pest", "model.offset=true", "seed=0"])
+    assert jobs[0] == (
+        {"name": "X", "model": "good", "seed": "0"},
+        ["a=1", "b=2", "model=pest", "model.offset=true", "seed=0"],
+    )
 
 
 def test_runs_are_kept_and_the_table_written(tmp_path, command):

@@ -1,0 +1,202 @@
+"""How fast invdyn is beside what one would write by hand: medians, spread and ratios, measured in one run.
+
+    python experiments/bench.py            (make bench)
+    python experiments/bench.py --json bench.json
+
+Three comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
+
+train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches; all cores for both.
+        One epoch of PyTorch, ten of invdyn, each per epoch. Skipped where torch is not installed.
+pest    regressor and solve, 100,000 samples x 7 joints, against a loop of Pinocchio's regressor adding up normal
+        equations and one solve; one core and one thread for both.
+rnea    torques of 100,000 samples x 7 joints, as a fitted PEST predicts them, against a loop of Pinocchio's rnea; one core
+        and one thread for both.
+
+The loops are in Python, as Pinocchio and PyTorch are used from Python; in C++ they would be faster.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+PART = "INVDYN_BENCH_PART"
+"""Set in the subprocess that measures one part: threads must be counted before numpy and jax start."""
+
+
+def main() -> None:
+    """Measure each part in a process of its own, print the table, write the numbers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all times and ratios there, too")
+    options = parser.parse_args()
+    from rich.console import Console
+    from rich.table import Table
+
+    results = {}
+    for part in PARTS:
+        threads = {} if part == "train" else ONE_THREAD
+        command = [sys.executable, str(Path(__file__).resolve())]
+        environment = os.environ | threads | {PART: part, "JAX_PLATFORMS": "cpu"}
+        found = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+        results[part] = json.loads(found.splitlines()[-1])
+    table = Table("part", "invdyn [s]", "by hand [s]", "times as fast", "what", caption=machine())
+    for part, result in results.items():
+        if "skipped" in result:
+            table.add_row(part, "-", "-", "-", result["skipped"])
+            continue
+        table.add_row(
+            part, spread(result["invdyn"]), spread(result["by_hand"]), f"{result['ratio']:.1f}", result["what"]
+        )
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    if options.json:
+        options.json.write_text(json.dumps({"machine": machine(), "parts": results}, indent=1) + "\n")
+
+
+def machine() -> str:
+    """Cores and load, so that a reader can judge the numbers."""
+    load = ", ".join(f"{x:.1f}" for x in os.getloadavg())
+    return f"median (min .. max); {len(os.sched_getaffinity(0))} cores, load {load} over 1, 5, 15 minutes"
+
+
+def spread(seconds: list[float]) -> str:
+    return f"{statistics.median(seconds):.3g} ({min(seconds):.3g} .. {max(seconds):.3g})"
+
+
+def measure(
+    what: str, invdyn: Callable[[], object], by_hand: Callable[[], object], repetitions: int, per: int = 1
+) -> dict:
+    """Times of both, taking turns after one warm-up each; `per` divides invdyn's (epochs in one call)."""
+    sides = {"invdyn": (invdyn, per), "by_hand": (by_hand, 1)}
+    times: dict[str, list[float]] = {name: [] for name in sides}
+    for repetition in range(repetitions + 1):
+        for name, (call, share) in sides.items():
+            started = time.perf_counter()
+            call()
+            if repetition:
+                times[name].append((time.perf_counter() - started) / share)
+    ratio = statistics.median(times["by_hand"]) / statistics.median(times["invdyn"])
+    return {"what": what, **times, "ratio": ratio}
+
+
+def train() -> dict:
+    """FFNN training against PyTorch, seconds an epoch of all four joints."""
+    try:
+        import torch
+    except ImportError:
+        return {"skipped": "torch is not installed: pip install torch"}
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from invdyn_cli import training
+    from invdyn_cli.models.ffnn import Ffnn
+
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(24_300, 12)).astype("f4"), rng.normal(size=(24_300, 4)).astype("f4")
+    groups, keys = Ffnn().groups(4), jax.random.split(jax.random.key(0), 1)
+    data, schedule = training.Data(jnp.asarray(x), jnp.asarray(y)), training.Schedule(epochs=10)
+
+    torch.manual_seed(0)
+    inputs, targets = torch.from_numpy(x), torch.from_numpy(y)
+
+    def stack(hidden):
+        widths = [12, *hidden]
+        layers = []
+        for i, width in enumerate(hidden):
+            layers += [torch.nn.Linear(widths[i], width), torch.nn.ReLU()]
+        return torch.nn.Sequential(*layers, torch.nn.Linear(widths[-1], 1))
+
+    nets = [
+        (column, net, torch.optim.Adam(net.parameters(), lr=rate))
+        for group in groups
+        for column, rate in zip(group.columns, group.learning_rates, strict=True)
+        for net in [stack(group.hidden)]
+    ]
+
+    def epoch():
+        for column, net, optimiser in nets:
+            order = torch.randperm(len(inputs))
+            for start in range(0, len(inputs) - 31, 32):
+                rows = order[start : start + 32]
+                loss = torch.nn.functional.mse_loss(net(inputs[rows])[:, 0], targets[rows, column])
+                optimiser.zero_grad()
+                loss.backward()
+                optimiser.step()
+
+    what = "FFNN, an epoch of four joints' nets, 24,300 samples, batches of 32; against a PyTorch loop per joint"
+    return measure(what, lambda: training.train(groups, schedule, data, None, keys), epoch, 3, per=10)
+
+
+def arm():
+    """The seven-joint arm, Pinocchio's model of it, and 100,000 states as a dataset."""
+    import numpy as np
+
+    from invdyn_cli.robots import load_urdf, pinocchio_model
+    from invdyn_cli.types import Dataset, Motion, Trajectory
+
+    robot = load_urdf("apollo_arm")
+    rng = np.random.default_rng(0)
+    motion = Motion(*rng.normal(size=(3, 100_000, 7)))
+    trajectory = Trajectory("random", np.arange(100_000) / 500, motion, rng.normal(size=(100_000, 7)))
+    return robot, pinocchio_model(robot), Dataset((trajectory,), robot.joints, robot)
+
+
+def pest() -> dict:
+    """Regressor and solve against normal equations from Pinocchio's regressor."""
+    import numpy as np
+    import pinocchio as pin
+
+    from invdyn_cli.models.pest import solve
+
+    robot, model, dataset = arm()
+    workspace = model.createData()
+    motion, tau = dataset.motion, dataset.tau
+
+    def by_hand():
+        gram, moment = np.zeros((70, 70)), np.zeros(70)
+        for q, qd, qdd, torque in zip(motion.q, motion.qd, motion.qdd, tau, strict=True):
+            rows = pin.computeJointTorqueRegressor(model, workspace, q, qd, qdd)
+            gram += rows.T @ rows
+            moment += rows.T @ torque
+        return np.linalg.lstsq(gram, moment, rcond=1e-10)[0]
+
+    what = "PEST, regressor and solve, 100,000 x 7; against a Pinocchio loop with normal equations; one thread"
+    return measure(what, lambda: solve(robot, dataset, (), np.ones(7), 1e-3, False), by_hand, 5)
+
+
+def rnea() -> dict:
+    """Torques as a fitted PEST predicts them, against a loop of Pinocchio's rnea."""
+    import numpy as np
+    import pinocchio as pin
+
+    from invdyn_cli.models.pest import Pest
+    from invdyn_cli.types import Fit
+
+    robot, model, dataset = arm()
+    workspace, motion = model.createData(), dataset.motion
+    fit = Fit({"psi": robot.inertial, "extras": np.zeros((0, 7))}, robot, robot.joints, 70)
+
+    def by_hand():
+        samples = zip(motion.q, motion.qd, motion.qdd, strict=True)
+        return np.array([pin.rnea(model, workspace, *sample) for sample in samples])
+
+    np.testing.assert_allclose(Pest().predict(fit, motion), by_hand(), atol=1e-9)
+    what = "torques of 100,000 x 7 by inverse dynamics; against a loop of Pinocchio's rnea; one thread"
+    return measure(what, lambda: Pest().predict(fit, motion), by_hand, 7)
+
+
+PARTS = {"train": train, "pest": pest, "rnea": rnea}
+
+if __name__ == "__main__":
+    if PART in os.environ:
+        if os.environ[PART] != "train" and hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        print(json.dumps(PARTS[os.environ[PART]]()))
+    else:
+        main()

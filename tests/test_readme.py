@@ -1,0 +1,82 @@
+"""The README and the docs are true: commands compose, outputs are those that come, links lead somewhere."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from tests.commands import ENVIRONMENT, ROOT
+
+PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def console(text: str) -> list[tuple[str, str]]:
+    """(command, output) of every `$ command` in the console blocks of a page."""
+    found = []
+    for block in re.findall(r"```console\n(.*?)```", text, re.DOTALL):
+        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+            command, _, output = part.partition("\n")
+            found.append((command.split(" #")[0].strip(), output.rstrip()))
+    return found
+
+
+COMMANDS = [pair for page in PAGES for pair in console(page.read_text())]
+
+
+def runs() -> list[str]:
+    """The `invdyn run …` commands that name no config of the reader's own."""
+    return [c for c, output in COMMANDS if c.startswith("invdyn run") and "invdyn:" not in output and "mine" not in c]
+
+
+@pytest.mark.parametrize("command", runs())
+def test_commands_compose(command):
+    """Every `invdyn run` in the pages composes: its groups, choices and options exist."""
+    overrides = [a for a in shlex.split(command)[2:] if not a.startswith("-")]
+    single = [a if not a.startswith(("model=", "seed=", "data.split=")) else a.split(",")[0] for a in overrides]
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        compose("run", single)
+
+
+def test_wrong_use_is_answered_as_the_readme_says(monkeypatch, tmp_path, capfd):
+    """The README's example of wrong use gives the very line that it shows."""
+    from invdyn_cli.cli import main
+
+    command, said = next((c, output) for c, output in COMMANDS if output.startswith("invdyn:"))
+    monkeypatch.chdir(tmp_path)
+    for name, value in ENVIRONMENT.items():
+        monkeypatch.setenv(name, value)
+    assert main(shlex.split(command)[1:]) == 2
+    assert capfd.readouterr().err.strip() == said
+
+
+def test_the_session_is_real(tmp_path):
+    """The README's session shows what its command prints, but for the digits that a processor may round otherwise and the
+    folder's time."""
+    from tests.commands import invdyn
+
+    command, said = COMMANDS[2]
+    done = invdyn(*shlex.split(command)[1:], cwd=tmp_path, COLUMNS="80")
+    assert done.returncode == 0, done.stderr
+
+    def skeleton(text: str) -> list[str]:
+        numbers = re.sub(r"\d+(\.\d+)?(e[-+]\d+)?", "#", text)
+        return [" ".join(line.split()) for line in numbers.splitlines() if line.strip()]
+
+    assert skeleton(done.stdout) == skeleton(said)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path):
+    """Every relative link names a file or folder that is there."""
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        assert target.startswith("http") or (page.parent / target).exists(), target
+
+
+def test_lists_of_choices_are_whole():
+    """The verbs that --help lists each have a file and a config."""
+    from invdyn_cli.cli import VERBS
+
+    for verb in VERBS:
+        assert (ROOT / "invdyn_cli" / "verbs" / f"{verb}.py").is_file() and (ROOT / "conf" / f"{verb}.yaml").is_file()
