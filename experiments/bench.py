@@ -5,12 +5,14 @@
 
 Three comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
 
-train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches; all cores for both.
-        One epoch of PyTorch, ten of invdyn, each per epoch. Skipped where torch is not installed.
+train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches. One epoch of PyTorch,
+        ten of invdyn, each per epoch. invdyn may use all cores. PyTorch runs on one thread, which is its best: on nets
+        this small a second one gains nothing on an idle machine, and cost a factor of 25 on a busy one.
+        Skipped where torch is not installed.
 pest    regressor and solve, 100,000 samples x 7 joints, against a loop of Pinocchio's regressor adding up normal
         equations and one solve; one core and one thread for both.
-rnea    torques of 100,000 samples x 7 joints, as a fitted PEST predicts them, against a loop of Pinocchio's rnea; one core
-        and one thread for both.
+rnea    torques of 100,000 samples x 7 joints, as a fitted PEST predicts them, against a loop of Pinocchio's rnea; one
+        core and one thread for both.
 
 The loops are in Python, as Pinocchio and PyTorch are used from Python; in C++ they would be faster.
 """
@@ -102,6 +104,7 @@ def train() -> dict:
     groups, keys = Ffnn().groups(4), jax.random.split(jax.random.key(0), 1)
     data, schedule = training.Data(jnp.asarray(x), jnp.asarray(y)), training.Schedule(epochs=10)
 
+    torch.set_num_threads(1)
     torch.manual_seed(0)
     inputs, targets = torch.from_numpy(x), torch.from_numpy(y)
 

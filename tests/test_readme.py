@@ -52,8 +52,8 @@ def test_wrong_use_is_answered_as_the_readme_says(monkeypatch, tmp_path, capfd):
 
 
 def test_the_session_is_real(tmp_path):
-    """The README's session shows what its command prints, but for the digits that a processor may round otherwise and the
-    folder's time."""
+    """The README's session shows what its command prints, but for the digits that a processor may round otherwise and
+    the folder's time."""
     from tests.commands import invdyn
 
     command, said = COMMANDS[2]
