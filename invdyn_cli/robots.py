@@ -1,29 +1,23 @@
 """URDF -> types.Robot; the only door to pinocchio.
 
-Pinocchio reads the tree, merges what does not move and locks what shall not; ElementTree adds what Pinocchio does not
-keep: axes, limits as they are written, `<dynamics>` and mimic tags. Meshes are never opened.
+Pinocchio reads the tree, merges what does not move and locks what shall not; `urdf` adds what Pinocchio does not keep:
+axes, limits as they are written, `<dynamics>` and mimic tags.
 """
 # pyright: reportAttributeAccessIssue=false
 
-import math
-import os
 import re
-import sys
-import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports]: its wheel lies behind a .pth file
 
+from invdyn_cli import urdf
 from invdyn_cli.errors import RobotError, closest, listed
 from invdyn_cli.types import Robot
-
-BUILT_IN: Mapping[str, Path] = {"apollo_arm": Path(__file__).with_name("apollo_arm.urdf")}
-"""Robots that ship with the package, by the name that stands for their path."""
+from invdyn_cli.urdf import MOVING
 
 DOWN = (0.0, 0.0, -9.81)
 """Gravity of an upright base [m/s^2]."""
@@ -33,9 +27,6 @@ GRIPPER = re.compile("finger|gripper|knuckle|jaw", re.IGNORECASE)
 
 FINGER_JOINTS = 2
 """Branches behind a longer arm with at most so many moving joints each are taken for fingers."""
-
-MOVING = ("revolute", "continuous", "prismatic")
-"""Joint types that can move; "fixed" ones are merged, "floating" and "planar" ones can be locked."""
 
 
 def load_urdf(
@@ -70,8 +61,8 @@ def load_urdf(
     """
     if dynamics_tags not in ("ignore", "use"):
         raise RobotError(f"robot.dynamics_tags={dynamics_tags!r}; allowed: ignore, use")
-    text = _text(path)
-    root = _parsed(text, path)
+    text = urdf.read(path)
+    root = urdf.parse(text, path)
     tags = {x.get("name", ""): x for x in root.findall("joint")}
     whole, notes = _model(root, path)
     moving, why = _moving(whole, tags, joints, tip)
@@ -89,8 +80,8 @@ def load_urdf(
         raise RobotError(f"the moving links of {path} have no mass", advice="a URDF whose links have <inertial> tags")
     if payload is not None:
         inertial[-1] += _payload(payload)
-    limits = np.array([_limits(x) for x in used])
-    dynamics = np.array([[_number(x, "dynamics", key, 0.0) for key in ("damping", "friction")] for x in used])
+    limits = np.array([urdf.limits(x) for x in used])
+    dynamics = np.array([[urdf.number(x, "dynamics", key, 0.0) for key in ("damping", "friction")] for x in used])
     if locked:
         notes.append(f"locked ({why}): {', '.join(locked)}")
     if dropped:
@@ -105,7 +96,7 @@ def load_urdf(
         prismatic=tuple(x.get("type") == "prismatic" for x in used),
         rotation=np.array([model.jointPlacements[i].rotation for i in bodies]),
         translation=np.array([model.jointPlacements[i].translation for i in bodies]),
-        axis=np.array([_axis(x) for x in used]),
+        axis=np.array([urdf.axis(x) for x in used]),
         inertial=inertial,
         gravity=_gravity(gravity, base_rpy),
         lower=limits[:, 0],
@@ -146,72 +137,11 @@ def _inertia(parameters: np.ndarray) -> pin.Inertia:
     return pin.Inertia(0.0, np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
-# Reading ------------------------------------------------------------------------------------------------------------
-
-
-def _text(path: str | Path | None) -> str:
-    """The URDF text of a built-in robot, a URDF or a xacro file."""
-    built_in = f"a .urdf or .xacro file, or a built-in robot: {listed(BUILT_IN)}"
-    if path is None:
-        raise RobotError(
-            f"no robot description is given, by the data neither; allowed: {built_in}", advice="robot.path="
-        )
-    file = BUILT_IN.get(str(path), Path(path).expanduser())
-    if not file.is_file():
-        raise RobotError(f"no robot description at {str(path)!r}{closest(str(path), BUILT_IN)}; allowed: {built_in}")
-    if file.suffix == ".xacro":
-        return _expanded(file)
-    try:
-        return file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path} cannot be read as text: {error}; allowed: {built_in}") from error
-
-
-def _expanded(file: Path) -> str:
-    """A xacro file as URDF text."""
-    try:
-        import xacro  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise RobotError(f"{file} needs the package xacro", advice='pip install "invdyn[xacro]"') from error
-    try:
-        with _overheard():
-            return xacro.process_file(str(file)).toxml()
-    except Exception as error:  # xacro evaluates Python: anything can come out
-        raise RobotError(
-            f"{file} cannot be expanded by xacro: {error}",
-            advice=f"xacro {file.name} > {file.stem} where its packages are found, and give that file",
-        ) from error
-
-
-def _parsed(text: str, path: str | Path | None) -> ET.Element:
-    """The tree of links and joints without shapes, if it is a URDF with known joint types and masses that can be."""
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise RobotError(f"{path} is not XML: {error}", advice="a .urdf file, whole and not compressed") from error
-    if root.tag != "robot":
-        raise RobotError(f"{path} has <{root.tag}> at its root; allowed: <robot>, a URDF", advice="convert it to URDF")
-    _refuse(root.findall("joint"), (*MOVING, "fixed", "floating", "planar"))
-    for other in [x for x in root if x.tag not in ("link", "joint")]:
-        root.remove(other)
-    for link in root.findall("link"):
-        for shape in [x for x in link if x.tag in ("visual", "collision")]:
-            link.remove(shape)
-        if link.find("inertial") is not None:
-            if _number(link, "inertial/mass", "value") < 0:
-                raise RobotError(f"link {link.get('name')!r} has a negative mass; allowed: zero and above")
-            for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
-                _number(link, "inertial/inertia", key)
-            for key in ("xyz", "rpy"):
-                _triple(link, "inertial/origin", key)
-    return root
-
-
 def _model(root: ET.Element, path: str | Path | None) -> tuple[pin.Model, list[str]]:
     """Pinocchio's model of all joints, and what its URDF parser complained about."""
     said: list[str] = []
     try:
-        with _overheard(said):
+        with urdf.overheard(said):
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         reason = (said[0] if said else str(error)).rstrip(".")
@@ -219,28 +149,6 @@ def _model(root: ET.Element, path: str | Path | None) -> tuple[pin.Model, list[s
     if model.njoints == 1:
         raise RobotError(f"{path} has no moving joint; allowed types: {listed(MOVING)}", advice="the URDF of an arm")
     return model, [f"urdfdom: {x}" for x in said]
-
-
-@contextmanager
-def _overheard(said: list[str] | None = None) -> Iterator[None]:
-    """Keeps from the terminal what libraries write to stderr meanwhile; errors and warnings of urdfdom go to `said`."""
-    with tempfile.TemporaryFile() as heard:
-        sys.stderr.flush()
-        kept = os.dup(2)
-        os.dup2(heard.fileno(), 2)
-        try:
-            yield
-        finally:
-            sys.stderr.flush()
-            os.dup2(kept, 2)
-            os.close(kept)
-            heard.seek(0)
-            lines = heard.read().decode(errors="replace").splitlines()
-            if said is not None:
-                said += [x.split(":", 1)[1].strip() for x in lines if x.startswith(("Error:", "Warning:"))]
-
-
-# Which joints move --------------------------------------------------------------------------------------------------
 
 
 def _moving(
@@ -254,9 +162,9 @@ def _moving(
     elif tip is not None:
         moving, why = _up_to(model, tip), f"not between the base and {tip}"
     else:
-        _refuse([tags[x] for x in model.names[1:]], MOVING)
+        urdf.refuse_types([tags[x] for x in model.names[1:]], MOVING)
         moving, why = _arm(model, tags), "a gripper's by mimic tags, names or short branches; robot.joints= overrides"
-    _refuse([tags[model.names[i]] for i in moving], MOVING)
+    urdf.refuse_types([tags[model.names[i]] for i in moving], MOVING)
     return moving, why
 
 
@@ -314,22 +222,12 @@ def _children(model: pin.Model, free: set[int], joint: int) -> list[int]:
     return [i for i in free if max(free & set(model.supports[i]) - {i}, default=0) == joint]
 
 
-def _refuse(joints: Sequence[ET.Element], allowed: Sequence[str]) -> None:
-    """Raises RobotError for joints of types that are not allowed."""
-    wrong = [f"{x.get('name')} ({x.get('type')})" for x in joints if x.get("type") not in allowed]
-    if wrong:
-        raise RobotError(
-            f"joints of a type that cannot move here: {listed(wrong)}; allowed: {listed(MOVING)}, fixed",
-            advice="lock them by robot.tip= or robot.joints=[...] without them, or make them fixed in the URDF",
-        )
-
-
 def _locked(model: pin.Model, tags: Mapping[str, ET.Element], moving: list[int]) -> tuple[pin.Model, list[str]]:
     """The model with all joints locked that do not move, and words on where they are locked."""
     ids = [i for i in range(1, model.njoints) if i not in moving]
     q, words = pin.neutral(model), []
     for i in ids:
-        lower, upper, *_ = _limits(tags[model.names[i]])
+        lower, upper, *_ = urdf.limits(tags[model.names[i]])
         at = min(max(0.0, lower), upper)
         words.append(f"{model.names[i]} at {at:g}")
         if at != 0:  # continuous, floating and planar joints have no limits: neutral is their zero
@@ -348,75 +246,24 @@ def _parents(model: pin.Model, names: list[str]) -> list[int]:
     return parents
 
 
-# Numbers ------------------------------------------------------------------------------------------------------------
-
-
-def _number(element: ET.Element, tag: str, key: str, default: float = math.nan) -> float:
-    """Attribute `key` of the child `tag`: a finite number."""
-    child = element.find(tag)
-    text = None if child is None else child.get(key)
-    try:
-        value = default if text is None else float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        where = f"{element.tag} {element.get('name')!r}"
-        raise RobotError(f"{where}: <{tag} {key}> is {text or 'missing'}; allowed: a finite number")
-    return value
-
-
-def _triple(element: ET.Element, tag: str, key: str, default: str = "0 0 0") -> np.ndarray:
-    """(3,) attribute `key` of the child `tag`."""
-    child = element.find(tag)
-    text = default if child is None else child.get(key, default)
-    return _array(text.split(), f"{element.tag} {element.get('name')!r}: <{tag} {key}>", (3,))
-
-
-def _array(values: Any, what: str, *shapes: tuple[int, ...]) -> np.ndarray:
-    """Finite numbers of one of these shapes."""
-    try:
-        array = np.asarray(values, float)
-    except (TypeError, ValueError):
-        array = np.array(math.nan)
-    if array.shape not in shapes or not np.isfinite(array).all():
-        raise RobotError(f"{what} is {values!r}; allowed: finite numbers of shape {' or '.join(map(str, shapes))}")
-    return array
-
-
-def _limits(joint: ET.Element) -> tuple[float, float, float, float]:
-    """Lower, upper, velocity and effort limit; infinite where there is none (zero in many URDFs, or an empty range)."""
-    lower, upper, velocity, effort = (_number(joint, "limit", x, 0.0) for x in ("lower", "upper", "velocity", "effort"))
-    if joint.get("type") not in ("revolute", "prismatic") or lower >= upper:
-        lower, upper = -math.inf, math.inf
-    return lower, upper, velocity or math.inf, effort or math.inf
-
-
-def _axis(joint: ET.Element) -> np.ndarray:
-    """(3,) unit axis in the joint frame; x where the URDF names none."""
-    axis = _triple(joint, "axis", "xyz", "1 0 0")
-    if not axis.any():
-        raise RobotError(f"joint {joint.get('name')!r} has an axis of length zero; allowed: a direction")
-    return axis / np.linalg.norm(axis)
-
-
 def _gravity(gravity: Sequence[float] | None, base_rpy: Sequence[float] | None) -> np.ndarray:
     """(3,) [m/s^2] in the base frame."""
     if gravity is not None and base_rpy is not None:
         raise RobotError("both robot.gravity and robot.base_rpy are given; allowed: one of them")
     if base_rpy is not None:
-        return pin.rpy.rpyToMatrix(_array(base_rpy, "robot.base_rpy", (3,))).T @ np.array(DOWN)
-    return np.array(DOWN) if gravity is None else _array(gravity, "robot.gravity", (3,))
+        return pin.rpy.rpyToMatrix(urdf.finite(base_rpy, "robot.base_rpy", (3,))).T @ np.array(DOWN)
+    return np.array(DOWN) if gravity is None else urdf.finite(gravity, "robot.gravity", (3,))
 
 
 def _payload(payload: Mapping[str, Any]) -> np.ndarray:
     """(10,) inertial parameters of a declared body about the joint frame's origin."""
     if not isinstance(payload, Mapping) or not {"mass", "com"} <= set(payload) <= {"mass", "com", "inertia"}:
         raise RobotError(f"robot.payload={payload!r}; allowed: mass and com, and inertia where it is no point mass")
-    mass = float(_array(payload["mass"], "robot.payload.mass", ()))
-    com = _array(payload["com"], "robot.payload.com", (3,))
+    mass = float(urdf.finite(payload["mass"], "robot.payload.mass", ()))
+    com = urdf.finite(payload["com"], "robot.payload.com", (3,))
     inertia = np.zeros((3, 3))
     if payload.get("inertia") is not None:
-        inertia = _array(payload["inertia"], "robot.payload.inertia", (3, 3), (6,))
+        inertia = urdf.finite(payload["inertia"], "robot.payload.inertia", (3, 3), (6,))
     if inertia.shape == (6,):
         inertia = inertia[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
     if mass < 0 or not np.array_equal(inertia, inertia.T) or np.linalg.eigvalsh(inertia)[0] < 0:

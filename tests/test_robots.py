@@ -14,7 +14,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from invdyn_cli.errors import RobotError
-from invdyn_cli.robots import BUILT_IN, load_urdf, pinocchio_model
+from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.urdf import BUILT_IN
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL = Path(os.environ.get("INVDYN_REAL_DATA", ROOT.parent / "shared" / "data")) / "urdf"

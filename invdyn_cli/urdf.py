@@ -1,0 +1,156 @@
+"""A URDF's text and tags: what stands in the file, before Pinocchio makes a model of it. Meshes are never opened."""
+
+import math
+import os
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.errors import RobotError, closest, listed
+
+BUILT_IN: Mapping[str, Path] = {"apollo_arm": Path(__file__).with_name("apollo_arm.urdf")}
+"""Robots that ship with the package, by the name that stands for their path."""
+
+MOVING = ("revolute", "continuous", "prismatic")
+"""Joint types that can move; "fixed" ones are merged, "floating" and "planar" ones can be locked."""
+
+
+def read(path: str | Path | None) -> str:
+    """The URDF text of a built-in robot, a URDF or a xacro file."""
+    built_in = f"a .urdf or .xacro file, or a built-in robot: {listed(BUILT_IN)}"
+    if path is None:
+        raise RobotError(
+            f"no robot description is given, by the data neither; allowed: {built_in}", advice="robot.path="
+        )
+    file = BUILT_IN.get(str(path), Path(path).expanduser())
+    if not file.is_file():
+        raise RobotError(f"no robot description at {str(path)!r}{closest(str(path), BUILT_IN)}; allowed: {built_in}")
+    if file.suffix == ".xacro":
+        return _expanded(file)
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotError(f"{path} cannot be read as text: {error}; allowed: {built_in}") from error
+
+
+def _expanded(file: Path) -> str:
+    """A xacro file as URDF text."""
+    try:
+        import xacro  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise RobotError(f"{file} needs the package xacro", advice='pip install "invdyn[xacro]"') from error
+    try:
+        with overheard():
+            return xacro.process_file(str(file)).toxml()
+    except Exception as error:  # xacro evaluates Python: anything can come out
+        raise RobotError(
+            f"{file} cannot be expanded by xacro: {error}",
+            advice=f"xacro {file.name} > {file.stem} where its packages are found, and give that file",
+        ) from error
+
+
+def parse(text: str, path: str | Path | None) -> ET.Element:
+    """The tree of links and joints without shapes, if it is a URDF with known joint types and masses that can be."""
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise RobotError(f"{path} is not XML: {error}", advice="a .urdf file, whole and not compressed") from error
+    if root.tag != "robot":
+        raise RobotError(f"{path} has <{root.tag}> at its root; allowed: <robot>, a URDF", advice="convert it to URDF")
+    refuse_types(root.findall("joint"), (*MOVING, "fixed", "floating", "planar"))
+    for other in [x for x in root if x.tag not in ("link", "joint")]:
+        root.remove(other)
+    for link in root.findall("link"):
+        for shape in [x for x in link if x.tag in ("visual", "collision")]:
+            link.remove(shape)
+        if link.find("inertial") is not None:
+            if number(link, "inertial/mass", "value") < 0:
+                raise RobotError(f"link {link.get('name')!r} has a negative mass; allowed: zero and above")
+            for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
+                number(link, "inertial/inertia", key)
+            for key in ("xyz", "rpy"):
+                _triple(link, "inertial/origin", key)
+    return root
+
+
+def refuse_types(joints: Sequence[ET.Element], allowed: Sequence[str]) -> None:
+    """Raises RobotError for joints of types that are not allowed."""
+    wrong = [f"{x.get('name')} ({x.get('type')})" for x in joints if x.get("type") not in allowed]
+    if wrong:
+        raise RobotError(
+            f"joints of a type that cannot move here: {listed(wrong)}; allowed: {listed(MOVING)}, fixed",
+            advice="lock them by robot.tip= or robot.joints=[...] without them, or make them fixed in the URDF",
+        )
+
+
+def number(element: ET.Element, tag: str, key: str, default: float = math.nan) -> float:
+    """Attribute `key` of the child `tag`: a finite number."""
+    child = element.find(tag)
+    text = None if child is None else child.get(key)
+    try:
+        value = default if text is None else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        where = f"{element.tag} {element.get('name')!r}"
+        raise RobotError(f"{where}: <{tag} {key}> is {text or 'missing'}; allowed: a finite number")
+    return value
+
+
+def _triple(element: ET.Element, tag: str, key: str, default: str = "0 0 0") -> np.ndarray:
+    """(3,) attribute `key` of the child `tag`."""
+    child = element.find(tag)
+    text = default if child is None else child.get(key, default)
+    return finite(text.split(), f"{element.tag} {element.get('name')!r}: <{tag} {key}>", (3,))
+
+
+def finite(values: Any, what: str, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Finite numbers of one of these shapes."""
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):
+        array = np.array(math.nan)
+    if array.shape not in shapes or not np.isfinite(array).all():
+        raise RobotError(f"{what} is {values!r}; allowed: finite numbers of shape {' or '.join(map(str, shapes))}")
+    return array
+
+
+def limits(joint: ET.Element) -> tuple[float, float, float, float]:
+    """Lower, upper, velocity and effort limit; infinite where there is none (zero in many URDFs, or an empty range)."""
+    lower, upper, velocity, effort = (number(joint, "limit", x, 0.0) for x in ("lower", "upper", "velocity", "effort"))
+    if joint.get("type") not in ("revolute", "prismatic") or lower >= upper:
+        lower, upper = -math.inf, math.inf
+    return lower, upper, velocity or math.inf, effort or math.inf
+
+
+def axis(joint: ET.Element) -> np.ndarray:
+    """(3,) unit axis in the joint frame; x where the URDF names none."""
+    axis = _triple(joint, "axis", "xyz", "1 0 0")
+    if not axis.any():
+        raise RobotError(f"joint {joint.get('name')!r} has an axis of length zero; allowed: a direction")
+    return axis / np.linalg.norm(axis)
+
+
+@contextmanager
+def overheard(said: list[str] | None = None) -> Iterator[None]:
+    """Keeps from the terminal what libraries write to stderr meanwhile; errors and warnings of urdfdom go to `said`."""
+    with tempfile.TemporaryFile() as heard:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(heard.fileno(), 2)
+        try:
+            yield
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
+            heard.seek(0)
+            lines = heard.read().decode(errors="replace").splitlines()
+            if said is not None:
+                said += [x.split(":", 1)[1].strip() for x in lines if x.startswith(("Error:", "Warning:"))]
