@@ -141,6 +141,8 @@ class Ffnn(AbstractModel):
 def _per_joint(given, common: JointNet) -> tuple[tuple[int, JointNet], ...]:
     """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, the unsaid taken from `common`."""
     names = [f.name for f in fields(JointNet)]
+    if not isinstance(given, Mapping | tuple | list):
+        raise UsageError(f"model.joints={given}; allowed: {{joint number: {{{', '.join(names)}}}}}")
     pairs = given.items() if isinstance(given, Mapping) else given
     out = []
     for number, net in pairs:

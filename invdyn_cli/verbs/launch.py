@@ -74,6 +74,8 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         return complain(_told(verb, error, argv))
     except MemoryError as error:
         return complain(f"out of memory: {error}")
+    except BrokenPipeError:  # the reader of our output (head, less) has gone
+        sys.stdout = None
     except OSError as error:
         where = error.filename or "a file"
         return complain(f"{where}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)")

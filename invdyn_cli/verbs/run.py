@@ -109,7 +109,10 @@ def make_robot(config: DictConfig, header: Header | None) -> Robot | None:
 
 
 def _refuse_options(config: DictConfig) -> None:
-    """What belongs to no group."""
+    """What belongs to no group, and groups that were emptied."""
+    for group in ("robot", "data", "model", "adaptation"):
+        if config[group] is None or "_target_" not in config[group]:
+            raise UsageError(f"{group}={config[group]}; allowed: a choice of the group, see invdyn run --help")
     if not isinstance(config.seed, int) or config.seed < 0:
         raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up")
     formats = config.figures.formats

@@ -27,8 +27,13 @@ def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
 
 
 def is_complete(config: DictConfig, folder: Path) -> bool:
-    """Whether the folder holds this very job, finished."""
-    if not (folder / "metrics.json").is_file() or not (folder / "run.h5").is_file():
+    """Whether the folder holds this very job, finished, and no log that it read was written since."""
+    done = folder / "metrics.json"
+    if not done.is_file() or not (folder / "run.h5").is_file():
+        return False
+    paths = config.data.get("path") or []
+    logs = [Path(x) for x in ([paths] if isinstance(paths, str) else paths)]
+    if any(log.is_file() and log.stat().st_mtime > done.stat().st_mtime for log in logs):
         return False
     try:
         return store.load_run(folder / "run.h5").config == OmegaConf.to_yaml(config, resolve=True)
