@@ -155,11 +155,12 @@ def pest() -> dict:
     import numpy as np
     import pinocchio as pin
 
-    from invdyn_cli.models.pest import solve
+    from invdyn_cli.maths.regression import Design, solve
 
     robot, model, dataset = arm()
     workspace = model.createData()
     motion, tau = dataset.motion, dataset.tau
+    design = Design(robot, (), np.ones(7))
 
     def by_hand():
         gram, moment = np.zeros((70, 70)), np.zeros(70)
@@ -170,7 +171,7 @@ def pest() -> dict:
         return np.linalg.lstsq(gram, moment, rcond=1e-10)[0]
 
     what = "PEST, regressor and solve, 100,000 x 7; against a Pinocchio loop with normal equations; one thread"
-    return measure(what, lambda: solve(robot, dataset, (), np.ones(7), 1e-3, False), by_hand, 5)
+    return measure(what, lambda: solve(design, dataset, 1e-3), by_hand, 5)
 
 
 def rnea() -> dict:

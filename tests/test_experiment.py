@@ -12,6 +12,7 @@ from invdyn_cli.data.sim import SineTasks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import CHUNK, AbstractModel, AbstractSource, in_chunks, silent
 from invdyn_cli.models.ffnn import Ffnn
+from invdyn_cli.models.hybrid import Hybrid
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.testing import check_adapter, check_model
 from invdyn_cli.types import Dataset, Fit, Motion, Splits, Trajectory
@@ -170,7 +171,11 @@ def test_chunks_lose_no_sample(samples):
     assert all(n & (n - 1) == 0 and n <= CHUNK for n in shapes) and len(set(shapes)) <= 1
 
 
-MODELS = {"pest": Pest(1e-2, False, "torque_spread", "coulomb_viscous", True, True), "ffnn": NET}
+MODELS = {
+    "pest": Pest(1e-2, False, "torque_spread", "coulomb_viscous", True, True),
+    "ffnn": NET,
+    "hybrid": Hybrid(Pest(1e-2, False, "torque_spread", "coulomb_viscous", True, True), NET),
+}
 
 
 @pytest.fixture(scope="module")
@@ -181,11 +186,11 @@ def few(apollo4):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_models_keep_their_contract(few, name):
-    """`check_model` holds for PEST with all its columns and for nets of two shapes."""
+    """`check_model` holds for PEST with all its columns, nets of two shapes, and the hybrid of both."""
     check_model(MODELS[name], few)
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_batch_keeps_its_contract(few, name):
-    """`check_adapter` holds for batch learning of PEST and FFNN."""
+    """`check_adapter` holds for batch learning of each."""
     check_adapter(Batch(), MODELS[name], few)

@@ -10,7 +10,8 @@ import pinocchio as pin
 import pytest
 
 from invdyn_cli.maths import rigid_body
-from invdyn_cli.robots import BUILT_IN, load_urdf, pinocchio_model
+from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.urdf import BUILT_IN
 
 LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="{com}" rpy="0.3 -0.2 0.1"/>
     <inertia ixx="0.03" ixy="0.002" ixz="-0.001" iyy="0.04" iyz="0.003" izz="0.02"/></inertial></link>"""

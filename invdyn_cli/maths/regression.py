@@ -1,0 +1,288 @@
+"""Least squares on the rows of the joint-torque regressor K, which is never held: min |W (K psi - tau)| in blocks.
+
+Memory does not grow with the number of samples. A Gram matrix K'K would square the condition number and blur the small
+singular values that decide the rank; here the columns are preconditioned first, K = Z T with T from a sample of the
+rows, so that Z'Z is harmless and the singular values of K are those of the small matrix (Z'Z)^(1/2) T (Cholesky QR with
+a preconditioner; Fukaya et al. 2020).
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import linalg
+
+from invdyn_cli.interfaces import CHUNK, Progress, silent
+from invdyn_cli.maths import rigid_body, statistics
+from invdyn_cli.types import Array, Dataset, Motion, Robot
+
+BLOCK = 256
+"""Samples whose regressor exists at a time (1 MB at 7 joints: it stays in cache)."""
+
+RESIDUALS = 1 << 16
+"""Samples of a trajectory that its residuals' autocorrelation is taken from: they are held in memory."""
+
+REST_SPEED = 0.02
+"""Speed [rad/s; m/s] below which the sign of a measured velocity is noise: sign(qd) is a ramp there, so that samples at
+rest do not enter with full friction (on a UR10e log a bare sign made the held-out error four times as large)."""
+
+FEW_BLOCKS = 20
+"""Fewer independent stretches leave a standard deviation uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which rows and columns there are: the robot's ten parameters a link, then `extras` for every joint (coulomb,
+    viscous, offset, armature); `weights` (n,) multiplies the rows of each joint."""
+
+    robot: Robot
+    extras: tuple[str, ...]
+    weights: Array
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the p columns: parameter[joint]."""
+        inertial = [f"{name}[{joint}]" for joint in self.robot.joints for name in rigid_body.PARAMETERS]
+        return inertial + [f"{name}[{joint}]" for name in self.extras for joint in self.robot.joints]
+
+
+jax.tree_util.register_dataclass(Design, data_fields=["robot", "weights"], meta_fields=["extras"])
+
+
+@dataclass(frozen=True)
+class Solution:
+    """psi (p,) and what led to it: singular values of the (weighted) K, its kept right-singular vectors (p, rank), and
+    the map from scores of the preconditioned columns to scores of psi."""
+
+    psi: np.ndarray
+    rank: int
+    singular_values: np.ndarray
+    threshold: float
+    kept: np.ndarray
+    preconditioner: np.ndarray
+    to_scores: np.ndarray
+
+
+def solve(
+    design: Design, dataset: Dataset, threshold: float, relative: bool = False, progress: Progress = silent
+) -> Solution:
+    """The truncated least-squares solution of min |W (K psi - tau)|, K in blocks (paper, equations 7 and 8).
+
+    Args:
+        threshold: singular values at or below it are dropped (times the largest one where `relative`).
+    """
+    possible = _possible_directions(design)
+    floor = 1e-8
+    scale, directions = _svd_of_rows(design, _subsample(dataset, 1024), possible)
+    for _ in range(3):
+        scale = np.maximum(scale, floor * max(scale[0], 1e-300))
+        preconditioner = possible @ directions / scale
+        gram, moment = _accumulate(design, dataset, preconditioner, progress)
+        values, vectors = linalg.eigh(gram)
+        real = values > values[-1] * len(values) * np.finfo(float).eps
+        root = np.sqrt(np.where(real, values, 0))
+        left, singular_values, right = linalg.svd((root[:, None] * vectors.T) @ (scale[:, None] * directions.T))
+        if values[-1] < 1e8 * np.median(values[real]):
+            break
+        scale, directions = singular_values, right.T
+    projected = vectors.T @ moment / np.where(real, root, np.inf)
+    limit = threshold * (singular_values[0] if relative else 1.0)
+    rank = int(np.sum(singular_values > limit))
+    kept = possible @ right[:rank].T
+    return Solution(
+        psi=kept @ ((left.T @ projected)[:rank] / singular_values[:rank]),
+        rank=rank,
+        singular_values=singular_values,
+        threshold=float(limit),
+        kept=kept,
+        preconditioner=preconditioner,
+        to_scores=(right[:rank] @ directions * scale) / singular_values[:rank, None] ** 2,
+    )
+
+
+def base_parameters(design: Design, solution: Solution, covariance: np.ndarray) -> dict[str, Any]:
+    """The identifiable combinations: as many as the rank, each one parameter plus multiples of dependent ones.
+
+    Pivoted QR of the kept directions (Gautier 1991). `covariance` (rank, rank) is that of the kept coordinates.
+    """
+    columns = design.columns
+    _, r, order = linalg.qr(solution.kept.T, mode="economic", pivoting=True)  # type: ignore[misc]
+    rank = solution.rank
+    combine = np.zeros((rank, len(columns)))
+    combine[:, order] = linalg.solve_triangular(r[:, :rank], r) if rank else r
+    spread = combine @ solution.kept
+    return {
+        "names": [columns[c] for c in order[:rank]],
+        "expressions": [
+            _expression(columns, int(lead), row) for lead, row in zip(order[:rank].tolist(), combine, strict=True)
+        ],
+        "values": combine @ solution.psi,
+        "std": np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", spread, covariance, spread), 0)),
+    }
+
+
+def uncertainty(
+    design: Design, dataset: Dataset, solution: Solution, progress: Progress = silent
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Covariance (rank, rank) of the kept coordinates, and what it rests on: {blocks, effective_samples (n,)}.
+
+    Sandwich estimator with stretches of ten autocorrelation times as independent blocks; where there are fewer than
+    FEW_BLOCKS of them, the white-noise formula, each joint's noise variance times its residual's correlation time.
+    """
+    n = design.robot.dofs
+    slow, resonant, squares = np.ones(n), np.ones(n), np.zeros(n)
+    scores = []
+    for trajectory in dataset.trajectories:
+        blocks, residuals = [], []
+        for chunk in _chunks(Dataset((trajectory,), dataset.joints)):
+            score, residual = _scores(design, *chunk, solution.preconditioner, solution.psi)
+            blocks.append(np.asarray(score))
+            squares += np.sum(np.asarray(residual)[chunk[2]] ** 2, axis=0)
+            if len(residuals) * CHUNK < RESIDUALS:
+                residuals.append(np.asarray(residual))
+        residual = np.concatenate(residuals)[: len(trajectory.t)]
+        slow = np.maximum(slow, [statistics.autocorrelation_time(r) for r in residual.T])
+        resonant = np.maximum(resonant, [statistics.resonance_time(r) for r in residual.T])
+        scores.append(np.concatenate(blocks)[: -(-len(trajectory.t) // BLOCK)])
+        progress(len(scores) / len(dataset.trajectories), "standard deviations")
+    size = int(np.ceil(10 * slow.max() / BLOCK))
+    merged = np.concatenate([statistics.merge_blocks(s, size) for s in scores])
+    if len(merged) >= FEW_BLOCKS:
+        meat = statistics.score_covariance(merged)
+    else:
+        noise = squares / dataset.samples * design.weights**2 * np.maximum(slow, resonant)
+        meat = np.einsum("j,jab->ab", noise, _grams(design, dataset, solution.preconditioner))
+    covariance = solution.to_scores @ meat @ solution.to_scores.T
+    return covariance, {"blocks": len(merged), "effective_samples": dataset.samples / slow}
+
+
+def extra_columns(extras: tuple[str, ...], motion: Motion) -> list[Array]:
+    """The columns beside the inertial ones, like `motion.qd` each."""
+    column = {
+        "coulomb": lambda: jnp.clip(motion.qd / REST_SPEED, -1, 1),
+        "viscous": lambda: motion.qd,
+        "offset": lambda: jnp.ones_like(motion.qd),
+        "armature": lambda: motion.qdd,
+    }
+    return [column[name]() for name in extras]
+
+
+@jax.jit
+def _rows(design: Design, motion: Motion, valid: Array) -> Array:
+    """W K transposed, (p, n, samples), for a motion (n, samples); rows that are not `valid` (samples,) are zero."""
+    rows = rigid_body.regressor(design.robot, motion.q, motion.qd, motion.qdd)
+    rows = rows.reshape(-1, *rows.shape[2:])
+    diagonal = jnp.eye(design.robot.dofs)[:, :, None]
+    columns = [diagonal * column for column in extra_columns(design.extras, motion)]
+    return (jnp.concatenate([rows, *columns]) if columns else rows) * design.weights[:, None] * valid
+
+
+def _possible_directions(design: Design) -> np.ndarray:
+    """Orthonormal directions (p, r) of parameter space that some motion of this robot can show; the rest never does."""
+    motion = Motion(*(x.T for x in rigid_body.random_states(design.robot, 256, seed=0)))
+    unweighted = Design(design.robot, design.extras, np.ones(design.robot.dofs))
+    scale, directions = _svd_of_rows(unweighted, motion, np.eye(len(design.columns)))
+    return directions[:, scale > 1e-10 * scale[0]]
+
+
+def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values (r,) and right-singular vectors (r, r) of the rows K basis of a few samples, by QR."""
+    rows = np.asarray(_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion))))
+    triangle = linalg.qr(rows.reshape(len(rows), -1).T @ basis, mode="r")[0][: basis.shape[1]]
+    _, scale, right = linalg.svd(triangle, full_matrices=True)
+    return np.pad(scale, (0, basis.shape[1] - len(scale))), right.T
+
+
+def _subsample(dataset: Dataset, most: int) -> Motion:
+    """So many samples, evenly from all over: one shape (one compilation) for all datasets that have as many."""
+    rows = np.linspace(0, dataset.samples - 1, min(most, dataset.samples)).astype(int)
+    starts = np.cumsum([0, *(len(x.t) for x in dataset.trajectories)])
+    owned = [rows[(rows >= a) & (rows < b)] - a for a, b in itertools.pairwise(starts)]
+    parts = [
+        jax.tree.map(lambda array, own=own: np.asarray(array)[own], x.motion)
+        for x, own in zip(dataset.trajectories, owned, strict=True)
+    ]
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
+def _accumulate(design: Design, dataset: Dataset, preconditioner: np.ndarray, progress: Progress):
+    """Z'Z (r, r) and Z'tau (r,) over all rows of Z = W K preconditioner."""
+    r = preconditioner.shape[1]
+    state = jnp.zeros((r, r)), jnp.zeros(r)
+    for number, chunk in enumerate(_chunks(dataset)):
+        state = _add_chunk(design, *chunk, preconditioner, state)
+        if number % 64 == 63:
+            jax.block_until_ready(state)
+            progress(min(1.0, number * CHUNK / dataset.samples), "regressor")
+    return np.asarray(state[0]), np.asarray(state[1])
+
+
+def _grams(design: Design, dataset: Dataset, preconditioner: np.ndarray) -> np.ndarray:
+    """Z_j'Z_j (n, r, r) of every joint's own rows."""
+    r = preconditioner.shape[1]
+    grams = jnp.zeros((design.robot.dofs, r, r))
+    for motion, _, valid in _chunks(dataset):
+        grams = _add_grams(design, motion, valid, preconditioner, grams)
+    return np.asarray(grams)
+
+
+def _chunks(dataset: Dataset) -> Iterator[tuple[Motion, Array, np.ndarray]]:
+    """Motion, torque and validity (CHUNK rows each, the last of a trajectory padded with rows that do not count)."""
+    for x in dataset.trajectories:
+        for start in range(0, len(x.t), CHUNK):
+            rows = slice(start, start + CHUNK)
+            part, tau = x.motion[rows], x.tau[rows]
+            missing = CHUNK - len(part)
+            valid = np.arange(CHUNK) < len(part)
+            if missing:
+                part, tau = jax.tree.map(lambda a, m=missing: np.pad(a, ((0, m), (0, 0))), (part, tau))
+            yield part, tau, valid
+
+
+def _blocks(x: Array) -> Array:
+    """(CHUNK, ...) as (CHUNK / BLOCK, ..., BLOCK): what a scan over blocks takes, samples last."""
+    return jnp.moveaxis(jnp.reshape(x, (-1, BLOCK, *x.shape[1:])), 1, -1)
+
+
+@jax.jit
+def _add_chunk(design, motion, tau, valid, preconditioner, state):
+    def add(state, block):
+        motion, tau, valid = block
+        z = preconditioner.T @ _rows(design, motion, valid).reshape(len(preconditioner), -1)
+        return (state[0] + z @ z.T, state[1] + z @ (design.weights[:, None] * tau).ravel()), None
+
+    return jax.lax.scan(add, state, (jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)))[0]
+
+
+@jax.jit
+def _add_grams(design, motion, valid, preconditioner, grams):
+    def add(grams, block):
+        z = jnp.einsum("pr,pnb->nrb", preconditioner, _rows(design, *block))
+        return grams + jnp.einsum("nrb,nsb->nrs", z, z), None
+
+    return jax.lax.scan(add, grams, (jax.tree.map(_blocks, motion), _blocks(valid)))[0]
+
+
+@jax.jit
+def _scores(design, motion, tau, valid, preconditioner, psi):
+    """Score (blocks, r) of every block and residual (CHUNK, n) [N m; N]; what is not valid has none."""
+
+    def one(block):
+        motion, tau, valid = block
+        rows = _rows(design, motion, valid).reshape(len(psi), -1)
+        residual = (design.weights[:, None] * valid * tau).ravel() - psi @ rows
+        return preconditioner.T @ (rows @ residual), (residual.reshape(tau.shape) / design.weights[:, None]).T
+
+    scores, residual = jax.lax.map(one, (jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)))
+    return scores, residual.reshape(-1, residual.shape[-1])
+
+
+def _expression(columns: list[str], lead: int, factors: np.ndarray) -> str:
+    others = [c for c in np.flatnonzero(np.abs(factors) > 1e-6) if c != lead]
+    return columns[lead] + "".join(
+        f" {'-' if factors[c] < 0 else '+'} {abs(factors[c]):.4g} {columns[c]}" for c in others
+    )
