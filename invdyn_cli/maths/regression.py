@@ -118,7 +118,7 @@ def base_parameters(design: Design, solution: Solution, covariance: np.ndarray) 
     return {
         "names": [columns[c] for c in order[:rank]],
         "expressions": [
-            _expression(columns, int(lead), row) for lead, row in zip(order[:rank].tolist(), combine, strict=True)
+            _expression(columns, lead, row) for lead, row in zip(order[:rank].tolist(), combine, strict=True)
         ],
         "values": combine @ solution.psi,
         "std": np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", spread, covariance, spread), 0)),

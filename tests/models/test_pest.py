@@ -169,7 +169,7 @@ def test_base_parameters_are_the_combinations_that_they_say(apollo4):
 
 
 def test_intervals_hold_the_truth_and_white_noise_intervals_do_not(apollo4):
-    """With AR(1) torque noise (autocorrelation time 39 samples) 95 % intervals of the base parameters, pooled over 24
+    """With AR(1) torque noise (autocorrelation time 39 samples) 95 % intervals of the base parameters, pooled over 20
     draws, hold the truth in 85 to 100 %; the usual formula for white residuals, too narrow by up to sqrt(39), in under
     60 %. About 100 independent stretches for 20 parameters leave the sandwich a few per cent below its nominal 95 %."""
     samples, a, size = 60_000, 0.95, 0.5
@@ -180,7 +180,7 @@ def test_intervals_hold_the_truth_and_white_noise_intervals_do_not(apollo4):
     base = oracle_rows(apollo4, motion)[:, :, chosen].reshape(4 * samples, -1)
     white = size * np.sqrt(np.diag(np.linalg.inv(base.T @ base)))
     held, held_white = [], []
-    for draw in range(24):
+    for draw in range(20):
         e = np.random.default_rng(draw).normal(0, size * np.sqrt(1 - a**2), (samples, 4))
         noise = signal.lfilter([1], [1, -a], e, axis=0)
         found = Pest().fit(dataset(apollo4, motion, clean + noise), KEY).details["base_parameters"]
