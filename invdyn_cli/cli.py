@@ -22,7 +22,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run --help                                   all options of a verb
   invdyn --version
 
-Exit code: 0, 1 (a check failed under strict=true), 2 (wrong use, or a job of a sweep failed).
+Exit code: 0, or 2 for wrong use or where a job of a sweep failed.
 """
 
 

@@ -3,11 +3,12 @@
 import hashlib
 import time
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import numpy as np
 
-from invdyn_cli.errors import UsageError
+from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.maths import metrics
 from invdyn_cli.types import Dataset, Fit, Prediction, Robot, RunRecord, Score, Splits
@@ -51,10 +52,15 @@ def run(
     judge = stage("judge")
     judged = {"train": splits.train, "validation": splits.validation, **splits.tests}
     judged = {name: data for name, data in judged.items() if data is not None}
+    if "test" not in judged:
+        raise UsageError(f"the source {type(source).__name__} gives the sets {listed(judged)}; allowed: train, test, …")
     predictions = {}
     for name, data in judged.items():
         predictions[name] = Prediction(data, predict(model, fit, data))
         judge(len(predictions) / len(judged), name)
+    if adaptation.adapts:
+        test = splits.tests["test"]
+        predictions["test_adapted"] = Prediction(test, follow(adaptation, model, fit, test))
     predicted = time.perf_counter()
     members = model.members(fit)
     member_scores = {
@@ -70,7 +76,7 @@ def run(
         predictions={name: p for name, p in predictions.items() if name != "train"},
         scores={name: score(p.data, p.tau) for name, p in predictions.items()},
         member_scores=member_scores,
-        samples={name: data.samples for name, data in judged.items()},
+        samples={name: p.data.samples for name, p in predictions.items()},
         seconds={
             "data": fit_started - started,
             "fit": fitted - fit_started,
@@ -85,6 +91,16 @@ def run(
 def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
     """Torques (samples, n) over all trajectories, each on its own: a model's memory ends with a recording."""
     return np.concatenate([model.predict(fit, x.motion) for x in data.trajectories])
+
+
+def follow(adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
+    """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other."""
+
+    def step(state, sample):
+        motion, tau = sample
+        return adaptation.update(model, state, motion, tau), adaptation.predict(model, state, motion)
+
+    return np.asarray(jax.jit(partial(jax.lax.scan, step))(adaptation.init(model, fit), (data.motion, data.tau))[1])
 
 
 def score(data: Dataset, prediction: np.ndarray) -> Score:

@@ -59,6 +59,9 @@ class AbstractAdapter(abc.ABC):
     that they run in `lax.scan` over a log and sample by sample in a control loop.
     """
 
+    adapts: bool = True
+    """Whether `update` changes anything; then the test set is also judged as it is adapted to ("test_adapted")."""
+
     @abc.abstractmethod
     def fit(
         self,

@@ -21,7 +21,7 @@ TORQUE_UNITS = ("N m", "A")
 TORQUE_SIDES = ("link", "motor", "command", "unknown")
 POSITION_SIDES = ("motor", "link", "unknown")
 CHANNELS = ("q", "tau", "qd", "qdd", "q_ref", "q_link")
-CONVERT = "`invdyn convert` makes logs of rosbag2, mcap, csv, npz, mat"
+CONVERT = "docs/logs.md shows how a log is written"
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _refuse_values(log: Log, trajectory: RawTrajectory, where: str) -> None:
             got = f"{channel}{joint} is {values[tuple(bad[0])]} in row {bad[0, 0]}"
             raise LogError(
                 f"{where}: {got}, {len(bad)} such values in {channel}; allowed: finite ones",
-                advice="`invdyn check`, and a log without these rows",
+                advice="a log without these rows",
             )
     stuck = np.flatnonzero(np.diff(trajectory.t) <= 0)
     if len(stuck):
@@ -186,7 +186,7 @@ def _refuse_values(log: Log, trajectory: RawTrajectory, where: str) -> None:
         what = "repeats" if t[row] == t[row - 1] else "runs backwards"
         raise LogError(
             f"{where}: time {what} in row {row}, from {t[row - 1]:.6g} s to {t[row]:.6g} s; {len(stuck)} such rows",
-            advice="`invdyn check`, and a log without these rows, or with the parts between as trajectories",
+            advice="a log without these rows, or with the parts between as trajectories",
         )
 
 

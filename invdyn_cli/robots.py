@@ -87,7 +87,7 @@ def load_urdf(
     if dropped:
         notes.append(f"dropped with all behind them (robot.dofs={dofs}): {', '.join(dropped)}")
     if dynamics_tags == "ignore" and dynamics.any():
-        notes.append("ignored: <dynamics> damping and friction (robot.dynamics_tags=use takes them)")
+        notes.append("ignored: <dynamics> damping and friction")
         dynamics[:] = 0.0
     return Robot(
         name=root.get("name") or Path(str(path)).stem,

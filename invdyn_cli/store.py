@@ -242,7 +242,10 @@ def _get(node: Any) -> Any:
 
 def _build(kind: type, tree: Mapping[str, Any]) -> Any:
     """A Robot or Fit from its tree: lists become the tuples that they were."""
-    return kind(**{name: tuple(x) if _was_tuple(kind, name) else x for name, x in tree.items()})
+    plain = {
+        name: x.tolist() if isinstance(x, np.ndarray) and _was_tuple(kind, name) else x for name, x in tree.items()
+    }
+    return kind(**{name: tuple(x) if _was_tuple(kind, name) else x for name, x in plain.items()})
 
 
 def _was_tuple(kind: type, name: str) -> bool:

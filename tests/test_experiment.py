@@ -194,3 +194,31 @@ def test_models_keep_their_contract(few, name):
 def test_batch_keeps_its_contract(few, name):
     """`check_adapter` holds for batch learning of each."""
     check_adapter(Batch(), MODELS[name], few)
+
+
+@dataclass(frozen=True)
+class Follower(Batch):
+    """Adds what the last sample lacked."""
+
+    adapts = True
+
+    def init(self, model, fit):
+        return fit.params, fit.robot, jax.numpy.zeros(len(fit.joints))
+
+    def predict(self, model, state, motion):
+        return super().predict(model, state[:2], motion) + state[2]
+
+    def update(self, model, state, motion, tau):
+        return *state[:2], tau - super().predict(model, state[:2], motion)
+
+
+def test_an_adaptation_predicts_before_it_learns():
+    """What adapts is also judged on the test set as it is adapted to: here each sample gets the last one's residual,
+    the first none; what does not adapt is not judged twice."""
+    record = experiment.run(Data(), Constant(), Follower(), None)
+    test = record.predictions["test"]
+    residual = test.data.tau - test.tau
+    expected = test.tau + np.concatenate([np.zeros((1, 2)), residual[:-1]])
+    np.testing.assert_allclose(record.predictions["test_adapted"].tau, expected, atol=1e-12)
+    assert record.scores["test_adapted"].rmse[0] != record.scores["test"].rmse[0]
+    assert "test_adapted" not in experiment.run(Data(), Constant(), Batch(), None).scores

@@ -12,6 +12,8 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 class Batch(AbstractAdapter):
     """The model as it was fitted; new samples change nothing."""
 
+    adapts = False
+
     def fit(
         self,
         model: AbstractModel,

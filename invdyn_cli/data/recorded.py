@@ -267,6 +267,12 @@ def _ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
     if robot.dofs != len(log.joints):
         got = f"robot {robot.name!r} moves {robot.dofs} joints: {listed(robot.joints)}; the log has {len(log.joints)}"
         raise RobotError(f"{got}: {listed(log.joints)}", advice="a URDF of the logged robot, robot.path=…")
+    if known := set(robot.joints) & set(log.joints) if set(robot.joints) != set(log.joints) else set():
+        got = f"robot {robot.name!r} moves {listed(robot.joints)}, the log has {listed(log.joints)}"
+        raise RobotError(
+            f"{got}: only {listed(sorted(known))} in both; allowed: the same names, or all others, taken in order",
+            advice="robot.joints=[…] in the order of the log's columns, or another URDF",
+        )
     if set(robot.joints) != set(log.joints):
         notes.append(f"the log's joints {listed(log.joints)} are taken for the robot's {listed(robot.joints)}")
         return replace(log, joints=robot.joints)

@@ -153,7 +153,7 @@ def summary(record: RunRecord) -> str:
 
 def remarks(record: RunRecord) -> list[str]:
     """What the reader must know before believing the numbers: warnings of the fit, joints without a usable score."""
-    found = list(record.fit.warnings)
+    found = [*record.fit.warnings, *record.split.get("notes", ())]
     for name, score in record.scores.items():
         still = [
             j

@@ -13,7 +13,8 @@ from invdyn_cli.verbs.launch import launch
 
 def main(argv: Sequence[str]) -> int:
     """Run with the overrides in argv, a bare path meaning run=PATH; the exit code."""
-    return launch("report", [a if "=" in a or a.startswith("-") else f"run={a}" for a in argv], task)
+    known = ("run=", "formats=", "hydra", "-")
+    return launch("report", [a if a.startswith(known) else "run='" + a.replace("'", r"\'") + "'" for a in argv], task)
 
 
 def task(config: DictConfig) -> None:

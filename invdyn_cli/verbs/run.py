@@ -2,6 +2,7 @@
 
 import datetime
 import importlib.metadata
+import json
 import platform
 import subprocess
 import traceback
@@ -16,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from invdyn_cli import experiment, store
-from invdyn_cli.errors import InvdynError, UsageError, listed
+from invdyn_cli.errors import InvdynError, RobotError, UsageError, listed
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
@@ -65,13 +66,15 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
     source = _object(config, "data", AbstractSource)
     model = _object(config, "model", AbstractModel)
     adaptation = _object(config, "adaptation", AbstractAdapter)
-    robot = make_robot(config, source.header())
+    robot = make_robot(config, source.header(), optional=not (source.needs_robot or model.needs_robot), console=console)
     for note in robot.notes if robot else ():
         console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
     with screen.stages(quiet=console.quiet) as stage:
         made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
         record = _with_origin(made, config, started, view or job())
         write(record, folder, tuple(config.figures.formats), stage("write"))
+    for note in record.split.get("notes", ()):
+        console.print(f"[dim]data: {escape(note)}[/]", highlight=False)
     console.print(tables.score_table(record))
     for warning in record.fit.warnings:
         console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
@@ -92,8 +95,11 @@ def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), pr
     progress(1.0, "done")
 
 
-def make_robot(config: DictConfig, header: Header | None) -> Robot | None:
-    """The robot of the config; what it leaves open (path, joints) the data fill in. None where nobody knows any."""
+def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Console) -> Robot | None:
+    """The robot of the config; what it leaves open (path, joints) the data fill in.
+
+    None where nobody knows any, or where it is `optional` and the URDF that the data name cannot be used, with a word.
+    """
     node = config.robot
     path = node.path or (header.urdf if header else "")
     if not path:
@@ -105,7 +111,13 @@ def make_robot(config: DictConfig, header: Header | None) -> Robot | None:
     joints = node.joints
     if joints is None and header is not None and node.tip is None:
         joints = list(header.joints)
-    return instantiate(node, path=str(path), joints=joints)()
+    try:
+        return instantiate(node, path=str(path), joints=joints)()
+    except RobotError as error:
+        if not optional or node.path:
+            raise
+        console.print(f"[yellow]no robot: {escape(str(error))}[/]", highlight=False)
+        return None
 
 
 def _refuse_options(config: DictConfig) -> None:
@@ -124,6 +136,11 @@ def _object(config: DictConfig, group: str, kind: type) -> Any:
     made = instantiate(config[group])
     if not isinstance(made, kind):
         raise UsageError(f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}")
+    try:
+        json.dumps(store.encode(made))
+    except TypeError:
+        got = f"{group}: a {type(made).__name__} cannot be stored with its run"
+        raise UsageError(f"{got}; allowed: a frozen dataclass whose fields are plain values or such objects") from None
     return made
 
 

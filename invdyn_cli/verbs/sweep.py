@@ -22,18 +22,18 @@ def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
     argv = list(argv)
     if not {"-m", "--multirun"} & set(argv) or any(a.startswith("hydra.sweep.dir=") for a in argv):
         return argv
-    overrides = sorted(a for a in argv if not a.startswith("-") and not a.startswith("hydra."))
+    overrides = sorted(a for a in argv if not a.startswith(("-", "hydra.", "hydra/")))
     return [*argv, f"hydra.sweep.dir=outputs/sweeps/{verb}-{hashlib.sha256(repr(overrides).encode()).hexdigest()[:8]}"]
 
 
 def is_complete(config: DictConfig, folder: Path) -> bool:
-    """Whether the folder holds this very job, finished, and no log that it read was written since."""
+    """Whether the folder holds this very job, finished, and no log or URDF that it names was written since."""
     done = folder / "metrics.json"
     if not done.is_file() or not (folder / "run.h5").is_file():
         return False
-    paths = config.data.get("path") or []
-    logs = [Path(x) for x in ([paths] if isinstance(paths, str) else paths)]
-    if any(log.is_file() and log.stat().st_mtime > done.stat().st_mtime for log in logs):
+    named = [config.data.get("path") or [], config.robot.get("path") or []]
+    files = [Path(x).expanduser() for given in named for x in ([given] if isinstance(given, str) else given)]
+    if any(file.is_file() and file.stat().st_mtime > done.stat().st_mtime for file in files):
         return False
     try:
         return store.load_run(folder / "run.h5").config == OmegaConf.to_yaml(config, resolve=True)
@@ -53,6 +53,11 @@ class Summary(Callback):
 
     Raises SystemExit with the command's exit code 2 where a job failed.
     """
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Forget how the jobs of an earlier sweep in this folder went; what they wrote stays."""
+        for path in Path(config.hydra.sweep.dir).glob(f"*/{STATUS}"):
+            path.unlink()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Read what the jobs left in their folders."""

@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import json
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,9 @@ from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid, Job
 from invdyn_cli.verbs import run, screen, sweep
 from invdyn_cli.verbs.launch import config_folder, launch
+
+WIDTH = 150
+"""Columns of a table that goes into a file or a pipe."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -50,7 +54,7 @@ def task(config: DictConfig) -> None:
     grid = _grid(spec, done, real_data)
     statements = comparison.judge(spec["statements"], done) if spec.get("statements") else None
     _write(spec, grid, statements, folder)
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else WIDTH)
     for title, found in ((spec["title"], grid), ("Beside the paper's statements", statements)):
         if found:
             console.print(_table(title, found))

@@ -356,6 +356,12 @@ def test_logs_that_do_not_belong_together_are_refused(log):
     refused(lambda: RealLog([a, b], train=["run"]).load(None), LogError, "'run' is in several logs", "a/run, b/run")
 
 
+def test_names_that_agree_only_in_part_are_refused(log):
+    """Where some joints have the log's names and others do not, order proves nothing: it is refused, with the names."""
+    with pytest.raises(RobotError, match="only elbow in both"):
+        RealLog(log()).load(robot("elbow", "hand"))
+
+
 def test_a_robot_with_other_joints_is_refused(log):
     """As many joints as the log has columns, or one line with both lists."""
     refused(

@@ -102,6 +102,29 @@ def test_a_log_without_urdf(command):
     assert json.loads(Path(said.out[-1], "metrics.json").read_text())["joints"] == ["shoulder", "elbow"]
 
 
+def test_a_log_whose_urdf_is_not_there_still_serves_a_net(command):
+    """A model that needs no kinematics runs on a log that names a missing URDF, with a word; PEST is refused."""
+    make_log(Path("log.h5"), urdf="gone.urdf")
+    said = command("run", *NETS, "data=real_log", "data.path=log.h5")
+    assert said.code == 0, said.err
+    assert "gone.urdf" in "".join(said.out)
+    assert command("run", "model=pest", "data=real_log", "data.path=log.h5").code == 2
+
+
+def test_a_model_that_cannot_be_stored_is_refused_before_it_learns(command):
+    """A class that is no dataclass is refused in one line, and nothing is written."""
+    Path("odd.py").write_text(
+        "from invdyn_cli.interfaces import AbstractModel\n"
+        "class Odd(AbstractModel):\n"
+        "    init = apply = fit = lambda *a, **k: None\n"
+    )
+    Path("model").mkdir()
+    Path("model/odd.yaml").write_text("_target_: odd.Odd\n")
+    said = command("run", "model=odd", "hydra.run.dir=out")
+    assert said.code == 2 and len(said.err) == 1 and "frozen dataclass" in said.err[0]
+    assert not list(Path().glob("out/*.h5"))
+
+
 def broken_log(**header):
     """Makes log.h5 without a URDF; trajectories=… in place of a sound one."""
     trajectories = header.pop("trajectories", None)
@@ -145,7 +168,7 @@ MISUSE = {
     "no class": (NO_FILES, ("model._target_=nowhere.Model",), "No module named 'nowhere'"),
     "no path": (NO_FILES, ("data=real_log",), "data.path is not set. Try: data.path="),
     "no log": (broken_log(), ("data=real_log", "data.path=lag.h5"), "no log lag.h5, did you mean 'log.h5'?"),
-    "not HDF5": (lambda: Path("log.h5").write_text("t,q,tau\n"), LOG, "not an HDF5 file", "invdyn convert"),
+    "not HDF5": (lambda: Path("log.h5").write_text("t,q,tau\n"), LOG, "not an HDF5 file", "docs/logs.md"),
     "cut off": (cut_off, LOG, "log.h5 is cut off or corrupt"),
     "no log format": (broken_log(format="other"), LOG, "attribute format is other; allowed: invdyn-log"),
     "wrong version": (broken_log(version=2), LOG, "version is 2; allowed: 1"),

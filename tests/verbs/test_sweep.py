@@ -147,3 +147,23 @@ def test_side_by_side(command):
     assert said.code == 2
     assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed"]
     assert sorted(line.split(":")[0] for line in said.err) == ["job 0 ran", "job 1 failed"]
+
+
+def test_only_the_jobs_of_this_sweep_count(command):
+    """Rows of an earlier, larger sweep in the same folder are not shown, and its failures do not fail this one."""
+    assert command("run", "-m", *JOB, "model.threshold=-1,-2", "hydra.sweep.dir=sweep").code == 2
+    said = command("run", "-m", *JOB, "hydra.sweep.dir=sweep")
+    assert said.code == 0, said.err
+    assert [row["status"] for row in rows_of(Path("sweep"))] == ["ran"]
+
+
+def test_a_log_written_since_is_read_again(command):
+    """A complete job on a log is kept while the log stays as it is, and run again when the log is newer."""
+    make_log(Path("log.h5"), urdf="")
+    argv = ("run", "-m", "model=ffnn", "model.epochs=1", "data=real_log", "data.path=log.h5", "seed=0")
+    statuses = []
+    for again in (False, False, True):
+        if again:
+            make_log(Path("log.h5"), urdf="")
+        statuses += [row["status"] for row in rows_of(folder_of(command(*argv)))]
+    assert statuses == ["ran", "kept", "ran"]
