@@ -44,6 +44,9 @@ def run(
         )
     started = time.perf_counter()
     splits = source.load(robot, stage("data"))
+    if "test" not in splits.tests:
+        got = f"the source {type(source).__name__} gives {listed(splits.tests)} to be judged on"
+        raise UsageError(f"{got}; allowed: test, and others beside it")
     fit_started = time.perf_counter()
     fit = adaptation.fit(
         model, splits.train, jax.random.key(seed), validation=splits.validation, progress=stage("learn")
@@ -52,8 +55,6 @@ def run(
     judge = stage("judge")
     judged = {"train": splits.train, "validation": splits.validation, **splits.tests}
     judged = {name: data for name, data in judged.items() if data is not None}
-    if "test" not in judged:
-        raise UsageError(f"the source {type(source).__name__} gives the sets {listed(judged)}; allowed: train, test, …")
     predictions = {}
     for name, data in judged.items():
         predictions[name] = Prediction(data, predict(model, fit, data))

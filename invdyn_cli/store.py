@@ -22,6 +22,8 @@ from invdyn_cli.types import Dataset, Fit, Motion, Prediction, Robot, RunRecord,
 
 RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
+RUN, METRICS = "run.h5", "metrics.json"
+"""What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
 
 
 def write_run(record: RunRecord, path: Path) -> None:

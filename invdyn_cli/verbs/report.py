@@ -20,7 +20,7 @@ def main(argv: Sequence[str]) -> int:
 def task(config: DictConfig) -> None:
     """Read, draw, say where."""
     path = Path(config.run)
-    path = path / "run.h5" if path.is_dir() else path
+    path = path / store.RUN if path.is_dir() else path
     record = store.load_run(path)
     drawn = figures.draw_all(record, path.parent / "figures", ("png", *config.formats))
     page.write_page(record, [x for x in drawn if x.suffix == ".png"], path.parent / "report.html")

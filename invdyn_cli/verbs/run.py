@@ -26,7 +26,6 @@ from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 
 PACKAGES = ("invdyn", "jax", "jaxlib", "flax", "optax", "numpy", "scipy", "pin", "hydra-core", "h5py")
 FORMATS = ("png", "svg", "pdf")
-METRICS = "metrics.json"
 
 
 def main(argv: Sequence[str]) -> int:
@@ -85,13 +84,13 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
 def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), progress: Progress = silent) -> None:
     """All files of a run; metrics.json comes last: where it is, the run is complete."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / METRICS).unlink(missing_ok=True)
-    store.write_run(record, folder / "run.h5")
+    (folder / store.METRICS).unlink(missing_ok=True)
+    store.write_run(record, folder / store.RUN)
     progress(0.2, "figures")
     drawn = figures.draw_all(record, folder / "figures", tuple({"png", *formats}))
     progress(0.9, "report")
     page.write_page(record, [path for path in drawn if path.suffix == ".png"], folder / "report.html")
-    store.write_metrics(record, folder / METRICS)
+    store.write_metrics(record, folder / store.METRICS)
     progress(1.0, "done")
 
 

@@ -28,15 +28,15 @@ def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
 
 def is_complete(config: DictConfig, folder: Path) -> bool:
     """Whether the folder holds this very job, finished, and no log or URDF that it names was written since."""
-    done = folder / "metrics.json"
-    if not done.is_file() or not (folder / "run.h5").is_file():
+    done = folder / store.METRICS
+    if not done.is_file() or not (folder / store.RUN).is_file():
         return False
     named = [config.data.get("path") or [], config.robot.get("path") or []]
     files = [Path(x).expanduser() for given in named for x in ([given] if isinstance(given, str) else given)]
     if any(file.is_file() and file.stat().st_mtime > done.stat().st_mtime for file in files):
         return False
     try:
-        return store.load_run(folder / "run.h5").config == OmegaConf.to_yaml(config, resolve=True)
+        return store.load_run(folder / store.RUN).config == OmegaConf.to_yaml(config, resolve=True)
     except Exception:  # whatever is wrong with that file, the job has to run again
         return False
 
@@ -90,7 +90,7 @@ def _row(folder: Path) -> dict[str, Any]:
         "seconds": None,
     }
     if row["status"] != "failed":
-        found = json.loads((folder / "metrics.json").read_text())
+        found = json.loads((folder / store.METRICS).read_text())
         row["test_nmse"] = found["test"]["nmse"]["mean"]
         row["test_rmse"] = found["test"]["rmse"]["mean"]
         row["seconds"] = found["seconds"]["total"]

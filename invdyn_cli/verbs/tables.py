@@ -97,7 +97,7 @@ def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[
         del composed["hydra"]
     if fresh or not sweep.is_complete(composed, folder):
         run.execute(composed, folder, view=view)
-    return json.loads((folder / run.METRICS).read_text())
+    return json.loads((folder / store.METRICS).read_text())
 
 
 def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:
