@@ -1,4 +1,5 @@
-"""The nouns: Robot, Motion, Trajectory, Dataset, Splits, Fit, Score, RunRecord. Frozen, without behaviour of their own.
+"""The nouns: Robot, Motion, Trajectory, Dataset, Splits, Fit, Score, RunRecord, Check, Finding, Diagnosis. Frozen,
+without behaviour of their own.
 
 Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's
 order. Importing this module switches jax to 64 bit: identification in float32 loses the small singular values that
@@ -229,3 +230,150 @@ class RunRecord:
     config: str = ""
     overrides: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at in a log, a line of check.json.
+
+    Attributes:
+        check: its name (unit_error, gaps, …).
+        severity: "ok", "note", "warn" or "fail" (fail: no physics on this log).
+        trajectory, joint: where; None for all.
+        value: what was measured (a factor, seconds, a permutation, …), None where there is no number.
+        threshold: what it was compared with.
+        seen, meaning, advice, source: sentences: what was seen, what it means, what to do, where the threshold is from.
+    """
+
+    check: str
+    severity: str
+    trajectory: str | None = None
+    joint: str | None = None
+    value: Any = None
+    threshold: Any = None
+    seen: str = ""
+    meaning: str = ""
+    advice: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What the doctor says of a log: whether physics may start on it, every check, and per joint what it excites."""
+
+    usable: bool
+    checks: tuple[Check, ...]
+    excitation: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter of an effect: a number, a list of them or a name, its unit, and its 95 % interval (None: none)."""
+
+    value: Any
+    unit: str
+    interval95: Any = None
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Held-out error of one joint without and with one effect [N m; N], and the 95 % interval of rmse_before -
+    rmse_after."""
+
+    rmse_before: float
+    rmse_after: float
+    nmse_before: float
+    nmse_after: float
+    interval95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One cause, as a line of diagnosis.json.
+
+    Attributes:
+        effect: its name, as in the library of effects.
+        joint: the joint it acts on, None for the whole arm.
+        status: "named", "ambiguous", "not_excited" or "not_observable" (the last two are no claims).
+        alternatives: sets of effects, each of which would replace it on this data.
+        parameters: by name.
+        gain: by joint.
+        trajectory, window: for what comes and goes.
+        evidence: numbers that led to it.
+        rejected: (effect, why not) of every rival.
+        advice: what to record to be surer.
+    """
+
+    effect: str
+    joint: str | None
+    status: str
+    alternatives: tuple[tuple[str, ...], ...] = ()
+    parameters: Mapping[str, Quantity] = field(default_factory=dict)
+    gain: Mapping[str, Gain] = field(default_factory=dict)
+    trajectory: str | None = None
+    window: tuple[float, float] | None = None
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    rejected: tuple[tuple[str, str], ...] = ()
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What the pictures of a diagnosis are drawn from, rows of all trajectories one below the other, filtered alike.
+
+    Attributes:
+        trajectory: (R,) name of each row's trajectory.
+        t: (R,) [s].
+        q, qd, qdd: (R, n).
+        tau: (R, n) logged torque.
+        nominal: (R, n) torque of the nominal model.
+        extended: (R, n) torque of the extended model.
+        terms: one (R, n) for every named or ambiguous finding, in their order: what it adds to the torque.
+        valid: (R, n) bool, False where a joint rests and its friction can be anything.
+        held_out: (R,) bool, rows that chose nothing.
+    """
+
+    trajectory: Array
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    nominal: Array
+    extended: Array
+    terms: tuple[Array, ...]
+    valid: Array
+    held_out: Array
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a simulation gets wrong, as diagnosis.json has it, and what its pictures need.
+
+    Attributes:
+        verdict: "explained", "partly_explained", "nothing_found" or "log_unusable".
+        examination: what the doctor said.
+        findings: named and ambiguous ones first, by gain; then what this log could not show.
+        baseline, extended: held-out {joint: {"rmse", "nmse"}} of the nominal and the extended model.
+        noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
+        unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.
+        summary: the verdict in two sentences.
+        model, fit: the extended model and its parameters, None where the log is unusable.
+        signals: for the pictures, None where the log is unusable.
+        notes: what the user should know: what was mended, declared, left out.
+        details: filter, rates, tries and other numbers worth keeping.
+    """
+
+    verdict: str
+    examination: Examination
+    findings: tuple[Finding, ...]
+    baseline: Mapping[str, Mapping[str, float]]
+    extended: Mapping[str, Mapping[str, float]]
+    noise_floor: Mapping[str, Mapping[str, float]] | None
+    unexplained: Mapping[str, float]
+    summary: str = ""
+    model: Any = None
+    fit: Fit | None = None
+    signals: Signals | None = None
+    notes: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
