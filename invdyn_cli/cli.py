@@ -7,6 +7,7 @@ from importlib import import_module
 VERBS = {
     "run": "one experiment, or a sweep with -m: data, model, adaptation",
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
+    "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
     "report": "draw the figures and the page of a run.h5 anew",
 }
 

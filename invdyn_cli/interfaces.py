@@ -6,14 +6,14 @@ given back; randomness comes from a key. `invdyn_cli.testing` checks whether an 
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
 
-from invdyn_cli.types import Array, Dataset, Fit, Header, Motion, PyTree, Robot, Splits
+from invdyn_cli.types import Array, Check, Dataset, Fit, Header, Motion, PyTree, Robot, Splits
 
 Progress = Callable[[float, str], None]
 """Called with the share that is done, 0 to 1, and a short note (a loss, say)."""
@@ -100,6 +100,154 @@ class AbstractSource(abc.ABC):
     @abc.abstractmethod
     def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
         """The data, split. Raises LogError for a log that cannot be used as asked."""
+
+
+class Parameter(NamedTuple):
+    """A parameter of an effect: its unit, and the bounds outside of which it is no physics."""
+
+    unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+class JointState(NamedTuple):
+    """One joint over time, (T,) each or one sample: t [s], q, qd, qdd, sign(qd) without jumps at rest, and the rigid
+    body's torque [N m; N] that the joint transmits."""
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    sign: Array
+    transmitted: Array
+
+
+Parameters = Mapping[str, Any]
+"""Parameters of an effect by name, in the units that the effect declares."""
+
+
+class AbstractEffect(abc.ABC):
+    """A physical cause that a simulation may lack. It acts at one of four points, composed in this order: on the
+    motion, on the bodies, on a joint's torque, on the channel (logged -> delivered); each has its class below.
+
+    Its formula appears twice: linear for the search (`basis`, and `read` back into parameters), which tries the
+    nonlinear parameters that `shapes` lists, and as it stands (`term` and the like) for the extended model. Array
+    functions come from the arrays themselves (`x.__array_namespace__()`): numpy or jax alike.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    equation: ClassVar[str]
+    reference: ClassVar[str]
+    parameters: ClassVar[Mapping[str, Parameter]]
+    point: ClassVar[str]
+    """Where it acts: torque, channel, body or motion; its base class says so."""
+    sides: ClassVar[tuple[str, ...]] = ("link", "motor", "command", "unknown")
+    """Torque sides on which it shows."""
+    confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Sets of effects that theory allows to stand for it on some logs."""
+    contains: ClassVar[tuple[str, ...]] = ()
+    """Effects that are special cases of it: the simpler one is named unless the data ask for more."""
+    advice: ClassVar[str] = ""
+    """What to record to tell it from its confounders."""
+    picture: ClassVar[str] = "t"
+    """Over what its picture is drawn: t, q, qd, qdd, load, slope (d torque / dt) or body."""
+
+    def refuse(self, parameters: Parameters) -> str:
+        """Why these values are no physics, "" if they are."""
+        for name, bound in self.parameters.items():
+            value = np.asarray(parameters[name])
+            if value.dtype.kind in "fi" and (np.any(value < bound.lower) or np.any(value > bound.upper)):
+                return f"{name} would be {np.round(value, 4)} {bound.unit}; possible: {bound.lower:g} to {bound.upper:g}"
+        return ""
+
+
+class AbstractTorqueEffect(AbstractEffect):
+    """An effect that adds to one joint's torque."""
+
+    point = "torque"
+
+    @abc.abstractmethod
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        """What it adds to the logged torque [N m; N], shape of the state's arrays."""
+
+    def shapes(self, state: JointState) -> Sequence[Parameters]:
+        """Values of the nonlinear parameters to try on this motion."""
+        return ({},)
+
+    @abc.abstractmethod
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        """The columns whose linear combination is the term, for a trial's nonlinear parameters."""
+
+    @abc.abstractmethod
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        """Parameters from the columns' coefficients."""
+
+
+class AbstractChannelEffect(AbstractEffect):
+    """An effect between the logged torque of a joint and what the joint receives."""
+
+    point = "channel"
+
+    @abc.abstractmethod
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        """Parameters to try on a logged torque tau (T,) at `rate` [Hz]; each gets a free small correction."""
+
+    @abc.abstractmethod
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        """What reaches the joint of a logged torque (T,) at `rate` [Hz]."""
+
+    @abc.abstractmethod
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        """What is logged where tau (T,) at `rate` [Hz] reaches the joint."""
+
+
+class AbstractBodyEffect(AbstractEffect):
+    """An effect on masses or gravity: another robot."""
+
+    point = "body"
+
+    @abc.abstractmethod
+    def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
+        """The robot with the effect."""
+
+    @abc.abstractmethod
+    def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
+        """Directions in which it moves inertials (n, 10) and gravity (3,), and how far at most; the torque is linear
+        in both, so that each gives a column."""
+
+    @abc.abstractmethod
+    def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
+        """Parameters from the columns' coefficients."""
+
+
+class AbstractMotionEffect(AbstractEffect):
+    """An effect between the logged and the true motion."""
+
+    point = "motion"
+
+    @abc.abstractmethod
+    def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
+        """The true motion of a logged one, (n, *batch) arrays."""
+
+
+class AbstractCheck(abc.ABC):
+    """One thing that the doctor looks at in a log. Its fields are thresholds, each with its source beside it.
+
+    Checks are asked in turn, each on the log as those before it have mended it: what comes late may trust the clock and
+    the units.
+    """
+
+    name: ClassVar[str] = ""
+    """What its lines in check.json are called."""
+
+    @abc.abstractmethod
+    def examine(self, log: Any, robot: Robot | None) -> list[Check]:
+        """What was seen in a `logfile.Log`, nothing where all is well; without a robot, what can be told without one."""
+
+    def mend(self, log: Any, found: Sequence[Check], robot: Robot | None) -> tuple[Any, list[str]]:
+        """The log with this check's own findings put right where that is certain, and a sentence for each mending."""
+        return log, []
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""RunRecord <-> run.h5 (schema invdyn-run/1) and metrics.json (schema invdyn-metrics/1). No pickle.
+"""RunRecord <-> run.h5 (schema invdyn-run/1), metrics.json (schema invdyn-metrics/1), diagnosis.json. No pickle.
 
 A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects
 (models, adaptations) are stored as the import path of their class and their fields, and built again by calling it.
@@ -18,10 +18,23 @@ import numpy as np
 
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
-from invdyn_cli.types import Dataset, Fit, Motion, Prediction, Robot, RunRecord, Score, Trajectory
+from invdyn_cli.types import (
+    Dataset,
+    Diagnosis,
+    Examination,
+    Finding,
+    Fit,
+    Motion,
+    Prediction,
+    Robot,
+    RunRecord,
+    Score,
+    Trajectory,
+)
 
 RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
+DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
 RUN, METRICS = "run.h5", "metrics.json"
 """What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
 
@@ -137,8 +150,60 @@ def metrics(record: RunRecord) -> dict[str, Any]:
 
 def write_metrics(record: RunRecord, path: Path) -> None:
     """Write metrics.json, aside and renamed; numbers that do not exist (NaN, infinity) as null."""
-    text = json.dumps(_without_nan(metrics(record)), indent=1)
+    text = json.dumps(plain(metrics(record)), indent=1)
     write_aside(path, lambda part: part.write_text(text + "\n"))
+
+
+def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) -> None:
+    """Write diagnosis.json, aside and renamed; `files` names what lies beside it (model, urdf, mjcf, report).
+
+    "summary", "notes" and "details" are additions to the schema of the design.
+    """
+    tree = {
+        "schema": DIAGNOSIS_SCHEMA,
+        "verdict": diagnosis.verdict,
+        "summary": diagnosis.summary,
+        "log_checks": examination_as_dict(diagnosis.examination),
+        "findings": [_finding_tree(x) for x in diagnosis.findings],
+        "baseline": diagnosis.baseline,
+        "extended": diagnosis.extended,
+        "noise_floor": diagnosis.noise_floor,
+        "unexplained": diagnosis.unexplained,
+        "files": files,
+        "notes": diagnosis.notes,
+        "details": diagnosis.details,
+    }
+    text = json.dumps(plain(tree), indent=1, ensure_ascii=False, allow_nan=False)
+    write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
+
+
+def examination_as_dict(examination: Examination) -> dict[str, Any]:
+    """{"usable", "checks", "excitation"} as in check.json, numbers that do not exist as None."""
+    checks = [vars(x) for x in examination.checks]
+    return plain({"usable": examination.usable, "checks": checks, "excitation": examination.excitation})
+
+
+def plain(value: Any) -> Any:
+    """A tree that JSON can hold: arrays and tuples as lists, numpy's numbers as Python's, NaN and infinity as None,
+    what is none of these as text."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | bool | int) else str(value)
+
+
+def _finding_tree(finding: Finding) -> dict[str, Any]:
+    return {
+        **vars(finding),
+        "parameters": {name: vars(x) for name, x in finding.parameters.items()},
+        "gain": {joint: vars(x) for joint, x in finding.gain.items()},
+        "rejected": [{"effect": effect, "why": why} for effect, why in finding.rejected],
+    }
 
 
 def write_aside(path: Path, write: Callable[[Path], Any]) -> None:
@@ -252,11 +317,3 @@ def _build(kind: type, tree: Mapping[str, Any]) -> Any:
 
 def _was_tuple(kind: type, name: str) -> bool:
     return str(kind.__annotations__[name]).startswith("tuple")
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {k: _without_nan(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -48,7 +48,7 @@ BREACHES = {
     "report/page.py": ("import h5py", "Only store and logfile open HDF5"),
     "store.py": ("from omegaconf import OmegaConf", "Only the verbs know of configs"),
     "data/sim.py": ("import pinocchio", "robots is the only door to Pinocchio"),
-    "training.py": ("import mujoco", "Nothing opens MuJoCo yet"),
+    "training.py": ("import mujoco", "Only the simulation opens MuJoCo"),
 }
 
 

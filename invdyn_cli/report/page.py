@@ -1,6 +1,5 @@
 """One run as one HTML file that needs nothing else: figures inside, no script, good in light, dark and print."""
 
-import base64
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
 from invdyn_cli.report.tables import (
     choice,
     member_spread,
@@ -52,48 +52,10 @@ EXACT = 1e-12
 APART = 2.0
 """Ratio of test to train NMSE from which the two are called different; below it, sets of one kind scatter as much."""
 
-STYLE = """
-:root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
-  --worst: #b84e00; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12;
-    --worst: #ff9a57; } }
-body { max-width: 68rem; margin: 2rem auto; padding: 0 1.2rem; color: var(--ink); background: var(--ground);
-  font: 1rem/1.5 system-ui, sans-serif; }
-h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
-.sub, figcaption, caption, .note { color: var(--soft); font-size: .9rem; } .sub { margin-top: .2rem; }
-.lead { font-size: 1.1rem; max-width: 52rem; } .warning { background: var(--mark); border-left: 4px solid #d55e00;
-  padding: .4rem .8rem; margin: .4rem 0; }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
-th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }
-thead tr:first-child th[colspan] { text-align: center; border-bottom: 0; }
-tr.mean td { font-weight: 600; border-top: 2px solid var(--soft); } b.worst { color: var(--worst); }
-.scores td:nth-child(even), thead th[colspan], thead tr + tr th:nth-child(odd) { padding-left: 1.8rem; }
-thead tr + tr th:first-child { text-align: right; }
-table.pairs td { text-align: left; white-space: normal; overflow-wrap: anywhere; vertical-align: top; }
-table.pairs td:first-child { color: var(--soft); white-space: nowrap; }
-figure { margin: 1.4rem 0; break-inside: avoid; } figure img { width: 100%; box-sizing: border-box; padding: .4rem;
-  background: #fff; border-radius: 4px; }
-td small { display: block; white-space: normal; max-width: 40rem; color: var(--soft); }
-pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
-summary { cursor: pointer; margin-bottom: .4rem; }
-@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
-  th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
-  details::details-content { content-visibility: visible; } }
-"""
-
 
 def write_page(record: RunRecord, figures: Iterable[str | Path], path: str | Path) -> Path:
     """Write the report of a run to `path`, whole or not at all; of `figures`, the PNG files are put inside."""
-    path = Path(path)
-    aside = path.with_name(f".{path.name}.tmp")
-    try:
-        aside.write_text(page(record, [Path(x) for x in figures]), encoding="utf-8")
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
-    return path
+    return write_whole(Path(path), page(record, [Path(x) for x in figures]))
 
 
 def page(record: RunRecord, figures: Sequence[Path]) -> str:
@@ -105,21 +67,17 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
     sections = [
         ("Scores", _scores(record)),
         ("Figures", "".join(_figure(x) for x in figures if x.suffix == ".png")),
-        ("Fit", _pairs(_fit_facts(record)) + _base_parameters(record.fit.details.get("base_parameters"))),
+        ("Fit", pairs(_fit_facts(record)) + _base_parameters(record.fit.details.get("base_parameters"))),
         ("Robot", _robot(record)),
-        ("Data", _pairs({"samples": record.samples, **record.split, "hash": record.digest})),
-        ("Provenance", _pairs({"overrides": record.overrides, **record.provenance})),
-        ("Config", _folded("the resolved config", f"<pre>{escape(record.config)}</pre>") if record.config else ""),
+        ("Data", pairs({"samples": record.samples, **record.split, "hash": record.digest})),
+        ("Provenance", pairs({"overrides": record.overrides, **record.provenance})),
+        ("Config", folded("the resolved config", f"<pre>{escape(record.config)}</pre>") if record.config else ""),
     ]
-    body = "".join(f"<section><h2>{name}</h2>{content}</section>\n" for name, content in sections if content)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n<body>"
-        f'<h1>{escape(title)}</h1><p class="sub">{escape(under)}</p>\n'
-        f'<p class="lead">{escape(summary(record))}</p>\n'
+    return document(
+        title,
+        f'<p class="sub">{escape(under)}</p>\n<p class="lead">{escape(summary(record))}</p>\n'
         + "".join(f'<p class="warning">{escape(x)}</p>\n' for x in remarks(record))
-        + f"{body}</body></html>\n"
+        + "".join(section(name, content) for name, content in sections),
     )
 
 
@@ -229,7 +187,7 @@ def _base_parameters(found: Mapping[str, Any] | None) -> str:
         body += f"<tr><td>{label}</td><td>{round_by_error(value, error)}</td><td>{share}</td></tr>"
     head = "<thead><tr><th>base parameter</th><th>value ± standard error</th><th>relative</th></tr></thead>"
     table = f'<div class="wide"><table>{head}<tbody>{body}</tbody></table></div>'
-    return _folded(f"{len(values)} base parameters", table, shown=True)
+    return folded(f"{len(values)} base parameters", table, shown=True)
 
 
 def _robot(record: RunRecord) -> str:
@@ -238,34 +196,8 @@ def _robot(record: RunRecord) -> str:
         return "<p>No robot description was used.</p>"
     kinds = [x + " (slides)" * slides for x, slides in zip(robot.joints, robot.prismatic, strict=True)]
     notes = "".join(f"<li>{escape(x)}</li>" for x in robot.notes)
-    return _pairs({"name": robot.name, "joints": kinds}) + (f"<ul>{notes}</ul>" if notes else "")
+    return pairs({"name": robot.name, "joints": kinds}) + (f"<ul>{notes}</ul>" if notes else "")
 
 
 def _figure(path: Path) -> str:
-    caption = CAPTIONS.get(path.stem, path.stem.replace("_", " "))
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    alt = escape(caption.partition(".")[0], quote=True)
-    image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
-    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
-
-
-def _folded(label: str, content: str, *, shown: bool = False) -> str:
-    return f"<details{' open' * shown}><summary>{escape(label)}</summary>{content}</details>"
-
-
-def _pairs(facts: Mapping[str, Any]) -> str:
-    """A two-column table; what is nested comes out as dotted names, what is empty is left out."""
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(facts) if v)
-    return f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
-
-
-def _flat(facts: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:
-    for name, value in facts.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{above}{name}.")
-        elif isinstance(value, list | tuple):
-            yield f"{above}{name}", ", ".join(map(str, value))
-        elif isinstance(value, float | np.floating):
-            yield f"{above}{name}", f"{value:.6g}"
-        else:
-            yield f"{above}{name}", "" if value is None else str(value)
+    return picture(path, CAPTIONS.get(path.stem, path.stem.replace("_", " ")))

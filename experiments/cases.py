@@ -1,0 +1,222 @@
+"""Logs with something hidden in them: arm, motion, effect, size, joint and noise drawn at random, played by MuJoCo.
+
+What is hidden is known here alone; nothing in this file shares code with what looks for it. Sizes are drawn in shares of
+the torque that the joint has anyway, so that they suit every arm.
+"""
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin  # pyright: ignore[reportMissingImports]
+from scipy.interpolate import make_interp_spline
+
+from experiments.arms import random_arm
+from invdyn_cli.logfile import Log
+from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.simulation import plant
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.references import AbstractReference, ConstantSpeed, Multisine, PickPlace
+from invdyn_cli.simulation.sensors import Noise
+from invdyn_cli.types import Robot
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log, the robot that everybody believes it is of, what was hidden, and by how much it is above the noise.
+
+    `share` is the largest ratio, over joints, of the RMS torque that the hidden effects make to that of the noise.
+    """
+
+    robot: Robot
+    log: Log
+    hidden: tuple[Hidden, ...]
+    share: float
+    said: str
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a case is drawn on: the arm and its motion, and per joint the RMS of nominal torque, speed, acceleration."""
+
+    robot: Robot
+    reference: AbstractReference
+    duration: float
+    seed: int
+    torque: np.ndarray
+    q: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    highest: np.ndarray
+
+
+def draw_scene(draw: np.random.Generator, joints: int | None = None) -> Scene:
+    """An arm (one in three the built-in one, one in three of the others not upright) and its motion, 20 to 60 s."""
+    if joints is None and draw.random() < 1 / 3:
+        robot = load_urdf("apollo_arm")
+    else:
+        tilted = list(draw.uniform([-1.5, -1.5, 0], [1.5, 1.5, 0])) if draw.random() < 1 / 3 else None
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(random_arm(draw, joints or int(draw.integers(3, 8))))
+            robot = load_urdf(path, base_rpy=tilted)
+    kind = draw.choice(3, p=[0.6, 0.25, 0.15])
+    speed = draw.uniform(0.3, 0.6)
+    reference = (
+        Multisine(speed=speed, amplitude=draw.uniform(0.5, 0.8)),
+        PickPlace(speed=speed, amplitude=draw.uniform(0.5, 0.8)),
+        ConstantSpeed(speed=speed, together=True),
+    )[kind]
+    duration, seed = float(round(draw.uniform(20, 60))), int(draw.integers(1 << 30))
+    motion = reference.motion(robot, duration, 100.0, seed)
+    tau = inverse_dynamics(robot, motion.q, motion.qd, motion.qdd)
+    rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (tau, motion.qd, motion.qdd)]
+    return Scene(robot, reference, duration, seed, rms[0], motion.q, rms[1], rms[2], np.abs(tau).max(0))
+
+
+def inverse_dynamics(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Nominal torques (T, n) by Pinocchio."""
+    model = pinocchio_model(robot)
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *x) for x in zip(q, qd, qdd, strict=True)])
+
+
+def draw_effect(draw: np.random.Generator, scene: Scene, name: str, joint: int | None = None) -> Hidden:
+    """One effect on a random joint, its size a random share of what the joint has anyway."""
+    strong = np.flatnonzero(scene.torque > 0.02 * scene.torque.max())
+    j = int(draw.choice(strong)) if joint is None else joint
+    arm = SIZES[name]
+    return Hidden(name, None if name in ("payload", "base_tilt") else scene.robot.joints[j], arm(draw, scene, j))
+
+
+def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> Case:
+    """The log of a scene with these effects, and noise: torque 0.2 to 2 % of each joint's, encoders of 17 to 21 bits."""
+    torque = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
+    noise = Noise(position=float(np.exp(draw.uniform(np.log(1e-6), np.log(1.5e-5)))), torque=tuple(torque))
+    options: dict[str, Any] = {"duration": scene.duration, "seed": scene.seed}
+    log = plant.record(scene.robot, [scene.reference], hidden, noise=noise, **options)
+    share = _excess(scene.robot, log) / torque
+    said = f"{scene.robot.name} {scene.robot.dofs} joints, {type(scene.reference).__name__} {scene.duration:g} s"
+    return Case(scene.robot, log, tuple(hidden), float(share.max()), said)
+
+
+def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_joint: bool | None = None) -> Case:
+    """A case with these effects hidden, all from one seed; `same_joint`: all on one, or all on different joints."""
+    for attempt in range(20):  # an arm that loses control is no log
+        draw = np.random.default_rng([seed, attempt])
+        scene = draw_scene(draw, joints)
+        strong = np.flatnonzero(scene.torque > 0.02 * scene.torque.max())
+        chosen: list[int | None] = [None] * len(names)
+        if same_joint is not None:
+            if not same_joint and len(strong) < len(names):
+                continue
+            chosen = [int(draw.choice(strong))] * len(names) if same_joint else list(draw.permutation(strong))
+        hidden = [draw_effect(draw, scene, name, chosen[i]) for i, name in enumerate(names)]
+        try:
+            return play(draw, scene, hidden)
+        except plant.UsageError:
+            continue
+    raise RuntimeError(f"no stable case from seed {seed} for {names}")
+
+
+def _excess(robot: Robot, log: Log) -> np.ndarray:
+    """RMS torque (n,) by which a log's torque differs from the nominal one, above its noise [N m]: at 20 Hz, where the
+    noise of 1 kHz is a seventh; noise is put back to its full size by the caller's ratio."""
+    raw = log.trajectories[0]
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(4, 20.0, fs=log.rate, output="sos")
+    q = sosfiltfilt(sections, raw.q, axis=0)[::5]
+    tau = sosfiltfilt(sections, raw.tau, axis=0)[::5]
+    spline = make_interp_spline(raw.t[::5], q, k=5)
+    nominal = inverse_dynamics(robot, q, spline.derivative(1)(raw.t[::5]), spline.derivative(2)(raw.t[::5]))
+    return np.sqrt(np.mean((tau - nominal)[40:-40] ** 2, axis=0))
+
+
+def _share(draw: np.random.Generator) -> float:
+    return float(np.exp(draw.uniform(np.log(0.04), np.log(0.25))))
+
+
+def _sign(draw: np.random.Generator) -> float:
+    return float(draw.choice([-1.0, 1.0]))
+
+
+def _com(draw: np.random.Generator) -> list[float]:
+    return [float(x) for x in draw.uniform([-0.06, -0.06, 0.0], [0.06, 0.06, 0.15])]
+
+
+def _thermal(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    cold = 2 * _share(d) * s.torque[j] / s.speed[j]
+    return {"cold": cold, "warm": cold * d.uniform(0.25, 0.6), "time_constant": s.duration * d.uniform(0.15, 0.5)}
+
+
+def _stribeck(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    coulomb = _share(d) * s.torque[j]
+    velocity = s.speed[j] * d.uniform(0.05, 0.3)
+    return {"coulomb": coulomb, "static": coulomb * d.uniform(1.3, 2.0), "velocity": velocity}
+
+
+def _spring(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    return {
+        "stiffness": _share(d) * s.torque[j] / s.q[:, j].std(),
+        "rest": s.q[:, j].mean() + d.uniform(-1, 1) * s.q[:, j].std(),
+    }
+
+
+def _link(d: np.random.Generator, s: Scene, j: int) -> dict[str, Any]:
+    mass = s.robot.inertial[j, 0]
+    return {
+        "mass": _sign(d) * d.uniform(0.2, 0.5) * mass,
+        "com": [float(x) for x in d.uniform(-0.03, 0.03, 3)],
+        "inertia": float(d.uniform(-0.3, 0.5)),
+    }
+
+
+SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]] = {
+    "viscous_friction": lambda d, s, j: {"damping": _share(d) * s.torque[j] / s.speed[j]},
+    "coulomb_friction": lambda d, s, j: {"coulomb": _share(d) * s.torque[j]},
+    "asymmetric_coulomb_friction": lambda d, s, j: {
+        "positive": (c := _share(d) * s.torque[j]) * d.uniform(1.2, 1.8),
+        "negative": c * d.uniform(0.3, 0.8),
+    },
+    "stribeck_friction": _stribeck,
+    "load_dependent_friction": lambda d, s, j: {"mu": float(d.uniform(0.04, 0.2))},
+    "quadratic_friction": lambda d, s, j: {"drag": _share(d) * s.torque[j] / (1.7 * s.speed[j] ** 2)},
+    "thermal_friction_drift": _thermal,
+    "torque_ripple": lambda d, s, j: {
+        "amplitude": 1.4 * _share(d) * s.torque[j],
+        "cycles": float(np.exp(d.uniform(np.log(8), np.log(80)))),
+        "phase": float(d.uniform(-np.pi, np.pi)),
+    },
+    "joint_spring": _spring,
+    "rotor_inertia": lambda d, s, j: {"armature": _share(d) * s.torque[j] / s.acceleration[j]},
+    "torque_gain_error": lambda d, s, j: {"gain": float(1 + _sign(d) * d.uniform(0.05, 0.3))},
+    "torque_offset": lambda d, s, j: {"offset": _sign(d) * _share(d) * s.torque[j]},
+    "torque_delay": lambda d, s, j: {"delay": float(d.uniform(0.004, 0.02))},
+    "actuator_lag": lambda d, s, j: {"time_constant": float(d.uniform(0.004, 0.02))},
+    "torque_saturation": lambda d, s, j: {"limit": s.highest[j] * d.uniform(0.6, 0.85)},
+    "payload": lambda d, s, j: {
+        "mass": float(s.robot.inertial[:, 0].sum() * np.exp(d.uniform(np.log(0.02), np.log(0.15)))),
+        "com": _com(d),
+    },
+    "link_inertia_error": _link,
+    "base_tilt": lambda d, s, j: _tilted(d, s.robot),
+    "encoder_offset": lambda d, s, j: {"offset": _sign(d) * float(d.uniform(0.01, 0.06))},
+}
+
+
+def _tilted(d: np.random.Generator, robot: Robot) -> dict[str, float]:
+    """The direction of gravity, turned by 0.03 to 0.12 rad from the nominal one."""
+    down = np.asarray(robot.gravity) / np.linalg.norm(robot.gravity)
+    side = np.cross(down, d.normal(size=3))
+    down = down + np.tan(d.uniform(0.03, 0.12)) * side / np.linalg.norm(side)
+    down /= np.linalg.norm(down)
+    return {"angle": float(np.arccos(-down[2])), "azimuth": float(np.arctan2(down[1], down[0]))}
+
+
+def truth_of(hidden: Hidden) -> Hidden:
+    """A hidden effect with its parameters in plain numbers."""
+    return replace(hidden, parameters={k: np.asarray(v, float) for k, v in hidden.parameters.items()})

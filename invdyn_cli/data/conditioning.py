@@ -1,0 +1,239 @@
+"""From logs to what is learned from: cut into blocks first, and only then resampled, filtered and differentiated.
+
+Blocks come first so that a zero-phase filter, which looks ahead, carries nothing from what is tested into what is
+learned. Positions, logged derivatives and torques pass through one and the same filter: none leads or lags another.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.data.selection import SETS, Block, complete, parse, refuse_overlap
+from invdyn_cli.errors import LogError, RobotError, UsageError, listed
+from invdyn_cli.interfaces import Progress
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.maths.signals import differentiate, lowpass, resample, settling
+from invdyn_cli.types import Dataset, Motion, Robot, Splits, Trajectory
+
+DERIVATIVES = ("auto", "logged", "positions")
+RATE_TOLERANCE = 0.2
+"""How far the nominal rate may be from the median step's before the step is believed: a wrong rate is off by more."""
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """How trajectories are split and made ready; sources have its fields among their own (`Conditioning.of`).
+
+    With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
+
+    Attributes:
+        train, validation, test: selections, or None.
+        train_share, validation_share: shares of time, where nothing was selected.
+        derivatives: "logged"; "positions": central differences of filtered positions; "auto": logged where possible.
+        filter_cutoff: [Hz] of the zero-phase low-pass on all channels, None for no filter.
+        filter_order: order of that Butterworth filter, which goes forth and back.
+        torque_lag: pairs the state at t with the torque so many samples before (1: paper, section V-A) [uniform clock].
+        decimate: keeps every n-th sample, after the filter.
+        rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
+        max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
+    """
+
+    train: Sequence[str] | None
+    validation: Sequence[str] | None
+    test: Sequence[str] | None
+    train_share: float
+    validation_share: float
+    derivatives: str
+    filter_cutoff: float | None
+    filter_order: int
+    torque_lag: int
+    decimate: int
+    rate: float | None
+    max_gap: float
+
+    @classmethod
+    def of(cls, source: Any, **instead: Any) -> "Conditioning":
+        """The conditioning that a source's fields ask for; `instead` are those that it calls otherwise."""
+        return cls(**{f.name: instead[f.name] if f.name in instead else getattr(source, f.name) for f in fields(cls)})
+
+    def refuse_options(self) -> None:
+        """Raise a UsageError for an option out of range."""
+        optional = ("filter_cutoff", "rate")
+        for name in ("train_share", "validation_share", "filter_order", "torque_lag", "decimate", "max_gap", *optional):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) and not (value is None and name in optional):
+                raise UsageError(f"data.{name}={value}; allowed: a number")
+        for name, good, allowed in (
+            ("derivatives", self.derivatives in DERIVATIVES, ", ".join(DERIVATIVES)),
+            ("train_share", 0 < self.train_share < 1, "between 0 and 1"),
+            ("validation_share", 0 <= self.validation_share < 1, "0 to below 1"),
+            ("filter_order", _whole(self.filter_order, 1), "a whole number, 1 or more"),
+            ("torque_lag", _whole(self.torque_lag, 0), "a whole number of samples, 0 or more"),
+            ("decimate", _whole(self.decimate, 1), "a whole number of samples, 1 or more"),
+            ("rate", self.rate is None or self.rate > 0, "null, or above 0 Hz"),
+            ("max_gap", self.max_gap > 0, "above 0 s"),
+        ):
+            if not good:
+                raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {allowed}")
+
+    def asked(self, keys: Iterable[str]) -> dict[str, list[Block] | None]:
+        """The blocks that were selected for each set among trajectories called `keys`, None where nothing was said."""
+        options = {name: getattr(self, name) for name in SETS}
+        asked = {k: None if v is None else [parse(k, str(text), keys) for text in v] for k, v in options.items()}
+        refuse_overlap({name: blocks or () for name, blocks in asked.items()})
+        return asked
+
+    def splits(
+        self,
+        asked: Mapping[str, list[Block] | None],
+        records: Mapping[str, tuple[Log, RawTrajectory]],
+        robot: Robot | None,
+        *,
+        keys: Iterable[str],
+        notes: list[str],
+        description: Mapping[str, Any],
+        progress: Progress,
+    ) -> Splits:
+        """Cut and condition the trajectories that may be used, each with its log.
+
+        `keys` are all names that can be selected, `notes` gets what was left out, `description` says where it is from.
+
+        Raises:
+            LogError, UsageError: one line that names the trajectory or the option.
+        """
+        clocks = {key: raw.t for key, (_, raw) in records.items()}
+        blocks = complete(asked, clocks, self.train_share, self.validation_share)
+        sets: dict[str, list[Trajectory]] = {name: [] for name in SETS}
+        described: dict[str, list[dict[str, Any]]] = {name: [] for name in SETS}
+        todo = [(name, block) for name in SETS for block in blocks[name]]
+        for done, (name, block) in enumerate(todo, start=1):
+            log, raw = records[block.key]
+            trajectories, what = self._conditioned(block, log, raw, notes)
+            if trajectories:
+                sets[name] += trajectories
+                described[name].append(what)
+            progress(done / len(todo), str(block))
+        for name in ("train", "test"):
+            if not sets[name]:
+                why = "; ".join(notes) or "no trajectory is left for it"
+                raise LogError(f"data.{name} is empty: {why}", advice=f"data.{name}=[…] of {listed(keys)}")
+        joints = next(iter(records.values()))[0].joints
+        data = {name: Dataset(tuple(sets[name]), joints, robot) for name in SETS}
+        options = ("derivatives", "filter_cutoff", "filter_order", "torque_lag", "decimate", "max_gap")
+        return Splits(
+            train=data["train"],
+            validation=data["validation"] if sets["validation"] else None,
+            tests={"test": data["test"]},
+            description=dict(description) | {x: getattr(self, x) for x in options} | described | {"notes": notes},
+        )
+
+    def _rate(self, key: str, log: Log, t: np.ndarray) -> float:
+        """Rate [Hz] of the uniform clock for a trajectory logged at t (T,) [s]."""
+        steps = np.diff(t)
+        steps = steps[steps <= self.max_gap]
+        measured = 1 / float(np.median(steps)) if len(steps) else log.rate
+        nominal = abs(log.rate / measured - 1) <= RATE_TOLERANCE
+        rate = self.rate or (log.rate if nominal else measured)
+        if rate < (1 - RATE_TOLERANCE) * measured:
+            got = f"data.rate={rate:g}, but trajectory {key!r} is logged at {measured:.4g} Hz"
+            raise UsageError(f"{got}; allowed: no slower", advice="data.decimate, it thins after the filter")
+        if self.filter_cutoff is not None and not 0 < self.filter_cutoff < rate / 2:
+            got = f"data.filter_cutoff={self.filter_cutoff:g} Hz for trajectory {key!r} at {rate:.4g} Hz"
+            raise UsageError(f"{got}; allowed: above 0 and below half of it, or null")
+        return rate
+
+    def _conditioned(
+        self, block: Block, log: Log, raw: RawTrajectory, notes: list[str]
+    ) -> tuple[list[Trajectory], dict[str, Any]]:
+        """The block's uninterrupted pieces ready to learn from, and how they came about."""
+        rows = np.flatnonzero(block.rows(raw.t))
+        if block.asked and not len(rows):
+            raise LogError(f"no samples in {block}; {block.key!r} runs from {raw.t[0]:g} s to {raw.t[-1]:g} s")
+        logged = [c for c in ("qd", "qdd") if getattr(raw, c) is not None and self.derivatives != "positions"]
+        if self.derivatives == "logged" and len(logged) < 2:
+            lacks = " and ".join(c for c in ("qd", "qdd") if c not in logged)
+            got = f"data.derivatives=logged, but trajectory {block.key!r} lacks {lacks}"
+            raise LogError(got, advice="data.derivatives=auto")
+        timeless = len(logged) == 2 and self.filter_cutoff is None and self.rate is None and self.torque_lag == 0
+        rate = self._rate(block.key, log, raw.t)
+        settled = settling(rate, self.filter_cutoff, self.filter_order) if self.filter_cutoff is not None else 0
+        inset = 0 if len(logged) == 2 else max(settled, 2)
+        needed = max(2 * inset, settled) + 1 + self.torque_lag
+        gain = log.drive_gain if log.torque_unit == "A" else 1.0
+        channels = {"q": raw.q, "tau": raw.tau * gain, **{c: getattr(raw, c) for c in logged}}
+        columns = np.concatenate(list(channels.values()), axis=1)
+        pieces = [rows] if timeless else np.split(rows, np.flatnonzero(np.diff(raw.t[rows]) > self.max_gap) + 1)
+        trajectories, longest = [], 0
+        for piece in pieces:
+            t, x = raw.t[piece], columns[piece]
+            if len(piece) and not timeless:
+                t, x = resample(t, x, rate)
+            longest = max(longest, len(t))
+            if len(t) >= needed:
+                part = Block(block.key, float(raw.t[piece[0]]), float(raw.t[piece[-1]]))
+                name = block.key if len(piece) == len(raw.t) else str(part)
+                signals = dict(zip(channels, np.split(x, len(channels), axis=1), strict=True))
+                trajectories.append(self._trajectory(name, t, signals, rate, inset))
+        if len(trajectories) < len(pieces):
+            short = f"{block}: {len(pieces) - len(trajectories)} of {len(pieces)} uninterrupted pieces too short"
+            short += f", {needed} samples at {rate:.4g} Hz are needed for filter, derivatives and lag"
+            short += "" if trajectories else f", the longest has {longest}"
+            if block.asked and not trajectories:
+                advice = "a longer window, a higher data.filter_cutoff (null: no filter), or a larger data.max_gap"
+                raise LogError(short, advice=advice)
+            notes.append(f"{short}; left out")
+        return trajectories, {
+            "trajectory": block.key,
+            "window": [float(raw.t[rows[0]]), float(raw.t[rows[-1]])] if len(rows) else None,
+            "rate": None if timeless else rate,
+            "logged_samples": len(rows),
+            "samples": sum(len(x.t) for x in trajectories),
+            "pieces": [x.name for x in trajectories],
+            "logged_derivatives": logged,
+        }
+
+    def _trajectory(
+        self, name: str, t: np.ndarray, signals: dict[str, np.ndarray], rate: float, inset: int
+    ) -> Trajectory:
+        """One piece (T, n) on its clock: filtered, differentiated, `inset` samples off each end, lagged, thinned."""
+        if self.filter_cutoff is not None:
+            signals = {c: lowpass(x, rate, self.filter_cutoff, self.filter_order) for c, x in signals.items()}
+        for channel, of in (("qd", "q"), ("qdd", "qd")):
+            if channel not in signals:
+                signals[channel] = differentiate(signals[of], rate)
+        lag, last = self.torque_lag, len(t) - inset
+        now, before = slice(inset + lag, last, self.decimate), slice(inset, last - lag, self.decimate)
+        motion = Motion(*(signals[c][now] for c in ("q", "qd", "qdd")))
+        return Trajectory(name, t[now], motion, signals["tau"][before])
+
+
+def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
+    """The log with its columns in the robot's order of joints."""
+    if robot is None or robot.joints == log.joints:
+        return log
+    if robot.dofs != len(log.joints):
+        got = f"robot {robot.name!r} moves {robot.dofs} joints: {listed(robot.joints)}; the log has {len(log.joints)}"
+        raise RobotError(f"{got}: {listed(log.joints)}", advice="a URDF of the logged robot, robot.path=…")
+    if known := set(robot.joints) & set(log.joints) if set(robot.joints) != set(log.joints) else set():
+        got = f"robot {robot.name!r} moves {listed(robot.joints)}, the log has {listed(log.joints)}"
+        raise RobotError(
+            f"{got}: only {listed(sorted(known))} in both; allowed: the same names, or all others, taken in order",
+            advice="robot.joints=[…] in the order of the log's columns, or another URDF",
+        )
+    if set(robot.joints) != set(log.joints):
+        notes.append(f"the log's joints {listed(log.joints)} are taken for the robot's {listed(robot.joints)}")
+        return replace(log, joints=robot.joints)
+    order = [log.joints.index(joint) for joint in robot.joints]
+    gain = None if log.drive_gain is None else log.drive_gain[order]
+    columns = ("q", "tau", "qd", "qdd", "q_ref", "q_link")
+    trajectories = tuple(
+        replace(raw, **{c: getattr(raw, c)[:, order] for c in columns if getattr(raw, c) is not None})
+        for raw in log.trajectories
+    )
+    return replace(log, joints=robot.joints, drive_gain=gain, trajectories=trajectories)
+
+
+def _whole(x: float, least: int) -> bool:
+    return isinstance(x, int) and x >= least

@@ -1,0 +1,163 @@
+"""data=plant: recordings of a simulated arm that plays the real one, with effects hidden in it, treated as a real log.
+
+The arm is MuJoCo's (`invdyn_cli.simulation`); from its log on everything is as with measured data.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from invdyn_cli.data.conditioning import Conditioning
+from invdyn_cli.data.selection import SETS
+from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.interfaces import AbstractSource, Progress, silent
+from invdyn_cli.logfile import POSITION_SIDES, Log
+from invdyn_cli.simulation.control import Control
+from invdyn_cli.simulation.hidden import Hidden, refuse
+from invdyn_cli.simulation.plant import SOURCE, record, refuse_clock
+from invdyn_cli.simulation.references import AbstractReference, ConstantSpeed, Multisine, PickPlace
+from invdyn_cli.simulation.sensors import SIDES, Noise
+from invdyn_cli.types import Robot, Splits
+
+REFERENCES = {"multisine": Multisine, "pick_place": PickPlace, "constant_speed": ConstantSpeed}
+
+
+@dataclass(frozen=True)
+class Plant(AbstractSource):
+    """Recordings trajectory_1, trajectory_2, … of one simulated arm.
+
+    Attributes:
+        effects: what is hidden in it, each {"effect": name, "joint": name, parameter: value, …} as in DESIGN, section 6.
+        reference: "multisine", "pick_place", "constant_speed", or such an object with options of its own.
+        trajectories, duration: how many, of how long [s].
+        rate: [Hz] of the controller and the log.
+        substeps: steps of the physics per sample.
+        position_noise, velocity_noise, torque_noise: [rad; m], [rad/s; m/s], [N m; N] rms, white, one number or one for
+            each joint; velocity_noise=None logs no velocities.
+        position_quantum, torque_quantum: [rad; m], [N m; N] whole steps of what is measured; 0: none.
+        torque_side: command, motor (what was asked for) or link (behind friction and gear).
+        position_side: motor, link or unknown: what the log says; the gear is stiff.
+        control_frequency: [Hz] bandwidth of the feedback; None: 4, less where torques come late.
+        controller_knows: "arm" (what is hidden, too) or "nominal".
+        seed: of references and noise; trajectories count on from it.
+        train, validation, test, train_share, validation_share, derivatives, filter_cutoff, filter_order, torque_lag,
+            decimate: as in data=real_log.
+    """
+
+    effects: Sequence[Mapping[str, Any]] = ()
+    reference: str | AbstractReference = "multisine"
+    trajectories: int = 3
+    duration: float = 30.0
+    rate: float = 1000.0
+    substeps: int = 4
+    position_noise: float | Sequence[float] = 0.0
+    velocity_noise: float | Sequence[float] | None = None
+    torque_noise: float | Sequence[float] = 0.0
+    position_quantum: float | Sequence[float] = 0.0
+    torque_quantum: float | Sequence[float] = 0.0
+    torque_side: Literal["command", "motor", "link"] = "command"
+    position_side: Literal["motor", "link", "unknown"] = "unknown"
+    control_frequency: float | None = None
+    controller_knows: Literal["arm", "nominal"] = "arm"
+    seed: int = 0
+    train: Sequence[str] | None = None
+    validation: Sequence[str] | None = None
+    test: Sequence[str] | None = None
+    train_share: float = 0.7
+    validation_share: float = 0.1
+    derivatives: str = "auto"
+    filter_cutoff: float | None = 10.0
+    filter_order: int = 4
+    torque_lag: int = 0
+    decimate: int = 10
+
+    def __post_init__(self) -> None:
+        for name in ("effects", *SETS):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, (value,) if isinstance(value, str | Mapping) else tuple(value))
+        for name in ("position_noise", "velocity_noise", "torque_noise", "position_quantum", "torque_quantum"):
+            value = getattr(self, name)
+            if isinstance(value, Sequence):
+                object.__setattr__(self, name, tuple(value))
+        for one in self.hidden():
+            refuse(one)
+        if isinstance(self.reference, str) and self.reference not in REFERENCES:
+            raise UsageError(f"data.reference={self.reference}; allowed: {listed(REFERENCES)}")
+        if not isinstance(self.reference, str | AbstractReference):
+            got = f"data.reference is a {type(self.reference).__name__}"
+            raise UsageError(f"{got}; allowed: {listed(REFERENCES)}, or a _target_ in invdyn_cli.simulation.references")
+        if not (isinstance(self.trajectories, int) and self.trajectories >= 1):
+            raise UsageError(f"data.trajectories={self.trajectories}; allowed: a whole number from 1")
+        if not (isinstance(self.seed, int) and self.seed >= 0):
+            raise UsageError(f"data.seed={self.seed}; allowed: a whole number from 0")
+        for name, allowed in (("torque_side", SIDES), ("position_side", POSITION_SIDES)):
+            if getattr(self, name) not in allowed:
+                raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {listed(allowed)}")
+        refuse_clock(self.duration, self.rate, self.substeps)
+        self._control()
+        self._conditioning().refuse_options()
+
+    def hidden(self) -> tuple[Hidden, ...]:
+        """The effects as the simulation takes them; UsageError for one that is not written as a mapping."""
+        for one in self.effects:
+            if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str):
+                raise UsageError(
+                    f"data.effects has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}",
+                    advice="'data.effects=[{effect: coulomb_friction, joint: arm_joint_2, coulomb: 2.0}]'",
+                )
+        rest = [{k: v for k, v in one.items() if k not in ("effect", "joint")} for one in self.effects]
+        return tuple(Hidden(x["effect"], x.get("joint"), p) for x, p in zip(self.effects, rest, strict=True))
+
+    def record(self, robot: Robot, progress: Progress = silent) -> Log:
+        """The log of all trajectories, as it would have been recorded.
+
+        Raises:
+            UsageError: for effects that this robot cannot have, or an arm that goes out of control.
+        """
+        reference = REFERENCES[self.reference]() if isinstance(self.reference, str) else self.reference
+        return record(
+            robot,
+            [reference] * self.trajectories,
+            self.hidden(),
+            rate=self.rate,
+            torque_side=self.torque_side,
+            position_side=self.position_side,
+            seed=self.seed,
+            noise=Noise(
+                position=self.position_noise,
+                velocity=self.velocity_noise,
+                torque=self.torque_noise,
+                position_quantum=self.position_quantum,
+                torque_quantum=self.torque_quantum,
+            ),
+            duration=self.duration,
+            substeps=self.substeps,
+            control=self._control(),
+            progress=progress,
+        )
+
+    def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
+        """Simulate, then split and condition as a real log."""
+        assert robot is not None
+        log = self.record(robot, lambda done, note: progress(0.95 * done, note))
+        records = {raw.name: (log, raw) for raw in log.trajectories}
+        notes = list(dict.fromkeys(raw.notes for raw in log.trajectories if raw.notes))
+        reference = self.reference if isinstance(self.reference, str) else type(self.reference).__name__
+        what = {"source": SOURCE, "effects": [asdict(one) for one in self.hidden()], "reference": reference}
+        how = self._conditioning()
+        return how.splits(
+            how.asked(records),
+            records,
+            robot,
+            keys=records,
+            notes=notes,
+            description=what | {"torque_side": self.torque_side, "position_side": self.position_side},
+            progress=lambda done, note: progress(0.95 + 0.05 * done, note),
+        )
+
+    def _control(self) -> Control:
+        return Control(frequency=self.control_frequency, knows=self.controller_knows)
+
+    def _conditioning(self) -> Conditioning:
+        return Conditioning.of(self, rate=None, max_gap=1.5 / self.rate)

@@ -1,0 +1,260 @@
+"""What single channels can tell: their resolution, flat tops, whether a joint moves, and copies of other channels."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.evidence import gather, stretches
+from invdyn_cli.diagnosis.checks.fits import rms
+from invdyn_cli.diagnosis.checks.rows import is_series, median_step, newton_metres, runs, usable_rows
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log
+from invdyn_cli.types import Check, Robot
+
+
+def lattice(x: np.ndarray, most: int = 100_000) -> float:
+    """The step on whose multiples the values of x (T,) lie, 0 where they lie on none (T is cut to `most`)."""
+    values = np.unique(x[:most])
+    if len(values) < 3 or len(values) > 0.9 * min(len(x), most):
+        return 0.0
+    steps = np.diff(values)
+    steps = steps[steps > 1e-6 * np.median(steps)]  # float32 rounding of one and the same value
+    if not len(steps):
+        return 0.0
+    step = float(np.quantile(steps, 0.01))
+    small = steps[steps < 20.5 * step] / step
+    on = np.abs(small - np.round(small)) < 0.1
+    return step if on.mean() > 0.95 and len(small) > 0.5 * len(steps) else 0.0
+
+
+@dataclass(frozen=True)
+class Quantisation(AbstractCheck):
+    """Values on a lattice, and whether its step is coarse for what shall be computed from it.
+
+    Rounding to a step s is white noise of variance s^2 / 12 (Widrow 1956); a zero-phase low-pass at f leaves of it, after
+    two derivatives, s / sqrt(12) (2 pi)^2 sqrt(f^5 / 5 / (rate / 2)).
+
+    Attributes:
+        share: of that noise in the RMS of qdd (ours: at 0.3, a tenth of the variance of qdd is rounding).
+        levels: fewest steps that a torque's range should have (ours: rounding then is below 1 % of the range).
+        cutoff: [Hz] of the low-pass, as in data.real_log.
+    """
+
+    name: ClassVar[str] = "quantisation"
+    share: float = 0.3
+    levels: int = 50
+    cutoff: float = 10.0
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per joint, on the longest trajectory; the value is the step."""
+        raws = [raw for raw in log.trajectories if len(raw.t) > 100 and is_series(raw)]
+        if not raws:
+            return []
+        raw = max(raws, key=lambda x: len(x.t))
+        rate = 1 / median_step(raw.t)
+        accelerations = {x.trajectory: rms(x.qdd) for x in stretches(log)}
+        found, cutoff = [], min(self.cutoff, rate / 5)
+        for joint, name in enumerate(log.joints):
+            step = lattice(raw.q[:, joint])
+            moves = np.ptp(raw.q[:, joint]) > max(10 * step, 0.02)
+            if step > 0 and moves and raw.name in accelerations:
+                noise = step / np.sqrt(12) * (2 * np.pi) ** 2 * np.sqrt(cutoff**5 / 5 / (rate / 2))
+                share = noise / max(accelerations[raw.name][joint], 1e-12)
+                found.append(
+                    Check(
+                        self.name,
+                        "warn" if share > self.share else "note",
+                        raw.name,
+                        name,
+                        value=step,
+                        threshold=self.share,
+                        seen=f"q comes in steps of {step:.3g}: rounding makes {noise:.2g} rad/s^2 of noise in qdd, "
+                        f"{share:.2g} of its RMS",
+                        meaning="accelerations from these positions are mostly rounding"
+                        if share > self.share
+                        else "rounding does not matter after the filter",
+                        advice="a lower data.filter_cutoff, or velocities from the drive" if share > self.share else "",
+                        source="first order: s^2/12 through two derivatives and a low-pass at 10 Hz",
+                    )
+                )
+            step = lattice(raw.tau[:, joint])
+            levels = np.ptp(raw.tau[:, joint]) / step if step > 0 else np.inf
+            if levels < self.levels:
+                found.append(
+                    Check(
+                        self.name,
+                        "warn" if moves else "note",
+                        raw.name,
+                        name,
+                        value=step,
+                        threshold=self.levels,
+                        seen=f"tau comes in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
+                        meaning="what is smaller than a step cannot be told from rounding",
+                        advice="a logger that keeps more digits, or motion that asks more torque of this joint",
+                        source="ours: rounding then is above 1 % of the range",
+                    )
+                )
+        return found
+
+
+@dataclass(frozen=True)
+class Saturation(AbstractCheck):
+    """Torques that stay at one extreme value while the arm moves, or at the URDF's effort limit.
+
+    Attributes:
+        run: samples in a row with the very same extreme value (ours: noise does not repeat a maximum five times).
+        share: of the samples that are in such runs (ours: below, they do not bend a fit).
+        limit: of the effort limit that counts as reached.
+    """
+
+    name: ClassVar[str] = "saturation"
+    run: int = 5
+    share: float = 0.002
+    limit: float = 0.995
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per joint, over all trajectories; the value is the torque [N m; N]."""
+        found = []
+        raws = [raw for raw in log.trajectories if is_series(raw) and len(raw.t) > 10 * self.run]
+        for joint, name in enumerate(log.joints):
+            for side, word in ((1, "highest"), (-1, "lowest")):
+                worst = max((self._flat(log, raw, joint, side) for raw in raws), default=None)
+                if worst is not None and worst[0] > self.share:
+                    found.append(self._seen(worst[2], name, worst[1], worst[0], f"its {word} value"))
+            if robot is None or not np.isfinite(robot.effort_limit[joint]) or robot.effort_limit[joint] <= 0:
+                continue
+            bound = float(robot.effort_limit[joint])
+            parts = [(float(np.mean(np.abs(newton_metres(log, x)[:, joint]) >= self.limit * bound)), x) for x in raws]
+            part, raw = max(parts, key=lambda x: x[0], default=(0.0, None))
+            if raw is not None and part > self.share and not any(c.joint == name for c in found):
+                found.append(self._seen(raw.name, name, bound, part, "the URDF's effort limit or beyond"))
+        return found
+
+    def _flat(self, log: Log, raw, joint: int, side: int) -> tuple[float, float, str]:
+        """(share of samples, torque, trajectory) of flat tops on one side."""
+        x = side * newton_metres(log, raw)[:, joint]
+        top = np.nanmax(x)
+        at = x >= top - 1e-6 * max(np.ptp(x), 1e-300)
+        if np.ptp(x) <= 0 or at.sum() < self.run:
+            return 0.0, 0.0, raw.name
+        # At rest a torque may repeat for good reasons; quantised ones repeat everywhere.
+        moving = np.abs(np.gradient(raw.q, axis=0)).max(1) > 1e-3 * np.ptp(raw.q, axis=0).max() / 20
+        long = [(a, b) for a, b in runs(at) if b - a >= self.run and moving[a:b].mean() > 0.5]
+        held = sum(b - a for a, b in long)
+        repeats = np.mean(np.diff(x[~at]) == 0) if np.sum(~at) > 1 else 1.0
+        return (held / len(x) if repeats < 0.2 else 0.0), float(side * top), raw.name
+
+    def _seen(self, trajectory: str, joint: str, value: float, share: float, what: str) -> Check:
+        return Check(
+            self.name,
+            "warn",
+            trajectory,
+            joint,
+            value=value,
+            threshold=self.share,
+            seen=f"the torque is at {what}, {value:.4g}, in {100 * share:.2g} % of the samples, without noise",
+            meaning="the drive, the sensor or the message ends there: the true demand is not in the log",
+            advice="slower or less loaded motion, or leaving these stretches out",
+            source="ours: noise does not repeat a maximum",
+        )
+
+
+@dataclass(frozen=True)
+class NotMoving(AbstractCheck):
+    """Joints that stand still in every trajectory.
+
+    Attributes:
+        least: [rad; m] range of q (ours: a quarter of a degree is what controllers wobble while they hold).
+    """
+
+    name: ClassVar[str] = "not_moving"
+    least: float = 0.005
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per joint; the value is the largest range of q in a trajectory [rad; m]."""
+        if not log.trajectories:
+            return []
+        rows = {raw.name: usable_rows(raw) for raw in log.trajectories}
+        ranges = np.max(
+            [
+                np.ptp(raw.q[rows[raw.name]], axis=0) if rows[raw.name].any() else np.zeros(len(log.joints))
+                for raw in log.trajectories
+            ],
+            axis=0,
+        )
+        still = np.flatnonzero(ranges < self.least)
+        if len(still) == len(log.joints):
+            return [self._seen("fail", None, float(ranges.max()), "no joint moves")]
+        return [self._seen("note", log.joints[i], float(ranges[i]), "it stands still") for i in still]
+
+    def _seen(self, severity: str, joint: str | None, value: float, what: str) -> Check:
+        return Check(
+            self.name,
+            severity,
+            None,
+            joint,
+            value=value,
+            threshold=self.least,
+            seen=f"{what}: q ranges over {value:.2g}",
+            meaning="nothing can be learned of its friction, drive or inertia",
+            advice="a motion that moves it there and back",
+            source="ours: what a controller wobbles while it holds",
+        )
+
+
+@dataclass(frozen=True)
+class CommandCopiesMeasurement(AbstractCheck):
+    """Channels that should be measured and are copies: q_ref of q, the torque of the model's own inverse dynamics.
+
+    Attributes:
+        equal: [rad; m] (ours: below the resolution of any encoder).
+        unexplained: share of the torque's variance that the nominal model leaves (ours: no measured torque of an arm
+            agrees with its URDF to 1e-6; filters and derivatives made here do on simulated ones).
+    """
+
+    name: ClassVar[str] = "command_copies_measurement"
+    equal: float = 1e-9
+    unexplained: float = 1e-6
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory for positions, once for the torque."""
+        found = []
+        for raw in log.trajectories:
+            if raw.q_ref is None or not np.ptp(raw.q, axis=0).max() > 0:
+                continue
+            apart = float(np.max(np.abs(raw.q_ref - raw.q)))
+            if apart <= self.equal:
+                found.append(
+                    Check(
+                        self.name,
+                        "warn",
+                        raw.name,
+                        value=apart,
+                        threshold=self.equal,
+                        seen=f"q_ref and q are the same to {apart:.1g}",
+                        meaning="one of the two is a copy: the command was logged as the position, or the other way round",
+                        advice="the topic or field that q is taken from",
+                        source="ours: no controller tracks better than its encoder resolves",
+                    )
+                )
+        evidence = None if robot is None or not log.trajectories else gather(log, robot)
+        if evidence is None or not np.ptp(evidence.tau, axis=0).any():
+            return found
+        spread = np.var(evidence.tau, axis=0)
+        judged = spread > 1e-12 * spread.max()
+        missed = np.mean((evidence.tau - evidence.nominal) ** 2, axis=0)[judged] / spread[judged]
+        if missed.max() < self.unexplained:
+            found.append(
+                Check(
+                    self.name,
+                    "warn",
+                    value=float(missed.max()),
+                    threshold=self.unexplained,
+                    seen=f"the torque is the nominal model's inverse dynamics, to {missed.max():.1g} of its variance",
+                    meaning="this torque was computed, not measured: nothing can be learned from it about the robot",
+                    advice="the measured torque or current in its place",
+                    source="ours: no measured torque of an arm agrees with its URDF like that",
+                )
+            )
+        return found

@@ -1,0 +1,295 @@
+"""The clock of a log: rows that repeat, jitter, the nominal rate, gaps, and whether enough is left."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.rows import (
+    MAX_GAP,
+    each,
+    is_series,
+    median_step,
+    parted,
+    uninterrupted,
+    usable_rows,
+)
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.types import Check, Robot
+
+
+@dataclass(frozen=True)
+class Duplicates(AbstractCheck):
+    """Stamps that stand still or run backwards, and rows that repeat the one before while the arm moves.
+
+    A row counts as repeated where q and tau of all joints are the very numbers of the row before, though a joint moves
+    by more than `moving` in the `reach` rows around: two samples of a moving arm with noise on 2 n channels do not agree
+    by chance. A clock that starts anew for at least `restart` rows is another trajectory, not a defect of single rows.
+
+    Attributes:
+        share: of repeated rows that is worth a warning (ours: at 1 % linear interpolation still restores them).
+        moving: [rad; m] over `reach` rows (ours: ten times the resolution of a 16 bit encoder on a turn).
+        reach: rows.
+        restart: rows (ours: a window of the shortest filter).
+    """
+
+    name: ClassVar[str] = "duplicates"
+    share: float = 0.01
+    moving: float = 1e-3
+    reach: int = 11
+    restart: int = 20
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory."""
+        found = []
+        for raw in log.trajectories:
+            stuck = ~_forward(raw)
+            if stuck.any():
+                found.append(
+                    Check(
+                        self.name,
+                        "fail",
+                        raw.name,
+                        value=int(stuck.sum()),
+                        threshold=0,
+                        seen=f"in {stuck.sum()} of {len(stuck)} rows the clock stands still or runs backwards, first in "
+                        f"row {np.argmax(stuck)}",
+                        meaning="rows were written twice, out of order, or the recording started anew",
+                        advice="the logger's time stamps; stamp where the sample is taken",
+                        source="a clock increases",
+                    )
+                )
+            repeated = self._repeated(raw)
+            if repeated.any():
+                part = float(repeated.mean())
+                found.append(
+                    Check(
+                        self.name,
+                        "warn" if part > self.share else "note",
+                        raw.name,
+                        value=int(repeated.sum()),
+                        threshold=self.share,
+                        seen=f"{repeated.sum()} rows ({100 * part:.2g} %) repeat all channels of the row before while "
+                        "the arm moves",
+                        meaning="the log is written faster than its source, or samples were lost and held",
+                        advice="logging at the source's own rate",
+                        source="ours: noise on all channels does not repeat by chance",
+                    )
+                )
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Drop such rows; part a trajectory where its clock starts anew."""
+        where, notes = {c.trajectory for c in found}, []
+
+        def change(raw: RawTrajectory) -> list[RawTrajectory]:
+            if raw.name not in where:
+                return [raw]
+            drop, pieces, start = self._repeated(raw), [], 0
+            for end in [*self._restarts(raw), len(raw.t)]:
+                rows = np.arange(start, end)
+                pieces.append(rows[_increasing(raw.t[rows]) & ~drop[rows]])
+                start = end
+            gone = len(raw.t) - sum(map(len, pieces))
+            notes.append(f"{raw.name}: dropped {gone} rows whose stamps or values repeat")
+            if len(pieces) > 1:
+                notes[-1] += f"; parted into {len(pieces)} where the clock starts anew"
+            return parted(raw, pieces)
+
+        return each(log, change), notes
+
+    def _repeated(self, raw: RawTrajectory) -> np.ndarray:
+        """(T,) bool."""
+        out = np.zeros(len(raw.t), bool)
+        if len(raw.t) <= self.reach:
+            return out
+        same = (raw.q[1:] == raw.q[:-1]).all(1) & (raw.tau[1:] == raw.tau[:-1]).all(1)
+        rows = np.flatnonzero(same) + 1
+        low, high = np.maximum(rows - self.reach // 2, 0), np.minimum(rows + self.reach // 2, len(raw.t) - 1)
+        moves = np.abs(raw.q[high] - raw.q[low]).max(1, initial=0) > self.moving
+        out[rows[moves]] = True
+        return out
+
+    def _restarts(self, raw: RawTrajectory) -> list[int]:
+        """Rows at which the clock jumps back and then goes on for a while."""
+        back = np.flatnonzero(np.diff(raw.t) < 0) + 1
+        lasting = [r for r in back if r + self.restart <= len(raw.t) and np.all(np.diff(raw.t[r : r + self.restart]) > 0)]
+        behind = [r for r in lasting if raw.t[r + self.restart - 1] <= raw.t[:r].max()]
+        return behind
+
+
+def _increasing(t: np.ndarray) -> np.ndarray:
+    """(T,) bool: later than all rows before."""
+    return t > np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+
+
+def _forward(raw: RawTrajectory) -> np.ndarray:
+    """(T,) bool: rows whose stamp is later than all before."""
+    return _increasing(np.where(np.isfinite(raw.t), raw.t, -np.inf)) | ~np.isfinite(raw.t)
+
+
+@dataclass(frozen=True)
+class ClockJitter(AbstractCheck):
+    """How regular the clock ticks, and whether it ticks at the nominal rate.
+
+    Attributes:
+        note, warn: standard deviation of the steps in median steps (first order: linear interpolation over a step errs
+            by qdd dt^2 / 8, below encoder noise for regular steps; half a step of doubt is as much as a hold's).
+        rate: relative difference of nominal and median rate (ours: `data.real_log` believes the median from there on).
+    """
+
+    name: ClassVar[str] = "clock_jitter"
+    note: float = 0.1
+    warn: float = 0.5
+    rate: float = 0.2
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory; trajectories of poses have no clock to speak of."""
+        found = []
+        for raw in log.trajectories:
+            step = median_step(raw.t)
+            if not np.isfinite(step) or not is_series(raw):
+                continue
+            steps = np.diff(raw.t[usable_rows(raw)])
+            steps = steps[steps <= max(MAX_GAP, 5 * step)]
+            jitter = float(steps.std() / step) if len(steps) else 0.0
+            if jitter > self.note:
+                found.append(
+                    Check(
+                        self.name,
+                        "warn" if jitter > self.warn else "note",
+                        raw.name,
+                        value=jitter,
+                        threshold=self.warn if jitter > self.warn else self.note,
+                        seen=f"steps of {1e3 * step:.3g} ms vary by {1e3 * jitter * step:.2g} ms (standard deviation), "
+                        f"{1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
+                        meaning="reading puts it on a uniform clock by linear interpolation; fast signals lose there",
+                        advice="stamps from the controller, not from the program that writes",
+                        source="ours: half a step of doubt is as much as a controller's hold",
+                    )
+                )
+            off = log.rate * step - 1
+            if not abs(off) <= self.rate:
+                found.append(
+                    Check(
+                        self.name,
+                        "warn",
+                        raw.name,
+                        value=1 / step,
+                        threshold=self.rate,
+                        seen=f"the nominal rate is {log.rate:g} Hz, the median step says {1 / step:.4g} Hz",
+                        meaning="the rate attribute or the stamps are wrong; the stamps are believed",
+                        advice="the log's rate attribute",
+                        source="ours: data.real_log believes the median step from 20 % on",
+                    )
+                )
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """The median rate in place of a nominal one that cannot be."""
+        rates = [1 / median_step(raw.t) for raw in log.trajectories if np.isfinite(median_step(raw.t))]
+        if (np.isfinite(log.rate) and log.rate > 0) or not rates:
+            return log, []
+        rate = float(np.median(rates))
+        return replace(log, rate=rate), [f"nominal rate taken from the stamps, {rate:.4g} Hz"]
+
+
+@dataclass(frozen=True)
+class Gaps(AbstractCheck):
+    """Steps longer than MAX_GAP and five median steps: reading parts a trajectory there.
+
+    Attributes:
+        share: of the time that is missing, from which on it is a warning (ours: a tenth of the data).
+    """
+
+    name: ClassVar[str] = "gaps"
+    share: float = 0.1
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory; the value is the longest gap [s]."""
+        found = []
+        for raw in log.trajectories:
+            pieces = uninterrupted(raw)
+            if len(pieces) < 2 or not is_series(raw):
+                continue
+            lengths = np.array([raw.t[b[0]] - raw.t[a[-1]] for a, b in zip(pieces[:-1], pieces[1:], strict=True)])
+            whole = raw.t[pieces[-1][-1]] - raw.t[pieces[0][0]]
+            missing = float(lengths.sum() / whole)
+            worst = int(np.argmax(lengths))
+            found.append(
+                Check(
+                    self.name,
+                    "warn" if missing > self.share else "note",
+                    raw.name,
+                    value=float(lengths.max()),
+                    threshold=max(MAX_GAP, 5 * median_step(raw.t)),
+                    seen=f"{len(lengths)} gap{'s' * (len(lengths) > 1)}, the longest {lengths.max():.3g} s at "
+                    f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time",
+                    meaning="nothing is interpolated across a gap: the trajectory is parted there",
+                    advice="a buffer or a faster disk for the logger" if missing > self.share else "",
+                    source="ours: as data.max_gap",
+                )
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class TooShort(AbstractCheck):
+    """Whether trajectories, and the log as a whole, are long enough to filter and to learn from.
+
+    Attributes:
+        log: [s] (ours: less than one slow movement of an arm).
+        trajectory: [s] (first order: a 10 Hz zero-phase Butterworth of order 4 unsettles 0.1 s at either end, thrice
+            that has to be left between them).
+    """
+
+    name: ClassVar[str] = "too_short"
+    log: float = 2.0
+    trajectory: float = 0.5
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory, and for the log; the value is the length [s]."""
+        lengths = {raw.name: _seconds(raw) for raw in log.trajectories}
+        short = {name: x for name, x in lengths.items() if x < self.trajectory}
+        total = sum(x for name, x in lengths.items() if name not in short)
+        found = [
+            Check(
+                self.name,
+                "warn",
+                name,
+                value=x,
+                threshold=self.trajectory,
+                seen=f"{x:.3g} s without a break",
+                meaning="too short to be filtered and differentiated; it is left out",
+                advice="a longer recording",
+                source="first order: what a 10 Hz zero-phase low-pass of order 4 unsettles at either end",
+            )
+            for name, x in short.items()
+        ]
+        if total < self.log:
+            found.append(
+                Check(
+                    self.name,
+                    "fail",
+                    value=total,
+                    threshold=self.log,
+                    seen=f"{total:.3g} s of motion in the whole log",
+                    meaning="too little to compute with",
+                    advice="a recording of a minute or more, all joints moving there and back",
+                    source="ours: less than one slow movement of an arm",
+                )
+            )
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Leave short trajectories out."""
+        short = {c.trajectory: c for c in found if c.trajectory}
+        notes = [f"{name}: left out, {c.seen}" for name, c in short.items()]
+        return replace(log, trajectories=tuple(x for x in log.trajectories if x.name not in short)), notes
+
+
+def _seconds(raw: RawTrajectory) -> float:
+    """Length [s] of the longest uninterrupted stretch."""
+    return max((float(raw.t[rows[-1]] - raw.t[rows[0]]) for rows in uninterrupted(raw)), default=0.0)

@@ -1,0 +1,140 @@
+"""Logged velocities and accelerations beside the derivatives of the logged positions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.evidence import Stretch, stretches
+from invdyn_cli.diagnosis.checks.fits import rms, slope
+from invdyn_cli.diagnosis.checks.rows import each, is_series
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.types import Check, Robot
+
+
+@dataclass(frozen=True)
+class DerivativeConsistency(AbstractCheck):
+    """Slope, lag and rest of qd on dq/dt (and of qdd on its derivative), both filtered alike; and rows without order.
+
+    Attributes:
+        slope: relative (ours: an observer's or a filter's gain stays within 5 % where an arm moves).
+        rest: RMS of what remains over RMS of the channel, its lag taken out (ours: a tenth of the variance).
+        wrong: slope or rest from which on a channel is not the derivative of q at all (ours).
+        lag: [samples] (first order: a hold and a difference quotient lag by half a sample each).
+        slow: [rad/s] joints below it are not judged.
+        widest: [s] of lags that are tried.
+    """
+
+    name: ClassVar[str] = "derivative_consistency"
+    slope: float = 0.1
+    rest: float = 0.3
+    wrong: float = 0.7
+    lag: float = 1.5
+    slow: float = 0.02
+    widest: float = 0.1
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory and channel, on the joint where it is worst; the value is the slope."""
+        found = [self._poses(raw) for raw in log.trajectories if len(raw.t) and not is_series(raw)]
+        parts = stretches(log)
+        for name in dict.fromkeys(x.trajectory for x in parts):
+            mine = [x for x in parts if x.trajectory == name]
+            for channel in ("qd", "qdd"):
+                if all(channel in x.extra for x in mine):
+                    found += self._channel(log, name, mine, channel)
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Leave out poses; leave out channels that are no derivatives of q (they are made from q instead)."""
+        notes = []
+
+        def change(raw: RawTrajectory) -> list[RawTrajectory]:
+            mine = [c for c in found if c.trajectory == raw.name]
+            if any(c.threshold["channel"] == "q" for c in mine):
+                notes.append(f"{raw.name}: left out, its rows are poses and no motion")
+                return []
+            wrong = {c.threshold["channel"] for c in mine if c.severity == "fail"}
+            wrong |= {"qdd"} if "qd" in wrong and raw.qdd is not None else set()
+            if wrong:
+                raw = replace(raw, **dict.fromkeys(wrong))
+                notes.append(f"{raw.name}: logged {' and '.join(sorted(wrong))} left out, made from q instead")
+            return [raw]
+
+        return each(log, change), notes
+
+    def _channel(self, log: Log, name: str, parts: list[Stretch], channel: str) -> list[Check]:
+        own = np.concatenate([getattr(x, channel) for x in parts])
+        moving = np.flatnonzero(rms(np.concatenate([x.qd for x in parts])) > self.slow)
+        if not len(moving):
+            return []
+        lag = self._lag(parts, channel, moving)
+        logged = np.concatenate([_shifted(x.extra[channel], lag) for x in parts])
+        slopes = np.array([slope(logged[:, j], own[:, j]) for j in moving])
+        rest = rms(logged[:, moving] - slopes * own[:, moving]) / np.maximum(rms(logged[:, moving]), 1e-12)
+        flat = rms(logged[:, moving]) == 0
+        rest[flat], slopes[flat] = 1.0, 0.0
+        common = float(np.median(slopes))
+        clock = abs(common - 1) > self.slope and np.all(np.abs(slopes / max(common, 1e-12) - 1) < 0.1) and common > 0
+        bad = (np.abs(slopes - 1) > self.wrong) | (rest > self.wrong)
+        worst = int(np.argmax(np.maximum(np.abs(slopes - 1), rest)))
+        off = abs(slopes[worst] - 1) > self.slope or rest[worst] > self.rest
+        fast = abs(lag) > self.lag
+        if not off and not fast:
+            return []
+        severity = "note" if not off else "fail" if bad.any() and not clock else "warn"
+        joint = log.joints[moving[worst]] if off and not clock else None
+        value = common if clock else float(slopes[worst])
+        of = {"qd": "dq/dt", "qdd": "d2q/dt2"}[channel]
+        meaning = "a lag of a filter or an observer; with both channels in one fit, phases do not agree"
+        if clock:
+            meaning = f"all joints agree on {common:.3g}: rather the clock is off by this factor, or rows were left out"
+        elif off:
+            meaning = f"{channel} is another quantity, or was filtered hard"
+        return [
+            Check(
+                self.name,
+                severity,
+                name,
+                joint,
+                value=value,
+                threshold={"channel": channel, "slope": self.slope, "rest": self.rest, "lag": self.lag},
+                seen=f"{channel} is {value:.3g} times {of}, {100 * rest[worst]:.2g} % rest, {lag} samples later",
+                meaning=meaning,
+                advice="data.derivatives=positions" if not clock else "the clock t of this log",
+                source="ours: a tenth of the variance; lag, first order: hold and difference quotient",
+            )
+        ]
+
+    def _lag(self, parts: list[Stretch], channel: str, moving: np.ndarray) -> int:
+        """Samples by which the logged channel comes later than the derivative, by correlation over joints."""
+        most = max(1, min(int(self.widest * parts[0].rate), min(len(x.q) for x in parts) // 4))
+        lags = np.arange(-most, most + 1)
+        score = np.zeros(len(lags))
+        for x in parts:
+            rows = np.unique(np.linspace(most, len(x.q) - most - 1, 2000).astype(int))
+            for j in moving:
+                later = x.extra[channel][rows[:, None] + lags, j]
+                own = getattr(x, channel)[rows, j]
+                power = np.sqrt((own @ own) * np.sum(later**2, axis=0))
+                score += np.divide(own @ later, power, out=np.zeros(len(lags)), where=power > 0)
+        return int(lags[np.argmax(score)])
+
+    def _poses(self, raw: RawTrajectory) -> Check:
+        return Check(
+            self.name,
+            "warn",
+            raw.name,
+            value=None,
+            threshold={"channel": "q"},
+            seen="from row to row the positions jump as far as they range",
+            meaning="these are poses, or rows in no order: there is no motion to differentiate",
+            advice="recordings of motions; poses tell gravity alone",
+            source="variance of white noise's differences, first and second: 2 and 6",
+        )
+
+
+def _shifted(x: np.ndarray, lag: int) -> np.ndarray:
+    """x (T, n) drawn forward by `lag` samples, its ends repeated."""
+    return x[np.clip(np.arange(len(x)) + lag, 0, len(x) - 1)]

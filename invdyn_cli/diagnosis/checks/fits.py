@@ -1,0 +1,42 @@
+"""Small least squares on one joint's torque: what columns explain, and what is left when they are taken out."""
+
+import numpy as np
+
+
+def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """What is left of y (R,) or (R, m) when the columns (R, k), those that are zero or alike too, are fitted to it."""
+    basis = span(columns)
+    return y - basis @ (basis.T @ y)
+
+
+def span(columns: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:
+    """Orthonormal basis (R, r) of the columns (R, k), each scaled to its norm before its rank is judged."""
+    norms = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, norms > 0] / norms[norms > 0]
+    if not scaled.size:
+        return np.zeros((len(columns), 0))
+    basis, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    return basis[:, values > tolerance * values[0]]
+
+
+def share(residual: np.ndarray, y: np.ndarray) -> float:
+    """1 - residual variance over the variance of y, about its mean; NaN where y does not change."""
+    total = float(np.sum((y - y.mean()) ** 2))
+    return 1 - float(np.sum(residual**2)) / total if total > 0 else float("nan")
+
+
+def slope(y: np.ndarray, x: np.ndarray) -> float:
+    """Least-squares factor of x (R,) in y (R,); NaN where x is zero."""
+    power = float(x @ x)
+    return float(x @ y) / power if power > 0 else float("nan")
+
+
+def correlation(y: np.ndarray, x: np.ndarray) -> float:
+    """Cosine between x and y (R,); 0 where one of them is zero."""
+    power = float(np.sqrt((x @ x) * (y @ y)))
+    return float(x @ y) / power if power > 0 else 0.0
+
+
+def rms(x: np.ndarray) -> np.ndarray:
+    """Root of the mean square over time, (n,) of (T, n)."""
+    return np.sqrt(np.mean(np.square(x), axis=0))

@@ -1,0 +1,151 @@
+"""Whether the robot description can be the one of this log."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.evidence import Evidence, gather
+from invdyn_cli.diagnosis.checks.rows import usable_rows
+from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log
+from invdyn_cli.maths import rigid_body
+from invdyn_cli.types import Check, Robot
+
+
+@dataclass(frozen=True)
+class ModelMismatch(AbstractCheck):
+    """A log of another robot, a wrong URDF, or a torque that never changes.
+
+    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. Where that is poor on
+    most joints, all inertial parameters are fitted anew (with friction, and rotor inertias) on every other block of
+    the log, and judged on the blocks between: another payload, another hand, wrong inertials then fit; another robot's
+    kinematics do not.
+
+    Attributes:
+        nominal: median share below which the refit is made, and a warning due.
+        refit: median held-out share of the refit below which the log fails (ours: on five real arms it is above 0.9; of an
+            exchanged URDF with as many joints, below 0).
+        beyond: [rad] past the URDF's limits that is worth a warning (ours: more than a homing error).
+        blocks: into which the log is cut.
+    """
+
+    name: ClassVar[str] = "model_mismatch"
+    nominal: float = 0.3
+    refit: float = 0.3
+    beyond: float = 0.1
+    blocks: int = 16
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """The value is the share of variance explained, or what a joint has of torque or travel."""
+        if not log.trajectories:
+            return []
+        found = self._dead(log)
+        if robot is None or any(c.severity == "fail" for c in found):
+            return found
+        found += self._limits(log, robot)
+        evidence = gather(log, robot)
+        if evidence is None:
+            return found
+        explained, _, excited = matched(evidence)
+        judged = np.flatnonzero(excited > EXCITED)
+        nominal = np.diag(explained)[judged]
+        if len(judged) < min(2, len(log.joints)) or np.median(nominal) > self.nominal or len(evidence.tau) < 200:
+            return found
+        refit = float(np.median(self._refit(evidence, robot)[judged]))
+        fails = refit < self.refit
+        found.append(
+            Check(
+                self.name,
+                "fail" if fails else "warn",
+                value=refit if fails else float(np.median(nominal)),
+                threshold=self.refit if fails else self.nominal,
+                seen=f"nominal torque and friction explain {np.median(nominal):.2g} of the torque's variance (median of "
+                f"{len(judged)} joints), all inertials fitted anew {refit:.2g} on data that they were not fitted to",
+                meaning="the kinematics are not this robot's, or the torque is no torque"
+                if fails
+                else "the URDF's inertials are far from this robot's, or a heavy tool is missing in it",
+                advice="the URDF of the logged robot, the order of its joints, the topic of the torque"
+                if fails
+                else "robot.payload, the URDF of the arm with its tool, or model=pest",
+                source="ours: on five real arms the refit explains more than 0.9",
+            )
+        )
+        return found
+
+    def _dead(self, log: Log) -> list[Check]:
+        """Torque channels that never change."""
+        rows = [raw.tau[usable_rows(raw)] for raw in log.trajectories]
+        ranges = np.max([np.ptp(x, axis=0) if len(x) else np.zeros(len(log.joints)) for x in rows], axis=0)
+        dead = np.flatnonzero(ranges == 0)
+        every = len(dead) == len(log.joints)
+        return [
+            Check(
+                self.name,
+                "fail" if every else "note",
+                joint=name,
+                value=0.0,
+                threshold=0.0,
+                seen=f"the torque {'of every joint ' if every else ''}never changes",
+                meaning="there is no torque in this channel",
+                advice="the topic or field that tau is taken from",
+                source="a torque without any noise is no measurement",
+            )
+            for name in ([None] if every else [log.joints[j] for j in dead])
+        ]
+
+    def _limits(self, log: Log, robot: Robot) -> list[Check]:
+        """Joints that leave the URDF's limits."""
+        found = []
+        rows = [raw.q[usable_rows(raw)] for raw in log.trajectories]
+        rows = [q for q in rows if len(q)]
+        if not rows:
+            return []
+        low, high = np.min([q.min(0) for q in rows], axis=0), np.max([q.max(0) for q in rows], axis=0)
+        past = np.maximum(np.asarray(robot.lower) - low, high - np.asarray(robot.upper))
+        for joint in np.flatnonzero(past > self.beyond):
+            found.append(
+                Check(
+                    self.name,
+                    "warn",
+                    joint=log.joints[joint],
+                    value=float(past[joint]),
+                    threshold=self.beyond,
+                    seen=f"q goes {past[joint]:.3g} rad past the URDF's limits",
+                    meaning="another zero, another sign of the axis, or another robot",
+                    advice="the joint's zero and direction in the URDF",
+                    source="ours: more than a homing error",
+                )
+            )
+        return found
+
+    def _refit(self, evidence: Evidence, robot: Robot) -> np.ndarray:
+        """(n,) share of held-out variance that all base parameters, friction and rotor inertias explain."""
+        rows = np.linspace(0, len(evidence.tau) - 1, 1024).astype(int)
+        q, qd, qdd = (x[rows].T for x in (evidence.motion.q, evidence.motion.qd, evidence.motion.qdd))
+        n = len(q)
+        tau = evidence.tau[rows].T
+        inertial = np.asarray(_regressor(robot, q, qd, qdd)).reshape(10 * n, n, -1).transpose(1, 2, 0)
+        own = np.stack([np.column_stack([evidence.columns(j)[rows], qdd[j]]) for j in range(n)])
+        extra = np.zeros((n, len(rows), 4 * n))
+        for j in range(n):
+            extra[j, :, 4 * j : 4 * j + 4] = own[j]
+        weights = 1 / np.maximum(tau.std(1), 1e-9 * max(tau.std(), 1e-300))
+        columns = np.concatenate([inertial, extra], axis=2) * weights[:, None, None]
+        target = tau * weights[:, None]
+        odd = (np.arange(len(rows)) * self.blocks // len(rows)) % 2 == 1
+        missed = np.zeros((n, len(rows)))
+        for held in (odd, ~odd):
+            known = columns[:, ~held].reshape(-1, columns.shape[2])
+            norms = np.maximum(np.linalg.norm(known, axis=0), 1e-9)
+            psi, *_ = np.linalg.lstsq(known / norms, target[:, ~held].reshape(-1), rcond=1e-4)
+            missed[:, held] = target[:, held] - (columns[:, held] / norms) @ psi
+        total = np.maximum(np.sum((target - target.mean(1, keepdims=True)) ** 2, axis=1), 1e-300)
+        return 1 - np.sum(missed**2, axis=1) / total
+
+
+@jax.jit
+def _regressor(robot: Robot, q, qd, qdd):
+    return rigid_body.regressor(robot, q, qd, qdd)

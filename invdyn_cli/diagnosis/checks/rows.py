@@ -1,0 +1,111 @@
+"""Rows of a logged trajectory: which can be used, how they are kept, parted and thinned. Nothing here judges."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.logfile import CHANNELS, Log, RawTrajectory
+
+MAX_GAP = 0.1
+"""[s] a longer step parts a trajectory, as `data.max_gap` does on reading."""
+
+MOST = 120_000
+"""Rows of a log that the costly checks look at: two minutes at 1 kHz, windows of WINDOW spread evenly over it."""
+
+WINDOW = 20.0
+"""[s] of one such window: long enough for the slow joints of an arm to turn back."""
+
+
+def present(raw: RawTrajectory) -> dict[str, np.ndarray]:
+    """The number channels (T, n) that a trajectory has."""
+    return {name: getattr(raw, name) for name in CHANNELS if getattr(raw, name) is not None}
+
+
+def taken(raw: RawTrajectory, rows: Any, name: str | None = None) -> RawTrajectory:
+    """The trajectory with these rows (a slice, indices or a mask) alone."""
+    changed: dict[str, Any] = {c: x[rows] for c, x in present(raw).items()}
+    if raw.stage is not None:
+        changed["stage"] = raw.stage[rows]
+    return replace(raw, t=raw.t[rows], name=name or raw.name, **changed)
+
+
+def parted(raw: RawTrajectory, pieces: list[np.ndarray]) -> list[RawTrajectory]:
+    """The trajectory as pieces of row numbers; several get names of their own, "run.1", "run.2"."""
+    pieces = [rows for rows in pieces if len(rows)]
+    if len(pieces) == 1:
+        return [taken(raw, pieces[0])]
+    return [taken(raw, rows, f"{raw.name}.{i}") for i, rows in enumerate(pieces, start=1)]
+
+
+def each(log: Log, change: Callable[[RawTrajectory], RawTrajectory | list[RawTrajectory]]) -> Log:
+    """The log with every trajectory changed, into none, one or several."""
+    made = [change(raw) for raw in log.trajectories]
+    return replace(log, trajectories=tuple(x for one in made for x in (one if isinstance(one, list) else [one])))
+
+
+def newton_metres(log: Log, raw: RawTrajectory) -> np.ndarray:
+    """Torque (T, n) [N m; N], currents times their drive gains where these are known."""
+    return raw.tau * log.drive_gain if log.torque_unit == "A" and log.drive_gain is not None else raw.tau
+
+
+def median_step(t: np.ndarray) -> float:
+    """Median of the steps that go forward in t (T,) [s], NaN where there is none."""
+    steps = np.diff(t)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def usable_rows(raw: RawTrajectory) -> np.ndarray:
+    """(T,) bool: finite in t, q and tau, and later than every row before."""
+    t = np.where(np.isfinite(raw.t), raw.t, -np.inf)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    return (t > before) & np.isfinite(raw.q).all(1) & np.isfinite(raw.tau).all(1)
+
+
+def uninterrupted(raw: RawTrajectory) -> list[np.ndarray]:
+    """Row numbers of the stretches of usable rows without a gap longer than MAX_GAP or five median steps."""
+    rows = np.flatnonzero(usable_rows(raw))
+    if len(rows) < 2:
+        return [rows] if len(rows) else []
+    steps = np.diff(raw.t[rows])
+    return np.split(rows, np.flatnonzero(steps > max(MAX_GAP, 5 * np.median(steps))) + 1)
+
+
+def windows(log: Log, most: int = MOST) -> Iterator[tuple[RawTrajectory, np.ndarray]]:
+    """Trajectories with row numbers of uninterrupted stretches, together not many more than `most` rows."""
+    pieces = [(raw, rows) for raw in log.trajectories for rows in uninterrupted(raw)]
+    total = sum(len(rows) for _, rows in pieces)
+    for raw, rows in pieces:
+        share = int(most * len(rows) / max(total, 1))
+        if total <= most or share >= len(rows):
+            yield raw, rows
+            continue
+        length = max(1, min(len(rows), int(WINDOW / median_step(raw.t))))
+        count = max(1, share // length)
+        for start in np.linspace(0, len(rows) - length, count).astype(int):
+            yield raw, rows[start : start + length]
+
+
+def runs(flags: np.ndarray) -> np.ndarray:
+    """(R, 2) first row and row after the last of every run of True in flags (T,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return edges.reshape(-1, 2)
+
+
+def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0) -> bool:
+    """Whether rows follow each other as a motion does; poses and shuffled rows do not.
+
+    A joint's second differences are small beside its first ones where it is sampled well; where rows have nothing to do
+    with each other, their RMS is sqrt(3) times as large (the variance of white noise's differences: 6 beside 2). Judged
+    on joints that move more than `moved` [rad]: one of them has to be below `roughness`.
+    """
+    rows = np.flatnonzero(usable_rows(raw))[:20_000]
+    if len(rows) < 4:
+        return False
+    q = raw.q[rows]
+    moving = np.ptp(q, axis=0) > moved
+    first = np.sqrt(np.mean(np.diff(q, axis=0) ** 2, axis=0))
+    second = np.sqrt(np.mean(np.diff(q, 2, axis=0) ** 2, axis=0))
+    return not moving.any() or bool(np.any(second[moving] < roughness * first[moving]))

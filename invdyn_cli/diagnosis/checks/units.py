@@ -1,0 +1,290 @@
+"""Units: factors between what a channel says and what it should, where they are those of a dictionary."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.evidence import Evidence, gather, stretches
+from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope
+from invdyn_cli.diagnosis.checks.rows import each, is_series, median_step
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.types import Check, Robot
+
+DEGREE = 180 / np.pi
+RPM = 30 / np.pi
+RATES = {
+    DEGREE: "degrees",
+    1 / DEGREE: "radians that were converted from degrees once too often",
+    DEGREE**2: "degrees that were converted from radians twice",
+    RPM: "revolutions per minute",
+    1 / RPM: "radians that were converted from revolutions per minute once too often",
+    1 / (2 * np.pi): "revolutions",
+    1e3: "thousandths of a radian (or the clock in ms)",
+    1e-3: "thousands of radians (or the clock in ms)",
+}
+"""Logged over SI for velocities and accelerations of joints that turn."""
+
+CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+TORQUES = {1e3: "N mm or mN m", 1e-3: "kN m", 1e6: "N m times 1000 twice", 1e-6: "N m over 1000 twice"}
+"""Far from any physical cause: mended."""
+
+FOREIGN = {0.101972: "kgf m", 8.85075: "lbf in", 141.612: "ozf in", 100.0: "N cm", 0.01: "hundreds of N m"}
+"""Near enough to other causes that the user has to decide."""
+
+CERTAIN = "exact ratio of two units (effects of an arm change a torque by less than a factor of two)"
+
+
+@dataclass(frozen=True)
+class MotionUnits(AbstractCheck):
+    """The clock in ms, positions in degrees, velocities in rpm, and so on.
+
+    Positions are judged by the robot's limits (without any, by `turns`), and by which unit lets the nominal torque fit;
+    velocities and accelerations by their ratio to the derivative of the position.
+
+    Attributes:
+        within: relative distance of a ratio from the dictionary's (ours: between logged and filtered derivatives some per
+            cent differ; no two entries are nearer than 7 %).
+        most: share of the moving joints that have to agree (ours: one joint's gain is an effect, not a unit).
+        turns: [rad] beyond which a position without limits is no radian (ours: two turns of a joint).
+        slow: [rad/s] joints below it are not judged.
+        better: by how much the squared correlation of torque and nominal torque has to grow (ours).
+    """
+
+    name: ClassVar[str] = "unit_error"
+    within: float = 0.03
+    most: float = 0.8
+    turns: float = 4 * np.pi
+    slow: float = 0.01
+    better: float = 0.3
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """t, then q, then qd and qdd, each with the ones before put right."""
+        found = self._clock(log)
+        log, _ = self.mend(log, found, robot)
+        positions = self._positions(log, robot)
+        log, _ = self.mend(log, positions, robot)
+        return found + positions + self._derivatives(log)
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Divide by the exact factor."""
+        notes = []
+
+        def change(raw: RawTrajectory) -> RawTrajectory:
+            for check in found:
+                if check.check != self.name or check.severity != "fail" or not isinstance(check.threshold, Mapping):
+                    continue
+                channel, factor = check.threshold["channel"], check.threshold["factor"]
+                if check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
+                    continue
+                together = ("q", "q_ref", "q_link") if channel == "q" else (channel,)
+                slides = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
+                by = factor if channel == "t" else np.where(slides, 1.0, factor)
+                parts = {c: getattr(raw, c) / by for c in together if getattr(raw, c) is not None}
+                raw = replace(raw, **parts)
+                notes.append(f"{raw.name}: {', '.join(parts)} divided by {factor:.7g}, {check.meaning.split(':')[0]}")
+            return raw
+
+        return each(log, change), notes
+
+    def _clock(self, log: Log) -> list[Check]:
+        found = []
+        for raw in log.trajectories:
+            ratio = log.rate * median_step(raw.t)
+            factor = _nearest(ratio, CLOCKS, 0.1)
+            if factor and is_series(raw):
+                seen = f"the median step is {median_step(raw.t):.4g} at a nominal {log.rate:g} Hz"
+                found.append(self._seen("t", raw.name, ratio, factor, CLOCKS[factor], seen))
+        return found
+
+    def _positions(self, log: Log, robot: Robot | None) -> list[Check]:
+        turning = ~np.array(robot.prismatic) if robot else np.ones(len(log.joints), bool)
+        limit = np.full(len(log.joints), self.turns)
+        if robot is not None:
+            bounds = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
+            limit = np.where(np.isfinite(bounds) & (bounds < self.turns), 1.2 * bounds + 0.2, self.turns)
+        found = []
+        for raw in log.trajectories:
+            finite = raw.q[np.isfinite(raw.q).all(1)]
+            reach = np.abs(finite).max(0, initial=0)
+            beyond = turning & (reach > limit)
+            if not beyond.any() or np.any(turning & (reach / DEGREE > limit)):
+                continue
+            sure = beyond.sum() >= max(1, 0.3 * turning.sum()) and (robot is not None or beyond.sum() > 1)
+            if robot is not None:
+                one = replace(log, trajectories=(raw,))
+                fits = [_agreement(gather(_scaled(one, k, turning), robot, 1024)) for k in (1.0, DEGREE)]
+                sure = sure and not fits[1] < fits[0] - 0.05
+            joint = log.joints[int(np.argmax(np.where(turning, reach / limit, 0)))]
+            against = "the limits" if robot is not None else f"{self.turns:.3g} rad"
+            seen = f"{beyond.sum()} joints go beyond {against}, {joint} to {reach[log.joints.index(joint)]:.4g}; "
+            seen += "divided by 57.3 all are within"
+            severity = "fail" if sure else "warn"
+            found.append(self._seen("q", raw.name, DEGREE, DEGREE, "degrees", seen, severity))
+        if found or robot is None or not log.trajectories:
+            return found
+        tried = {k: _agreement(gather(_scaled(log, k, turning), robot, 1024)) for k in (1.0, 1 / DEGREE, 1 / (2 * np.pi))}
+        best = max(tried, key=lambda k: tried[k])
+        if best != 1.0 and tried[best] > 0.8 and tried[best] - max(tried[1.0], 0) > self.better:
+            seen = f"with q divided by {best:.4g} the nominal torque explains {tried[best]:.2g} of the torque, as logged "
+            seen += f"{tried[1.0]:.2g}"
+            found.append(self._seen("q", None, best, best, RATES[best], seen))
+        return found
+
+    def _derivatives(self, log: Log) -> list[Check]:
+        found = []
+        parts = stretches(log)
+        for name in dict.fromkeys(x.trajectory for x in parts):
+            mine = [x for x in parts if x.trajectory == name]
+            reference = {"qd": "qd", "qdd": "qdd"}
+            for channel, derived in reference.items():
+                if any(channel not in x.extra for x in mine):
+                    continue
+                logged = np.concatenate([x.extra[channel] for x in mine])
+                own = np.concatenate([getattr(x, derived) for x in mine])
+                moving = rms(np.concatenate([x.qd for x in mine])) > self.slow
+                ratios = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])[moving]
+                if not len(ratios):
+                    continue
+                ratio = float(np.median(ratios))
+                factor = _nearest(ratio, RATES, self.within)
+                if not factor or np.mean(np.abs(ratios / factor - 1) < self.within) < self.most:
+                    continue
+                raw = next(x for x in log.trajectories if x.name == name)
+                per = " per second" if channel == "qd" else " per second squared"
+                seen = f"{channel} is {ratio:.5g} times the derivative of q on {len(ratios)} moving joints"
+                if factor == 1e3 and channel == "qd" and median_step(raw.t) > 0.2:
+                    return [*found, self._seen("t", None, ratio, 1e3, "milliseconds", seen)]
+                found.append(self._seen(channel, name, ratio, factor, RATES[factor] + per, seen))
+        return found
+
+    def _seen(
+        self, channel: str, trajectory: str | None, value: float, factor: float, unit: str, seen: str, severity="fail"
+    ) -> Check:
+        return Check(
+            self.name,
+            severity,
+            trajectory,
+            value=float(value),
+            threshold={"channel": channel, "factor": factor, "within": self.within},
+            seen=seen,
+            meaning=f"{channel} is in {unit}: every derived torque would be off",
+            advice=f"{channel} in SI units, rad and s",
+            source="exact ratio of two units",
+        )
+
+
+@dataclass(frozen=True)
+class TorqueUnits(AbstractCheck):
+    """Torques in N mm, currents without gains, and so on: by their slope on the nominal torque, friction taken out.
+
+    Attributes:
+        within: factor around a power of 1000 (ours: between 1.4 and 700 no unit lies; an arm's effects stay below 2).
+        foreign: relative distance from the units in FOREIGN (ours: few of them differ by less).
+        plausible: slopes from the inverse of it to it are an arm's own (ours).
+        correlation: of torque and nominal torque of joints that are judged.
+        excited: least RMS of a joint's nominal torque, of what random states ask of it (ours: below, friction rules).
+        most: share of the judged joints that have to agree.
+    """
+
+    name: ClassVar[str] = "unit_error"
+    within: float = 1.4
+    foreign: float = 0.05
+    plausible: float = 3.0
+    correlation: float = 0.8
+    excited: float = 0.03
+    most: float = 0.8
+    spread: float = field(default=2.0)
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """For the whole log; the value is logged over expected torque."""
+        missing = log.torque_unit == "A" and log.drive_gain is None
+        evidence = None if robot is None or not log.trajectories else gather(log, robot)
+        ratios = {} if evidence is None else self._ratios(log, evidence)
+        if missing:
+            return [self._without_gains(ratios)]
+        if len(ratios) < min(2, len(log.joints)):
+            return []
+        values = np.array(list(ratios.values()))
+        ratio = float(np.exp(np.median(np.log(values))))
+        alike = np.abs(np.log(values / ratio)) < np.log(self.spread)
+        said = ", ".join(f"{joint} {x:.3g}" for joint, x in ratios.items())
+        seen = f"logged torque over nominal torque, friction taken out: {said}"
+        factor = next((k for k in TORQUES if abs(np.log(ratio / k)) < np.log(self.within)), None)
+        if factor is not None and alike.mean() >= self.most:
+            return [self._seen("fail", ratio, factor, seen, f"tau is in {TORQUES[factor]}")]
+        if 1 / self.plausible < ratio < self.plausible:
+            return []
+        factor = _nearest(ratio, FOREIGN, self.foreign)
+        if factor and np.mean(np.abs(values / factor - 1) < 3 * self.foreign) >= self.most:
+            return [self._seen("warn", ratio, factor, seen, f"tau may be in {FOREIGN[factor]}")]
+        return [self._seen("warn", ratio, None, seen, "tau looks like currents or counts, one factor for each joint")]
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Divide by the exact factor."""
+        mine = [c for c in found if c.severity == "fail" and isinstance(c.threshold, Mapping)]
+        mine = [c for c in mine if c.threshold["channel"] == "tau" and c.threshold["factor"]]
+        if not mine:
+            return log, []
+        factor = mine[0].threshold["factor"]
+        log = each(log, lambda raw: replace(raw, tau=raw.tau / factor))
+        return log, [f"torques divided by {factor:g}, {mine[0].meaning.split(':')[0]}"]
+
+    def _ratios(self, log: Log, evidence: Evidence) -> dict[str, float]:
+        """Slope of every joint that can be judged."""
+        out = {}
+        for joint, name in enumerate(log.joints):
+            columns = evidence.columns(joint)
+            nominal, tau = left(evidence.nominal[:, joint], columns), left(evidence.tau[:, joint], columns)
+            if rms(nominal) < self.excited * evidence.reach[joint] or correlation(tau, nominal) < self.correlation:
+                continue
+            out[name] = slope(tau, nominal)
+        return out
+
+    def _without_gains(self, ratios: dict[str, float]) -> Check:
+        gains = {joint: 1 / x for joint, x in ratios.items()}
+        said = ", ".join(f"{joint} {x:.3g}" for joint, x in gains.items())
+        seen = "torque_unit is A and there are no drive gains"
+        seen += f"; the nominal torques suggest [N m/A] {said}" if said else ""
+        return self._seen("fail", None, None, seen, "currents cannot be compared with torques")
+
+    def _seen(self, severity: str, value: Any, factor: float | None, seen: str, what: str) -> Check:
+        return Check(
+            self.name,
+            severity,
+            value=value,
+            threshold={"channel": "tau", "factor": factor, "plausible": [1 / self.plausible, self.plausible]},
+            seen=seen,
+            meaning=f"{what}: gains, payloads and friction would all be off by it",
+            advice="torques in N m, or torque_unit=A with data.drive_gain=[…] in N m/A",
+            source=CERTAIN,
+        )
+
+
+def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float | None:
+    """The factor of the table that a ratio equals within a relative distance."""
+    if not np.isfinite(ratio):
+        return None
+    best = min(table, key=lambda k: abs(ratio / k - 1))
+    return best if abs(ratio / best - 1) < within else None
+
+
+def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:
+    """The log with positions of turning joints divided by a factor."""
+    by = np.where(turning, factor, 1.0)
+    return each(log, lambda raw: replace(raw, q=raw.q / by))
+
+
+def _agreement(evidence: Evidence | None) -> float:
+    """Mean over joints of the squared correlation of torque and nominal torque, friction taken out; 0 without data."""
+    if evidence is None:
+        return 0.0
+    squares = []
+    for joint in range(evidence.tau.shape[1]):
+        columns = evidence.columns(joint)
+        tau, nominal = left(evidence.tau[:, joint], columns), left(evidence.nominal[:, joint], columns)
+        if rms(nominal) > 0.03 * evidence.reach[joint]:
+            squares.append(correlation(tau, nominal) ** 2)
+    return float(np.mean(squares)) if squares else 0.0

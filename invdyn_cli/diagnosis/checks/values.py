@@ -1,0 +1,220 @@
+"""Values of a log that cannot be: missing ones, and single samples far off their neighbours."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.rows import each, is_series, parted, present, runs
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.types import Check, Robot
+
+
+@dataclass(frozen=True)
+class NotFinite(AbstractCheck):
+    """Values that are missing: NaN, infinite, rows or columns that a channel does not have.
+
+    Attributes:
+        hole: steps without values across which interpolation would invent a motion; longer ones part the trajectory
+            (ours: an arm's motion stays below 6 Hz, five samples at 100 Hz are a third of its period).
+    """
+
+    name: ClassVar[str] = "not_finite"
+    hole: int = 5
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory and channel; the value is the number of rows."""
+        found = []
+        for raw in log.trajectories:
+            stages = {} if raw.stage is None else {"stage": np.zeros(np.shape(raw.stage))}
+            for channel, x in {"t": raw.t, **present(raw), **stages}.items():
+                if not _fits(log, raw, channel):
+                    seen = f"{channel} has shape {np.shape(x)}, t has {len(raw.t)} rows, the log {len(log.joints)} joints"
+                    found.append(self._seen(raw.name, None, channel, 0, seen))
+                    continue
+                bad = ~np.isfinite(x)
+                rows = bad if bad.ndim == 1 else bad.any(1)
+                if not rows.any():
+                    continue
+                columns = np.flatnonzero(bad.any(0)) if bad.ndim > 1 else []
+                joint = log.joints[columns[0]] if len(columns) == 1 else None
+                seen = f"{channel} is not finite in {rows.sum()} of {len(rows)} rows, first in row {np.argmax(rows)}"
+                found.append(self._seen(raw.name, joint, channel, int(rows.sum()), seen))
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Drop channels that are worth nothing and rows that lack a value; leave out what has then nothing left."""
+        where, notes = {c.trajectory for c in found}, []
+
+        def change(raw: RawTrajectory) -> list[RawTrajectory]:
+            if raw.name not in where:
+                return [raw]
+            if not all(_fits(log, raw, c) for c in ("t", "q", "tau")):
+                notes.append(f"{raw.name}: left out, its channels do not belong together")
+                return []
+            lost = [
+                c
+                for c in ("qd", "qdd", "q_ref", "q_link", "stage")
+                if getattr(raw, c) is not None and not (_fits(log, raw, c) and (c == "stage" or self._mostly(raw, c)))
+            ]
+            raw = replace(raw, **dict.fromkeys(lost))
+            good = np.isfinite(raw.t) & np.all([np.isfinite(x).all(1) for x in present(raw).values()], axis=0)
+            holes = [(a, b) for a, b in runs(~good) if b - a > self.hole and a > 0 and b < len(good)]
+            edges = [0, *(b for _, b in holes), len(good)]
+            pieces = [np.flatnonzero(good[a:b]) + a for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            pieces = [rows for rows in pieces if len(rows)]
+            words = [f"without the channel{'s' * (len(lost) > 1)} {', '.join(lost)}"] if lost else []
+            if not good.all() and pieces:
+                words.append(f"dropped {np.sum(~good)} rows with values that are not finite")
+            if len(pieces) > 1:
+                words.append(f"parted into {len(pieces)} there")
+            if not pieces:
+                words = ["left out, no row has a value for every joint"]
+            notes.append(f"{raw.name}: {', '.join(words)}")
+            return parted(raw, pieces) if pieces else []
+
+        return each(log, change), notes
+
+    def _mostly(self, raw: RawTrajectory, channel: str) -> bool:
+        """Whether at least half of a channel's rows have a value for every joint."""
+        return bool(np.isfinite(getattr(raw, channel)).all(1).mean() >= 0.5)
+
+    def _seen(self, trajectory: str, joint: str | None, channel: str, rows: int, seen: str) -> Check:
+        return Check(
+            self.name,
+            "fail",
+            trajectory,
+            joint,
+            value=rows,
+            threshold={"channel": channel, "rows": 0},
+            seen=seen,
+            meaning="rows without a value cannot be computed with",
+            advice="a logger that leaves a row out rather than write NaN",
+            source="arithmetic",
+        )
+
+
+def _fits(log: Log, raw: RawTrajectory, channel: str) -> bool:
+    """Whether a channel has a row for every stamp and a column for every joint."""
+    x, n = getattr(raw, channel), len(log.joints)
+    shape = (len(raw.t),) if channel in ("t", "stage") else (len(raw.t), n)
+    return np.shape(x) == shape and np.size(x) > 0
+
+
+@dataclass(frozen=True)
+class Outliers(AbstractCheck):
+    """Single samples far off their neighbours: a Hampel test (Hampel 1974; Pearson 2002) whose scale is local.
+
+    A sample counts where it lies off the median of the `width` samples around it by `deviations` robust standard
+    deviations of such distances nearby, and by a share of the channel's range; its run is no longer than `longest`
+    samples. A median follows steps (Coulomb friction at a reversal) and slopes, so that these do not count. Positions
+    and their derivatives of a joint that stands still are left alone.
+
+    Attributes:
+        deviations: (ours: Pearson's 3 flags one sample in 400 of Gaussian noise; 20 none in an hour, and torque noise
+            has heavy tails).
+        least: of the range from the 1st to the 99th percentile (ours: impacts and stick-slip of real arms stay below; a
+            smaller one does not bend a fit); `position`: the same for positions, which have no such bursts.
+        still: [rad; m] range of q below which a joint stands still; also the least jump of a position, over 10.
+        most: share of samples (ours: what is more frequent is no outlier but the noise).
+    """
+
+    name: ClassVar[str] = "outliers"
+    deviations: float = 20.0
+    least: float = 0.25
+    position: float = 0.01
+    still: float = 0.01
+    width: int = 7
+    longest: int = 2
+    most: float = 0.01
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory, channel and joint; the value is the number of samples."""
+        found = []
+        for raw in log.trajectories:
+            if len(raw.t) < 50 or not is_series(raw):
+                continue
+            for channel, x in present(raw).items():
+                for joint, name in enumerate(log.joints):
+                    rows = self._of(raw, channel, joint)
+                    if not len(rows):
+                        continue
+                    noise = len(rows) > max(3, self.most * len(x))
+                    found.append(
+                        Check(
+                            self.name,
+                            "note" if noise else "warn",
+                            raw.name,
+                            name,
+                            value=len(rows),
+                            threshold={"channel": channel, "deviations": self.deviations},
+                            seen=f"{len(rows)} samples of {channel} lie more than {self.deviations:g} robust standard "
+                            f"deviations off their neighbours, first at t = {raw.t[rows[0]]:.3f} s: {x[rows[0], joint]:.4g}",
+                            meaning="so many that they are its noise; they stay"
+                            if noise
+                            else "transmission errors; each bends a least-squares fit as many ordinary samples do",
+                            advice="the bus or the driver that this channel comes from",
+                            source="Hampel 1974, Pearson 2002 (doi 10.1109/87.974338); 20 instead of 3: ours, torque noise "
+                            "has heavy tails",
+                        )
+                    )
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Replace them by the line between their neighbours."""
+        notes = []
+
+        def change(raw: RawTrajectory) -> RawTrajectory:
+            mine = [c for c in found if c.trajectory == raw.name and c.severity == "warn"]
+            for check in mine:
+                channel, joint = check.threshold["channel"], log.joints.index(str(check.joint))
+                x = getattr(raw, channel).copy()
+                rows = self._of(raw, channel, joint)
+                keep = np.setdiff1d(np.arange(len(x)), rows)
+                x[rows, joint] = np.interp(raw.t[rows], raw.t[keep], x[keep, joint])
+                raw = replace(raw, **{channel: x})
+                notes.append(f"{raw.name}: {len(rows)} outliers in {channel} of {check.joint} replaced by interpolation")
+            return raw
+
+        return each(log, change), notes
+
+    def _of(self, raw: RawTrajectory, channel: str, joint: int) -> np.ndarray:
+        """Row numbers of the outliers of a channel's joint."""
+        x = getattr(raw, channel)[:, joint]
+        if channel == "tau":
+            return self.rows(x, self.least, 0.0)
+        low, high = np.quantile(raw.q[:: max(1, len(x) // 100_000), joint], [0.01, 0.99])
+        if high - low < self.still:
+            return np.arange(0)
+        position = channel in ("q", "q_ref", "q_link")
+        return self.rows(x, self.position if position else self.least, self.still / 10)
+
+    def rows(self, x: np.ndarray, share: float, floor: float) -> np.ndarray:
+        """Row numbers of the outliers of a series x (T,), by at least a share of its range and `floor`."""
+        second = np.zeros(len(x))
+        second[1:-1] = np.abs(x[1:-1] - (x[:-2] + x[2:]) / 2)
+        second[[0, -1]] = np.abs(x[[0, -1]] - x[[1, -2]])
+        low, high = np.quantile(x[:: max(1, len(x) // 100_000)], [0.01, 0.99])
+        least = max(share * (high - low), floor, 1e-9 * np.abs(x).max())
+        rows = np.flatnonzero(second > least / 2)
+        if not len(rows):
+            return rows[:0]
+        if len(rows) > 10_000:  # a channel of jumps; a sample of them tells enough
+            rows = rows[:: len(rows) // 10_000]
+        around = rows[:, None] + np.arange(-50, 51)
+        near = x[np.clip(around, 0, len(x) - 1)]
+        half = self.width // 2
+        spans = np.lib.stride_tricks.sliding_window_view(near, self.width, axis=1)
+        off = np.abs(near[:, half:-half] - np.median(spans, axis=2))
+        here = off[:, off.shape[1] // 2]
+        scale = 1.4826 * np.median(off, axis=1)
+        bulk = np.quantile(off, 0.9, axis=1)  # of torques at rest the median distance may be no more than rounding
+        flagged = rows[(here > least) & (here > self.deviations * scale) & (here > 5 * bulk)]
+        flags = np.zeros(len(x), bool)
+        flags[flagged] = True
+        for a, b in runs(flags):
+            if b - a > self.longest:
+                flags[a:b] = False
+        return np.flatnonzero(flags)

@@ -1,0 +1,146 @@
+"""The doctor: is this log sane, what can be mended in it, and what does it excite?
+
+Checks are asked in turn, and each sees the log as those before it have mended it: torques are judged when the clock and
+the units are right. `mend` goes through the same mendings by what an examination found, and says each in one sentence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.channels import CommandCopiesMeasurement, NotMoving, Quantisation, Saturation
+from invdyn_cli.diagnosis.checks.clock import ClockJitter, Duplicates, Gaps, TooShort
+from invdyn_cli.diagnosis.checks.derivatives import DerivativeConsistency
+from invdyn_cli.diagnosis.checks.excitation import Excitation
+from invdyn_cli.diagnosis.checks.model import ModelMismatch
+from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.torques import GravityRemoved, JointOrder, SignError
+from invdyn_cli.diagnosis.checks.units import MotionUnits, TorqueUnits
+from invdyn_cli.diagnosis.checks.values import NotFinite, Outliers
+from invdyn_cli.errors import LogError, RobotError, listed
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import POSITION_SIDES, TORQUE_SIDES, Log, refuse_defects
+from invdyn_cli.types import Check, Examination, Robot
+
+CHECKS: tuple[AbstractCheck, ...] = (
+    NotFinite(),
+    Duplicates(),
+    MotionUnits(),
+    ClockJitter(),
+    Gaps(),
+    Outliers(),
+    DerivativeConsistency(),
+    TooShort(),
+    NotMoving(),
+    Quantisation(),
+    Saturation(),
+    GravityRemoved(),
+    JointOrder(),
+    SignError(),
+    TorqueUnits(),
+    TimeOffset(),
+    CommandCopiesMeasurement(),
+    ModelMismatch(),
+)
+"""In the order in which they are asked: what can be read at all, the clock, the motion, then the torque."""
+
+SEVERITIES = ("ok", "note", "warn", "fail")
+"""ok: looked at, nothing seen; note: worth knowing; warn: it costs accuracy; fail: no physics before it is mended."""
+
+
+def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS) -> Examination:
+    """What there is to say of a log; without a robot, what can be told without one.
+
+    `usable` is true where nothing that fails remains after mending, and the mended log can be computed with.
+
+    Raises:
+        RobotError: if the robot has another number of joints than the log.
+    """
+    _refuse_other(log, robot)
+    found: list[Check] = []
+    hopeless = False
+    patient, _ = _worded(log)
+    with np.errstate(all="ignore"):
+        for check in checks:
+            seen = _asked(check, patient, robot)
+            found += seen
+            patient, _ = check.mend(patient, seen, robot)
+            if any(one.severity == "fail" for one in seen):
+                hopeless |= any(one.severity == "fail" for one in _asked(check, patient, robot))
+        try:
+            refuse_defects(patient, "the mended log")
+        except LogError as error:
+            found.append(_unreadable(error))
+            hopeless = True
+        usable = not hopeless and bool(patient.trajectories)
+        excitation = Excitation().measure(patient, robot) if patient.trajectories else {}
+    return Examination(usable, _with_ok(found, checks), excitation)
+
+
+def mend(
+    log: Log, examination: Examination, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS
+) -> tuple[Log, tuple[str, ...]]:
+    """The log with all that is certain put right, hopeless trajectories left out, and a sentence for every mending.
+
+    What comes back passes `logfile.refuse_defects` where the examination calls it usable.
+    """
+    log, notes = _worded(log)
+    with np.errstate(all="ignore"):
+        for check in checks:
+            mine = [one for one in examination.checks if one.check == check.name and one.severity != "ok"]
+            log, said = check.mend(log, [one for one in mine if _is_from(check, one)], robot)
+            notes += said
+    return log, tuple(notes)
+
+
+def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
+    """What a check says; one that numbers overwhelm says so instead of ending the examination."""
+    try:
+        return check.examine(log, robot)
+    except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError) as error:
+        said = f"{type(check).__name__} could not be made: {type(error).__name__}: {error}"
+        return [Check(check.name, "note", threshold={"channel": None}, seen=said, meaning="a fault of invdyn, not of the log")]
+
+
+def _is_from(check: AbstractCheck, one: Check) -> bool:
+    """Of two checks that share a name, whether this one has a say on the finding: they tell channels apart."""
+    return not isinstance(one.threshold, dict) or one.threshold.get("channel", "") is not None
+
+
+def _with_ok(found: Sequence[Check], checks: Sequence[AbstractCheck]) -> tuple[Check, ...]:
+    """Findings, worst first, and a line for every name under which nothing was seen."""
+    names = dict.fromkeys(check.name for check in checks)
+    quiet = [name for name in names if not any(one.check == name for one in found)]
+    ordered = sorted(found, key=lambda one: -SEVERITIES.index(one.severity))
+    return (*ordered, *(Check(name, "ok", seen="nothing seen") for name in quiet))
+
+
+def _worded(log: Log) -> tuple[Log, list[str]]:
+    """The log with words of its header that nobody knows put as unknown, and unmistakable spellings put right."""
+    notes = []
+    for word, allowed in (("torque_side", TORQUE_SIDES), ("position_side", POSITION_SIDES)):
+        if getattr(log, word) not in allowed:
+            notes.append(f"{word} {getattr(log, word)!r} is taken for unknown; allowed: {listed(allowed)}")
+            log = replace(log, **{word: "unknown"})
+    if log.torque_unit in ("Nm", "N.m", "N*m", "Newton meter"):
+        notes.append(f"torque_unit {log.torque_unit!r} is taken for 'N m'")
+        log = replace(log, torque_unit="N m")
+    return log, notes
+
+
+def _unreadable(error: LogError) -> Check:
+    return Check(
+        "not_finite",
+        "fail",
+        seen=error.got,
+        meaning="what remains cannot be computed with",
+        advice=error.advice,
+        source="arithmetic",
+    )
+
+
+def _refuse_other(log: Log, robot: Robot | None) -> None:
+    if robot is not None and robot.dofs != len(log.joints):
+        got = f"robot {robot.name!r} moves {robot.dofs} joints, the log has {len(log.joints)}"
+        raise RobotError(f"{got}: {listed(log.joints)}", advice="a URDF of the logged robot")

@@ -1,0 +1,78 @@
+"""The time between torque and motion that belongs to no joint: a controller holds its command for a sample, a logger
+reads one channel after the other.
+
+Half a sample of it looks like a negative viscous friction on the heaviest joint. It is taken out before anything is
+named, and what is left of a joint beyond it may then be called a delay.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import linalg
+
+from invdyn_cli.diagnosis.evidence import _filtered, _linear, _states
+from invdyn_cli.diagnosis.recording import Recording
+from invdyn_cli.effects.actuator import shifted
+from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
+from invdyn_cli.types import Motion, Robot
+
+MOST = 1.05
+"""Samples of the log that count as the log's own: holding takes half of one, reading in turn up to one."""
+
+
+def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) [s] by which each joint's logged torque leads its motion, and its standard error: the factor of the
+    nominal torque's slope beside all inertials, friction and offset."""
+    n = robot.dofs
+    moves = np.eye(10 * n)
+    linear = partial(_linear, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
+    bodies, slopes, extras = [], [], []
+    for piece in recording.pieces:
+        torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
+        states = _states(piece, torque, recording)
+        bodies.append(chunked(linear, piece.q, piece.qd, piece.qdd))
+        slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))
+        extras.append(np.stack([[s.sign, s.qd, np.ones_like(s.qd), s.qd * abs(s.qd)] for s in states], axis=1))
+    bodies, slopes, extras = (_filtered(recording, x) for x in (bodies, slopes, extras))
+    tau = _filtered(recording, [p.tau for p in recording.pieces])
+    lead, error = np.zeros(n), np.full(n, np.inf)
+    for j in range(n):
+        x = np.column_stack([slopes[j], *bodies[:, j], *extras[:, j]])
+        scale = np.sqrt(np.mean(x**2, axis=0))
+        if not scale[0] > 0:
+            continue
+        used = scale > 1e-9 * scale.max()
+        left, values, right = linalg.svd(x[:, used] / scale[used], full_matrices=False)
+        kept = values > 1e-6 * values[0]
+        inverse = right[kept].T / values[kept]
+        theta = inverse @ (left[:, kept].T @ tau[j])
+        residual = tau[j] - (x[:, used] / scale[used]) @ theta
+        lead[j] = theta[0] / scale[0]
+        variance = np.sum(residual**2) / max(len(residual) - kept.sum(), 1)
+        error[j] = np.sqrt(variance * np.sum(inverse[0] ** 2)) / scale[0]
+    return lead, error
+
+
+def taken_out(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
+    """The recording with the common time between torque and motion taken out, and that time [s].
+
+    It is the weighted median of the joints' own, as long as it stays within MOST samples; otherwise every joint has a
+    delay of its own, and half a sample is taken (none for a sensor behind the gear).
+    """
+    lead, error = offsets(robot, recording)
+    weight = 1 / np.maximum(error, 0.02 * recording.period) ** 2 * np.isfinite(error)
+    common = _median(lead, weight) if weight.any() else 0.0
+    if abs(common) > MOST * recording.period:
+        common = 0.0 if side == "link" else recording.period / 2
+    pieces = tuple(
+        replace(p, tau=np.stack([shifted(x, -common * recording.filter.rate) for x in p.tau])) for p in recording.pieces
+    )
+    return replace(recording, pieces=pieces), float(common)
+
+
+def _median(x: np.ndarray, weight: np.ndarray) -> float:
+    order = np.argsort(x)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(x[order][np.searchsorted(share, 0.5)])

@@ -1,0 +1,106 @@
+"""What is noise: the residual of a model that may use every column at once, joint by joint; and hidden regularities in
+it that no list of trials can name, the ripples."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence, torque_candidate
+from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.maths.statistics import autocorrelation_time
+
+FLOOR = 5e-4
+"""Share of a joint's RMS torque below which nothing is known: interpolation, clocks and rounding of a log."""
+
+PEAKS = 3
+PEAK = 12.0
+"""Ripples that are taken up as candidates: so many of the highest lines, at least so many noise variances high."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Per joint: standard deviation of the residual's noise on filtered rows [N m; N], its autocorrelation time in rows,
+    and the residual (R, n) of the model that may use everything."""
+
+    deviation: np.ndarray
+    time: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def weights(self) -> np.ndarray:
+        """1 / (variance x autocorrelation time), (n,); 0 for a joint that never moves."""
+        return np.where(self.deviation > 0, 1 / np.maximum(self.deviation**2 * self.time, 1e-300), 0.0)
+
+
+def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
+    """The noise of the chosen rows (R,) bool."""
+    n = evidence.dofs
+    deviation, time, residual = np.zeros(n), np.ones(n), np.zeros(evidence.tau.shape)
+    for j in range(n):
+        used = rows & evidence.valid[:, j]
+        if used.sum() < 50:
+            continue
+        columns = sorted({i for c in evidence.candidates if _plain(c, j) for i in c.columns[j][1]})
+        x, y = evidence.tables[j][:, columns], evidence.tables[j][:, 0]
+        scale = np.sqrt(np.mean(x[used] ** 2, axis=0))
+        x = x[:, scale > 0] / scale[scale > 0]
+        solution, _, rank, _ = linalg.lstsq(x[used], y[used], cond=1e-7)  # type: ignore[misc]
+        residual[:, j] = y - x @ solution
+        variance = np.sum(residual[used, j] ** 2) / max(used.sum() - rank, 1)
+        strong = np.sqrt(np.mean(evidence.tau[used, j] ** 2))
+        deviation[j] = np.sqrt(variance + (FLOOR * strong) ** 2)
+        time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
+    return Noise(deviation, time, residual)
+
+
+def _plain(candidate: Candidate, joint: int) -> bool:
+    """Whether a candidate belongs to the model that may use everything: all but the many trials of one effect."""
+    if joint not in candidate.columns:
+        return False
+    name, shape = candidate.effect.name, candidate.shape
+    if name == "stribeck_friction":
+        return 0.02 < shape["velocity"] < 0.1
+    if name == "torque_delay":
+        return shape["delay"] == 0
+    return name not in ("actuator_lag", "torque_saturation", "thermal_friction_drift")
+
+
+def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
+    """Candidates for every line that stands out in the residual over a joint's angle."""
+    made = []
+    for j in range(evidence.dofs):
+        used = rows & evidence.valid[:, j]
+        if used.sum() < 50 or not noise.deviation[j]:
+            continue
+        kept = [evidence.recording.filter.rows(len(s[j].t)) for s in evidence.states]
+        q, qd = (
+            np.concatenate([getattr(s[j], x)[rows] for s, rows in zip(evidence.states, kept, strict=True)])[used]
+            for x in ("q", "qd")
+        )
+        reach = float(np.ptp(q))
+        if not reach > 0.05:
+            continue
+        grid = np.arange(4 * np.pi / reach, effect.most, 0.5 * np.pi / reach)
+        power = _power(noise.residual[used, j], q, qd, grid, evidence.recording.filter.cutoff)
+        power = power / (noise.deviation[j] ** 2 * noise.time[j])
+        for _ in range(PEAKS):
+            best = int(np.argmax(power)) if len(power) else 0
+            if not len(power) or power[best] < PEAK:
+                break
+            fine = grid[best] + np.linspace(-1, 1, 21) * (grid[1] - grid[0] if len(grid) > 1 else 0.1)
+            sharp = _power(noise.residual[used, j], q, qd, fine, evidence.recording.filter.cutoff)
+            made.append(torque_candidate(evidence, effect, j, {"cycles": float(fine[np.argmax(sharp)])}))
+            power[np.abs(grid - grid[best]) < 2 * np.pi / reach] = 0
+    return made
+
+
+def _power(residual: np.ndarray, q: np.ndarray, qd: np.ndarray, cycles: np.ndarray, cutoff: float) -> np.ndarray:
+    """Explained squares (C,) [N^2 m^2] of a sine over the angle, attenuated as the filter does at the present speed."""
+    out = np.empty(len(cycles))
+    for start in range(0, len(cycles), 64):
+        c = cycles[start : start + 64, None]
+        gain = 1 / (1 + (c * qd / (2 * np.pi * cutoff)) ** 8)
+        wave = gain * np.exp(1j * c * q)
+        out[start : start + 64] = 2 * np.abs(wave @ residual) ** 2 / np.maximum(np.sum(gain**2, axis=1), 1e-9)
+    return out

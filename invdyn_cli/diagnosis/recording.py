@@ -1,0 +1,234 @@
+"""A log made ready: uninterrupted pieces on one working clock, with derivatives, and the filter that all columns share.
+
+Pieces are cut by their role (what chooses, what judges, what is compared with) before anything is filtered, so that
+nothing of the one reaches the other.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import signal
+from scipy.interpolate import make_interp_spline
+
+from invdyn_cli.errors import LogError
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.maths.signals import lowpass, settling
+
+ROLES = ("train", "test", "reference")
+
+Window = tuple[str, float, float]
+"""A stretch of a trajectory: its name, start and end [s]."""
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """How a log is made ready.
+
+    Attributes:
+        rate: [Hz] of the working clock; slower logs keep their own. Columns are made at this rate and only then
+            filtered, so that a reversal is placed within 2 ms.
+        cutoffs: [Hz] of the common low-pass to choose from: the highest at which the noise of the positions, twice
+            differentiated, costs no more torque than the noise of the torque itself.
+        smoothing: the motion keeps so many times the bandwidth of the columns.
+        max_gap: [s] a longer step parts a trajectory.
+        train_share: first share of each trajectory's time that chooses; the rest judges.
+        longest: [s] of log that is looked at; of a longer one, `stretch` [s] long stretches spread evenly over it.
+    """
+
+    rate: float = 250.0
+    cutoffs: tuple[float, ...] = (40.0, 30.0, 22.0, 16.0, 12.0, 9.0, 7.0, 5.0)
+    smoothing: float = 4.0
+    max_gap: float = 0.1
+    train_share: float = 0.7
+    longest: float = 900.0
+    stretch: float = 20.0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """An uninterrupted stretch on the working clock: t (T,) [s], the others (n, T) [rad, N m; m, N]; `motion_noise` is
+    the speed [rad/s] that the noise of the positions feigns, (n,)."""
+
+    trajectory: str
+    role: str
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    tau: np.ndarray
+    motion_noise: np.ndarray
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The zero-phase low-pass that torque and columns pass alike, then every `keep`-th sample, ends cut off."""
+
+    rate: float
+    cutoff: float
+    keep: int
+
+    @property
+    def inset(self) -> int:
+        """Samples that are cut off at either end."""
+        return settling(self.rate, self.cutoff)
+
+    def rows(self, samples: int) -> np.ndarray:
+        """Which samples are kept."""
+        return np.arange(self.inset, max(self.inset, samples - self.inset), self.keep)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """(..., T) -> (..., rows)."""
+        sections = signal.butter(4, self.cutoff, fs=self.rate, output="sos")
+        out = signal.sosfiltfilt(sections, x, axis=-1, padlen=self.inset)
+        return out[..., self.rows(x.shape[-1])]
+
+    def spread(self, mask: np.ndarray) -> np.ndarray:
+        """Rows (..., rows) that any True of a mask (..., T) reaches through the filter."""
+        reach = max(1, round(0.5 * self.rate / self.cutoff))
+        wide = signal.convolve(mask.astype(float), np.ones((1,) * (mask.ndim - 1) + (2 * reach + 1,)), mode="same") > 0.5
+        return wide[..., self.rows(mask.shape[-1])]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All pieces of a log, their common filter, and what was learned on the way.
+
+    Attributes:
+        period: [s] between samples of the log, before anything was resampled.
+        position_noise, torque_noise: (n,) standard deviation of white noise at the log's own rate [rad], [N m].
+    """
+
+    joints: tuple[str, ...]
+    pieces: tuple[Piece, ...]
+    filter: Filter
+    period: float
+    position_noise: np.ndarray
+    torque_noise: np.ndarray
+    notes: tuple[str, ...] = ()
+    details: Mapping[str, object] = field(default_factory=dict)
+
+
+def prepare(
+    log: Log,
+    inertia: np.ndarray,
+    windows: Mapping[str, Sequence[Window]] | None,
+    options: Conditioning,
+) -> Recording:
+    """Cut, resample, smooth and differentiate.
+
+    Args:
+        log: torques in N m, no defects.
+        inertia: (n,) typical inertia that each joint carries [kg m^2]: it turns noise of positions into torque.
+        windows: role -> stretches; None: the first `train_share` of every trajectory chooses, the rest judges.
+
+    Raises:
+        LogError: if no piece is long enough.
+    """
+    notes: list[str] = []
+    cut = [
+        (raw.name, role, *part)
+        for raw in log.trajectories
+        for role, start, end in _roles(raw, windows, options)
+        for part in _uninterrupted(raw, start, end, options.max_gap)
+    ]
+    periods = [np.median(np.diff(t)) for _, _, t, _, _ in cut if len(t) > 3]
+    if not periods:
+        raise LogError("no stretch of the log has four samples without a gap")
+    period = float(np.median(periods))
+    total = sum(t[-1] - t[0] for _, _, t, _, _ in cut)
+    if total > options.longest:
+        cut = [part for piece in cut for part in _stretches(piece, options.longest / total, options.stretch)]
+        notes.append(
+            f"The log is {total:.0f} s long; stretches of {options.stretch:g} s spread evenly over it, "
+            f"{options.longest:g} s in all, are looked at."
+        )
+    cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 12]
+    position_noise, torque_noise = _noise([q for *_, q, _ in cut]), _noise([tau for *_, tau in cut])
+    step = max(1, round(1 / (period * options.rate)))
+    rate = 1 / (period * step)
+    strongest = np.sqrt(np.mean(np.concatenate([tau for *_, tau in cut], axis=1) ** 2, axis=1))
+    cutoff = _cutoff(position_noise, torque_noise, strongest, inertia, period, rate, options)
+    common = Filter(rate, cutoff, max(1, int(rate / (2.5 * cutoff))))
+    smooth = options.smoothing * cutoff
+    pieces = []
+    for name, role, t, q, tau in cut:
+        if len(t) // step > 3 * common.inset + 8:
+            pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
+    if not any(piece.role == "train" for piece in pieces):
+        needed = (3 * common.inset + 8) / rate
+        raise LogError(f"no uninterrupted stretch of the log is long enough; {needed:.2g} s are needed")
+    if len(pieces) < len(cut):
+        notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
+    details = {"working_rate_Hz": rate, "filter_cutoff_Hz": cutoff, "filter_order": 4, "motion_cutoff_Hz": smooth}
+    return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
+
+
+def _roles(
+    raw: RawTrajectory, windows: Mapping[str, Sequence[Window]] | None, options: Conditioning
+) -> list[tuple[str, float, float]]:
+    if windows is None:
+        cut = raw.t[0] + options.train_share * (raw.t[-1] - raw.t[0])
+        return [("train", -np.inf, cut), ("test", cut, np.inf)]
+    return [(role, a, b) for role in ROLES for name, a, b in windows.get(role, ()) if name == raw.name]
+
+
+def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float):
+    rows = np.flatnonzero((raw.t >= start) & (raw.t < end))
+    for piece in np.split(rows, np.flatnonzero(np.diff(raw.t[rows]) > max_gap) + 1):
+        if len(piece):
+            yield raw.t[piece], raw.q[piece].T, raw.tau[piece].T
+
+
+def _stretches(piece, share: float, length: float):
+    """Evenly spread stretches of a piece that make up a share of it."""
+    name, role, t, q, tau = piece
+    count = max(1, round(share * (t[-1] - t[0]) / length))
+    for start in t[0] + (t[-1] - t[0]) * np.arange(count) / count:
+        rows = slice(*np.searchsorted(t, [start, start + min(length, (t[-1] - t[0]) * share)]))
+        yield name, role, t[rows], q[:, rows], tau[:, rows]
+
+
+def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float):
+    """On a uniform clock of the log's own period; cubic for positions, since they are differentiated."""
+    ticks = t[0] + period * np.arange(int((t[-1] - t[0]) / period + 1e-6) + 1)
+    if len(ticks) == len(t) and np.all(np.abs(ticks - t) < 1e-3 * period):
+        return ticks, np.asarray(q, float), np.asarray(tau, float)
+    q = make_interp_spline(t, q, k=3, axis=1)(ticks)
+    return ticks, q, make_interp_spline(t, tau, k=1, axis=1)(ticks)
+
+
+def _noise(parts: list[np.ndarray]) -> np.ndarray:
+    """Standard deviation (n,) of white noise on smooth signals (n, T): from fourth differences, a median over each
+    tenth so that jumps do not count."""
+    fourth = np.concatenate([np.diff(x, 4, axis=1) for x in parts], axis=1)
+    spread = [np.sqrt(np.mean(part**2, axis=1)) for part in np.array_split(fourth, min(20, fourth.shape[1]), axis=1)]
+    return np.quantile(spread, 0.25, axis=0) / np.sqrt(70)
+
+
+def _cutoff(position_noise, torque_noise, strongest, inertia, period, rate, options: Conditioning) -> float:
+    """The highest cut-off at which differentiated position noise costs no more torque than the torque's own noise, or
+    0.2 % of the torque; for half of the joints."""
+    possible = [f for f in options.cutoffs if f <= 0.2 * rate] or [min(options.cutoffs[-1], 0.2 * rate)]
+    for cutoff in possible:
+        acceleration = position_noise * (2 * np.pi) ** 2 * cutoff**2.5 * np.sqrt(2 * period / 5)
+        allowed = np.maximum(torque_noise * np.sqrt(2 * cutoff * period), 0.002 * strongest)
+        if np.median(inertia * acceleration / np.maximum(allowed, 1e-300)) <= 1:
+            return cutoff
+    return possible[-1]
+
+
+def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: float) -> Piece:
+    rate = 1 / period
+    if step > 1:
+        limit = 0.35 * rate / step
+        tau = lowpass(tau.T, rate, limit)[::step].T
+        q = lowpass(q.T, rate, min(limit, smooth))[::step].T
+        t, rate = t[::step], rate / step
+    elif smooth < 0.35 * rate:
+        q = lowpass(q.T, rate, smooth).T
+    ticks = np.arange(len(t)) / rate
+    spline = make_interp_spline(ticks, q, k=5, axis=1)
+    bandwidth = min(smooth, 0.35 * rate)
+    feigned = noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
+    return Piece(name, role, t, q, spline.derivative(1)(ticks), spline.derivative(2)(ticks), tau, feigned)

@@ -1,0 +1,230 @@
+"""The search: which few causes together explain what the nominal model leaves, judged on blocks that did not fit them.
+
+A hypothesis is a set of candidates. Its loss is the weighted square of what is left on held-out blocks, in units of the
+noise's variance and with the residual's autocorrelation counted, plus a price for every effect and every coefficient.
+Forward steps, drops and swaps go on until none of them helps.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.diagnosis.evidence import DRY, Candidate, Evidence
+
+FOLDS = 8
+"""Parts of the blocks that are held out in turn."""
+
+PRICE_OF_EFFECT, PRICE_OF_COEFFICIENT = 12.0, 4.0
+"""In units of the noise variance: an effect must gain more. About 2 log(tries) and log(samples), as BIC has it
+(Schwarz 1978; Foster and George 1994 for the number of tries)."""
+
+RELEVANT = 0.002
+"""Share of a joint's RMS torque that an effect must be worth: an honest log of a right model leaves nearly as much by
+clocks, interpolation and filters."""
+
+SHORTLIST = 10
+"""Candidates of a step whose held-out loss is computed; the others gain less on the data that fits them."""
+
+LEAST_PRECISION = 1e-9
+
+Hypothesis = tuple[Candidate, ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a hypothesis does: its `loss` with prices, the held-out loss of each block (B,), its coefficients."""
+
+    loss: float
+    blocks: np.ndarray
+    theta: np.ndarray
+    fit_loss: float
+
+
+class Judge:
+    """Gram matrices of the chosen rows, by block, and what they say of hypotheses.
+
+    Args:
+        rows: (R,) bool, which rows count.
+        weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
+    """
+
+    def __init__(self, evidence: Evidence, rows: np.ndarray, weights: np.ndarray, deviation: np.ndarray) -> None:
+        self.evidence, self.rows, self.weights = evidence, rows, weights
+        numbers, self.block = np.unique(evidence.block[rows], return_inverse=True)
+        self.count = len(numbers)
+        self.folds = np.arange(self.count) % min(FOLDS, self.count)
+        self.grams: list[np.ndarray] = [np.empty((self.count, 0, 0))] * evidence.dofs
+        used = evidence.valid[rows]
+        worth = weights * np.sum((RELEVANT * evidence.tau[rows]) ** 2 * used, axis=0)
+        self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
+        self.rows_worth = weights * used.sum(0)
+        self.deviation = deviation
+        self.tried = 0
+
+    def refresh(self) -> None:
+        """Take in the columns that were added to the evidence since."""
+        edges = np.searchsorted(self.block, np.arange(self.count + 1))
+        for j, table in enumerate(self.evidence.tables):
+            if table.shape[1] != self.grams[j].shape[1]:
+                x = table[self.rows] * self.evidence.valid[self.rows, j : j + 1]
+                self.grams[j] = np.stack([x[a:b].T @ x[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+
+    def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
+        starts = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
+        k = int(starts[-1])
+        s, r, normal = np.zeros(self.count), np.zeros((self.count, k)), np.zeros((self.count, k, k))
+        for j, gram in enumerate(self.grams):
+            if not self.weights[j]:
+                continue
+            fixed, free, place = [0], [], []
+            for c, start in zip(hypothesis, starts[:-1], strict=True):
+                if j in c.columns:
+                    fixed += c.columns[j][0]
+                    free += c.columns[j][1]
+                    place += range(start, start + len(c.precision))
+            signs = np.array([1.0] + [-1.0] * (len(fixed) - 1))
+            w = self.weights[j]
+            if len(fixed) == 1:
+                s += w * gram[:, 0, 0]
+            else:
+                s += w * np.einsum("a,bac,c->b", signs, gram[:, fixed][:, :, fixed], signs)
+            if free:
+                rows = gram[:, free]
+                r[:, place] += w * (rows[:, :, fixed] @ signs)
+                normal[:, np.array(place)[:, None], place] += w * rows[:, :, free]
+        return s, r, normal
+
+    def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
+        """Loss with prices on the data that fits the hypothesis, and its coefficients."""
+        s, r, normal = (x.sum(0) for x in self.sums(hypothesis))
+        theta = _solve(normal, r, _precision(hypothesis))
+        return float(s - theta @ r) + self.price(hypothesis), theta
+
+    def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
+        """The held-out judgement."""
+        s, r, normal = self.sums(hypothesis)
+        precision = _precision(hypothesis)
+        theta = _solve(normal.sum(0), r.sum(0), precision)
+        blocks = np.empty(self.count)
+        for fold in range(self.folds.max() + 1):
+            out = self.folds == fold
+            others = ~out if self.folds.max() else out
+            held = _solve(normal[others].sum(0), r[others].sum(0), precision)
+            blocks[out] = s[out] - 2 * r[out] @ held + np.einsum("a,bac,c->b", held, normal[out], held)
+        fit = float(s.sum() - theta @ r.sum(0))
+        loss = float(blocks.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
+        return Verdict(loss, blocks, theta, fit)
+
+    def price(self, hypothesis: Sequence[Candidate]) -> float:
+        """What a hypothesis must gain at least."""
+        return sum(
+            PRICE_OF_EFFECT
+            + PRICE_OF_COEFFICIENT * len(c.precision)
+            + self.least[c.joint if c.effect.point in ("torque", "channel") else None]
+            + (c.quiet * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2 if c.quiet else 0.0)
+            for c in hypothesis
+        )
+
+    def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
+        """Why the coefficients of a hypothesis are no physics, "" if they are."""
+        for candidate, parameters in read_all(self.evidence, hypothesis, theta):
+            why = candidate.effect.refuse(parameters)
+            if why:
+                return f"{candidate.effect.title}: {why}"
+        return ""
+
+
+def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):
+    """Every candidate of a hypothesis with its parameters, from the coefficients (k,)."""
+    start = 0
+    for c in hypothesis:
+        coefficients = theta[start : start + len(c.precision)]
+        start += len(c.precision)
+        yield c, parameters_of(evidence, c, coefficients)
+
+
+def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
+    """Parameters of one candidate from its coefficients."""
+    effect, shape = candidate.effect, candidate.shape
+    if effect.name == "torque_gain_error":
+        return {"gain": float(1 / max(1 + coefficients[0], 1e-3))}
+    if effect.name == "encoder_offset":
+        return {"offset": float(shape.get("offset", 0.0) + coefficients[0])}
+    if effect.point == "channel":
+        return {name: float(value + c) for (name, value), c in zip(shape.items(), coefficients, strict=True)}
+    if effect.point == "body":
+        return effect.read(coefficients, evidence.robot, candidate.joint)
+    known = [float(c) for c in coefficients]
+    return effect.read(known[:-1] if effect.name in DRY else known, shape)
+
+
+def search(judge: Judge, pool: Sequence[Candidate], always: Hypothesis = (), start: Hypothesis = (), most: int = 12) -> Hypothesis:
+    """The hypothesis of least loss that steps from `start` lead to; `always` is part of it and not counted."""
+    hypothesis, loss = start, judge.verdict(always + start).loss
+    for _ in range(6 * most):
+        moves = list(_additions(hypothesis, pool)) if len(hypothesis) < most else []
+        better = _best(judge, always, hypothesis, moves, loss)
+        if better is None:
+            better = _best(judge, always, hypothesis, _drops(hypothesis), loss)
+        if better is None:
+            better = _best(judge, always, hypothesis, list(_swaps(hypothesis, pool)), loss)
+        if better is None:
+            return hypothesis
+        hypothesis, loss = better
+    return hypothesis
+
+
+def _best(judge: Judge, always: Hypothesis, now: Hypothesis, moves: Iterable[Hypothesis], loss: float):
+    """The best of these hypotheses with its loss, if it is better than `loss`."""
+    quick = []
+    for move in moves:
+        judge.tried += 1
+        value, theta = judge.quick(always + move)
+        if value < loss and not judge.refused(always + move, theta):
+            quick.append((value, move))
+    quick.sort(key=lambda x: x[0])
+    found = None
+    for _, move in quick[:SHORTLIST]:
+        verdict = judge.verdict(always + move)
+        if verdict.loss < loss - 1e-6:
+            found, loss = (move, verdict.loss), verdict.loss
+    return found
+
+
+def _additions(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
+    for c in pool:
+        if not any(c.key == e.key or clash(e, c) for e in hypothesis):
+            yield *(e for e in hypothesis if not clash(c, e)), c
+
+
+def _drops(hypothesis: Hypothesis) -> list[Hypothesis]:
+    return [hypothesis[:i] + hypothesis[i + 1 :] for i in range(len(hypothesis))]
+
+
+def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
+    for i in range(len(hypothesis)):
+        others = hypothesis[:i] + hypothesis[i + 1 :]
+        for c in pool:
+            if c is not hypothesis[i] and not any(c.key == e.key or clash(e, c) or clash(c, e) for e in others):
+                yield *others, c
+
+
+def clash(whole: Candidate, part: Candidate) -> bool:
+    """Whether one effect on a joint is the general case of another there."""
+    return whole.joint == part.joint and part.effect.name in whole.effect.contains
+
+
+def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:
+    return np.concatenate([c.precision for c in hypothesis]) if hypothesis else np.zeros(0)
+
+
+def _solve(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Coefficients (k,) of the normal equations with what is known beforehand."""
+    if not len(r):
+        return r
+    diagonal = np.diag(normal)
+    scale = np.sqrt(np.maximum(diagonal, 1e-300))
+    scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
+    return np.linalg.solve(scaled, r / scale) / scale

@@ -1,0 +1,197 @@
+"""Drive and torque channel: what lies between the torque that is logged and the one that moves the joint."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+from scipy.interpolate import make_interp_spline
+
+from invdyn_cli.interfaces import (
+    AbstractChannelEffect,
+    AbstractTorqueEffect,
+    JointState,
+    Parameter,
+    Parameters,
+)
+from invdyn_cli.types import Array
+
+MOTOR_SIDES = ("motor", "command", "unknown")
+
+
+@dataclass(frozen=True)
+class RotorInertia(AbstractTorqueEffect):
+    """Inertia of the fast side of the gear; a sensor behind the gear does not feel it."""
+
+    name = "rotor_inertia"
+    title = "rotor inertia"
+    equation = "armature qdd"
+    reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
+    parameters = {"armature": Parameter("kg m²", 0.0)}
+    sides = MOTOR_SIDES
+    confounders = (("link_inertia_error",),)
+    advice = "accelerations of the joint in postures that change the inertia it carries"
+    picture = "qdd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["armature"] * state.qdd
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        return (state.qdd,)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"armature": coefficients[0]}
+
+
+@dataclass(frozen=True)
+class TorqueOffset(AbstractTorqueEffect):
+    """A constant: zero of a sensor or a drive."""
+
+    name = "torque_offset"
+    title = "torque offset"
+    equation = "offset"
+    reference = "Swevers, Verdonck and De Schutter, IEEE Control Systems 2007"
+    parameters = {"offset": Parameter("N m")}
+    confounders = (("joint_spring",), ("asymmetric_coulomb_friction",), ("base_tilt",), ("link_inertia_error",))
+    advice = "many postures approached from both sides, one of them without load"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        xp = state.q.__array_namespace__()
+        return parameters["offset"] * xp.ones_like(state.q)
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        xp = state.q.__array_namespace__()
+        return (xp.ones_like(state.q),)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"offset": coefficients[0]}
+
+
+@dataclass(frozen=True)
+class TorqueGainError(AbstractChannelEffect):
+    """Wrong torque constant, drive gain or sensor gain."""
+
+    name = "torque_gain_error"
+    title = "torque gain error"
+    equation = "delivered = gain · logged"
+    reference = "Gautier and Briot, ASME JDSMC 2014"
+    parameters = {"gain": Parameter("-", 0.1, 10.0)}
+    confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
+    advice = "a known payload: it tells a gain from masses"
+    picture = "load"
+
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        return ({"gain": 1.0},)
+
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return parameters["gain"] * tau
+
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return tau / parameters["gain"]
+
+
+@dataclass(frozen=True)
+class TorqueDelay(AbstractChannelEffect):
+    """Pure delay between command and torque.
+
+    Attributes:
+        delays: to try [s].
+    """
+
+    delays: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
+
+    name = "torque_delay"
+    title = "torque delay"
+    equation = "delivered(t) = logged(t − delay)"
+    reference = "first order: delay · d torque/dt"
+    parameters = {"delay": Parameter("s", 0.0, 0.25)}
+    confounders = (("actuator_lag",), ("viscous_friction",))
+    advice = "fast motion: a delay grows with frequency as a line, a lag bends and damps"
+    picture = "slope"
+
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        return [{"delay": d} for d in self.delays]
+
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return shifted(tau, -parameters["delay"] * rate)
+
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return shifted(tau, parameters["delay"] * rate)
+
+
+@dataclass(frozen=True)
+class ActuatorLag(AbstractChannelEffect):
+    """First-order lag of the drive's current or torque loop.
+
+    Attributes:
+        time_constants: to try [s].
+    """
+
+    time_constants: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
+
+    name = "actuator_lag"
+    title = "actuator lag"
+    equation = "time_constant · d delivered/dt + delivered = logged"
+    reference = "first-order current loop"
+    parameters = {"time_constant": Parameter("s", 0.0, 0.25)}
+    confounders = (("torque_delay",), ("viscous_friction",))
+    advice = TorqueDelay.advice
+    picture = "slope"
+
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        return [{"time_constant": x} for x in self.time_constants]
+
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        """First order on a torque that runs in straight lines between samples, exactly."""
+        x = parameters["time_constant"] * rate
+        tau = np.asarray(tau)
+        if x < 1e-9:
+            return tau
+        decay = np.exp(-1 / x)
+        now, before = 1 - x * (1 - decay), x * (1 - decay) - decay
+        out, _ = signal.lfilter([now, before], [1, -decay], tau, zi=[tau[0] * (1 - now)])
+        return out
+
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        xp = tau.__array_namespace__()
+        slope = xp.concatenate([tau[1:2] - tau[:1], (tau[2:] - tau[:-2]) / 2, tau[-1:] - tau[-2:-1]])
+        return tau + parameters["time_constant"] * rate * slope
+
+
+@dataclass(frozen=True)
+class TorqueSaturation(AbstractChannelEffect):
+    """A limit of current or torque that the log does not know of.
+
+    Attributes:
+        shares: of the samples that a tried limit would cut off.
+    """
+
+    shares: tuple[float, ...] = (0.004, 0.01, 0.02, 0.04, 0.08, 0.13, 0.2, 0.3, 0.42, 0.55, 0.7)
+
+    name = "torque_saturation"
+    title = "torque saturation"
+    equation = "delivered = clip(logged, ±limit)"
+    reference = "data sheets of drives"
+    parameters = {"limit": Parameter("N m", 0.0)}
+    advice = "the measured torque or current beside the commanded one"
+    picture = "load"
+
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        limits = np.quantile(abs(np.asarray(tau)), [1 - x for x in self.shares])
+        return [{"limit": float(x)} for x in limits if x > 0]
+
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        xp = tau.__array_namespace__()
+        return xp.clip(tau, -parameters["limit"], parameters["limit"])
+
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return self.delivered(parameters, tau, rate)
+
+
+def shifted(x: Array, samples: float) -> np.ndarray:
+    """x (T,) at the times `samples` later (cubic spline; the end values go on): shifted(x, 1)[i] is x[i + 1]."""
+    x = np.asarray(x)
+    if not samples or len(x) < 4:
+        return x
+    ticks = np.arange(len(x), dtype=float)
+    return make_interp_spline(ticks, x, k=3)(np.clip(ticks + samples, 0, len(x) - 1))

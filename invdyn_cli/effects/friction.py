@@ -1,0 +1,230 @@
+"""Friction: what a joint's own velocity costs, in its many shapes.
+
+Sizes are those of the logged side. sign(qd) comes with the state: whoever makes it decides how it crosses zero.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.types import Array
+
+ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 1994"
+
+
+@dataclass(frozen=True)
+class ViscousFriction(AbstractTorqueEffect):
+    """Proportional to velocity."""
+
+    name = "viscous_friction"
+    title = "viscous friction"
+    equation = "damping qd"
+    reference = ARMSTRONG
+    parameters = {"damping": Parameter("N m s/rad", 0.0)}
+    confounders = (
+        ("thermal_friction_drift",),
+        ("quadratic_friction",),
+        ("actuator_lag",),
+        ("torque_delay",),
+        ("stribeck_friction",),
+    )
+    advice = "constant speeds in both directions, at least three of them"
+    picture = "qd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["damping"] * state.qd
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        return (state.qd,)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"damping": coefficients[0]}
+
+
+@dataclass(frozen=True)
+class CoulombFriction(AbstractTorqueEffect):
+    """Constant, against the motion."""
+
+    name = "coulomb_friction"
+    title = "Coulomb friction"
+    equation = "coulomb sign(qd)"
+    reference = ARMSTRONG
+    parameters = {"coulomb": Parameter("N m", 0.0)}
+    confounders = (("stribeck_friction",), ("asymmetric_coulomb_friction",), ("load_dependent_friction",))
+    advice = "slow motion through many reversals, below 0.05 rad/s too"
+    picture = "qd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["coulomb"] * state.sign
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        return (state.sign,)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"coulomb": coefficients[0]}
+
+
+@dataclass(frozen=True)
+class AsymmetricCoulombFriction(AbstractTorqueEffect):
+    """Another constant in either direction: Coulomb friction and an offset, which nothing in the motion parts."""
+
+    name = "asymmetric_coulomb_friction"
+    title = "asymmetric Coulomb friction"
+    equation = "positive for qd > 0, −negative for qd < 0"
+    reference = "Elhami and Brookfield, Proc. IMechE 1996"
+    parameters = {"positive": Parameter("N m", 0.0), "negative": Parameter("N m", 0.0)}
+    confounders = (("coulomb_friction", "torque_offset"),)
+    contains = ("coulomb_friction",)
+    advice = "the torque in a posture that needs none, with the joint at rest and free: an offset stays, friction goes"
+    picture = "qd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        up, down = self.basis(state, parameters)
+        return parameters["positive"] * up + parameters["negative"] * down
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        size = abs(state.sign)
+        return (size + state.sign) / 2, (state.sign - size) / 2
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"positive": coefficients[0], "negative": coefficients[1]}
+
+
+@dataclass(frozen=True)
+class StribeckFriction(AbstractTorqueEffect):
+    """Falls from the static level to Coulomb's as the joint gains speed.
+
+    Attributes:
+        velocities: Stribeck velocities to try [rad/s]; the found one is refined between them.
+    """
+
+    velocities: tuple[float, ...] = (0.006, 0.01, 0.017, 0.028, 0.047, 0.08, 0.13, 0.22, 0.36)
+
+    name = "stribeck_friction"
+    title = "Stribeck friction"
+    equation = "(coulomb + (static − coulomb) exp(−(qd/velocity)²)) sign(qd)"
+    reference = "Bo and Pavelescu, Wear 1982; " + ARMSTRONG
+    parameters = {
+        "coulomb": Parameter("N m", 0.0),
+        "static": Parameter("N m", 0.0),
+        "velocity": Parameter("rad/s", 1e-3, 1.0),
+    }
+    confounders = (("coulomb_friction",), ("coulomb_friction", "viscous_friction"))
+    contains = ("coulomb_friction",)
+    advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
+    picture = "qd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        xp = state.qd.__array_namespace__()
+        drop = xp.exp(-((state.qd / parameters["velocity"]) ** 2))
+        level = parameters["coulomb"] + (parameters["static"] - parameters["coulomb"]) * drop
+        return level * state.sign
+
+    def shapes(self, state: JointState) -> Sequence[Parameters]:
+        return [{"velocity": v} for v in self.velocities]
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        xp = state.qd.__array_namespace__()
+        return state.sign, state.sign * xp.exp(-((state.qd / shape["velocity"]) ** 2))
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"coulomb": coefficients[0], "static": coefficients[0] + coefficients[1], **shape}
+
+    def refuse(self, parameters: Parameters) -> str:
+        if parameters["static"] < parameters["coulomb"]:
+            return "friction would rise with speed: the static level is below Coulomb's"
+        return super().refuse(parameters)
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(AbstractTorqueEffect):
+    """Grows with the torque that the gear transmits."""
+
+    name = "load_dependent_friction"
+    title = "load-dependent friction"
+    equation = "mu |transmitted torque| sign(qd)"
+    reference = "Gogoussis and Donath, ICRA 1988; Hamon, Gautier and Garrec, IROS 2010"
+    parameters = {"mu": Parameter("-", 0.0, 1.0)}
+    confounders = (("coulomb_friction",), ("torque_gain_error",))
+    advice = "the same slow motion both ways in postures of different load, or with and without a known payload"
+    picture = "load"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["mu"] * abs(state.transmitted) * state.sign
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        return (abs(state.transmitted) * state.sign,)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"mu": coefficients[0]}
+
+
+@dataclass(frozen=True)
+class QuadraticFriction(AbstractTorqueEffect):
+    """Drag, with the square of velocity."""
+
+    name = "quadratic_friction"
+    title = "quadratic friction"
+    equation = "drag qd |qd|"
+    reference = "Waiboer, Aarts and Jonker, Multibody Dynamics 2005"
+    parameters = {"drag": Parameter("N m s²/rad²", 0.0)}
+    confounders = (("viscous_friction",), ("thermal_friction_drift",))
+    advice = "constant speeds up to the fastest the joint can do, both ways"
+    picture = "qd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["drag"] * state.qd * abs(state.qd)
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        return (state.qd * abs(state.qd),)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"drag": coefficients[0]}
+
+
+@dataclass(frozen=True)
+class ThermalFrictionDrift(AbstractTorqueEffect):
+    """Viscous friction that falls while the gear warms up.
+
+    Attributes:
+        trials: how many time constants are tried, evenly in the logarithm between a tenth of the log and all of it.
+    """
+
+    trials: int = 6
+
+    name = "thermal_friction_drift"
+    title = "thermal drift of friction"
+    equation = "(warm + (cold − warm) exp(−t/time_constant)) qd"
+    reference = "Simoni, Beschi, Legnani and Visioli, IROS 2015; Bittencourt and Gunnarsson, ASME JDSMC 2012"
+    parameters = {
+        "cold": Parameter("N m s/rad", 0.0),
+        "warm": Parameter("N m s/rad", 0.0),
+        "time_constant": Parameter("s", 0.1),
+    }
+    confounders = (("viscous_friction",), ("quadratic_friction",))
+    contains = ("viscous_friction",)
+    advice = "the same trajectory cold and after 20 minutes of motion"
+    picture = "qd"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        xp = state.t.__array_namespace__()
+        cooling = xp.exp(-state.t / parameters["time_constant"])
+        return (parameters["warm"] + (parameters["cold"] - parameters["warm"]) * cooling) * state.qd
+
+    def shapes(self, state: JointState) -> Sequence[Parameters]:
+        last = float(np.max(state.t))
+        return [{"time_constant": float(x)} for x in np.geomspace(0.08 * last, 1.2 * last, self.trials)]
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        xp = state.t.__array_namespace__()
+        return state.qd, state.qd * xp.exp(-state.t / shape["time_constant"])
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"cold": coefficients[0] + coefficients[1], "warm": coefficients[0], **shape}
+
+    def refuse(self, parameters: Parameters) -> str:
+        if parameters["cold"] < parameters["warm"]:
+            return "friction would rise while the gear warms up"
+        return super().refuse(parameters)

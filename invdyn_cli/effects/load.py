@@ -1,0 +1,160 @@
+"""Bodies, mounting and encoders: what makes all joints feel another arm."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractMotionEffect, Parameter, Parameters
+from invdyn_cli.types import Array, Motion, Robot
+
+MASS, MOMENT, INERTIA = 5.0, 1.0, 0.3
+"""Scales that changes of a link's mass [kg], first moments [kg m] and inertia [kg m²] hardly exceed on a robot arm."""
+
+STILL = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Payload(AbstractBodyEffect):
+    """A body on the last link that the model does not know: tool, gripper, object. Taken for a point mass."""
+
+    name = "payload"
+    title = "payload"
+    equation = "a body of this mass at com in the frame of the last moving joint"
+    reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
+    parameters = {"mass": Parameter("kg", 0.0), "com": Parameter("m", -1.0, 1.0)}
+    confounders = (("link_inertia_error",), ("torque_gain_error",))
+    advice = "the same trajectory without the load, or the tool on a scale"
+    picture = "body"
+
+    def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
+        mass, com = parameters["mass"], parameters["com"]
+        x, y, z = com[0], com[1], com[2]
+        body = [mass, mass * x, mass * y, mass * z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
+        return _added(robot, robot.dofs - 1, [*body[:4], *(mass * i for i in body[4:])])
+
+    def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
+        scales = [MASS] + [MOMENT] * 3 + [0.1 * INERTIA] * 6
+        return [(_unit(robot, robot.dofs - 1, k), STILL, scale) for k, scale in enumerate(scales)]
+
+    def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
+        mass = coefficients[0]
+        com = np.asarray(coefficients[1:4]) / (mass if mass else 1e-300)
+        return {"mass": mass, "com": com}
+
+
+@dataclass(frozen=True)
+class LinkInertiaError(AbstractBodyEffect):
+    """Other inertials of one link than the model has. Only base parameters show; what does not stays as it was."""
+
+    name = "link_inertia_error"
+    title = "wrong inertials of a link"
+    equation = "other mass, first moments and inertia of one link"
+    reference = "Gautier and Khalil, IEEE T-RA 1990"
+    parameters = {"mass": Parameter("kg"), "moment": Parameter("kg m"), "inertia": Parameter("kg m²")}
+    confounders = (
+        ("link_inertia_error",),
+        ("payload",),
+        ("encoder_offset",),
+        ("base_tilt",),
+        ("rotor_inertia",),
+        ("torque_gain_error",),
+        ("torque_offset",),
+        ("joint_spring",),
+    )
+    advice = "an exciting trajectory that moves all joints fast and over their whole range"
+    picture = "body"
+
+    def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
+        assert joint is not None
+        moment, inertia = parameters["moment"], parameters["inertia"]
+        return _added(robot, joint, [parameters["mass"], *(moment[i] for i in range(3)), *(inertia[i] for i in range(6))])
+
+    def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
+        assert joint is not None
+        scales = [MASS] + [MOMENT] * 3 + [INERTIA] * 6
+        return [(_unit(robot, joint, k), STILL, scale) for k, scale in enumerate(scales)]
+
+    def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
+        change = np.asarray(coefficients)
+        return {"mass": float(change[0]), "moment": change[1:4], "inertia": change[4:]}
+
+
+@dataclass(frozen=True)
+class BaseTilt(AbstractBodyEffect):
+    """Gravity from another direction than the model's: the base does not stand as it should."""
+
+    name = "base_tilt"
+    title = "base tilt"
+    equation = "gravity = 9.81 (sin angle cos azimuth, sin angle sin azimuth, −cos angle)"
+    reference = "Atkeson, An and Hollerbach, IJRR 1986"
+    parameters = {"angle": Parameter("rad", 0.0, np.pi), "azimuth": Parameter("rad")}
+    confounders = (("link_inertia_error",), ("encoder_offset",), ("torque_offset",))
+    advice = "a spirit level on the base; turning the first joint, whose torque a true vertical leaves at zero"
+    picture = "body"
+
+    def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
+        xp = np if isinstance(parameters["angle"], float) else parameters["angle"].__array_namespace__()
+        angle, azimuth = parameters["angle"], parameters["azimuth"]
+        down = [xp.sin(angle) * xp.cos(azimuth), xp.sin(angle) * xp.sin(azimuth), -xp.cos(angle)]
+        return replace(robot, gravity=_length(robot) * xp.stack([xp.asarray(x) for x in down]))
+
+    def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
+        none = np.zeros((robot.dofs, 10))
+        return [(none, _length(robot) * side, 0.3) for side in _sideways(np.asarray(robot.gravity))]
+
+    def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
+        down = np.asarray(robot.gravity) / _length(robot)
+        down = down + sum(c * side for c, side in zip(coefficients, _sideways(down), strict=True))
+        down = down / np.linalg.norm(down)
+        angle = np.arctan2(np.hypot(down[0], down[1]), -down[2])
+        return {"angle": float(angle), "azimuth": float(np.arctan2(down[1], down[0]))}
+
+
+@dataclass(frozen=True)
+class EncoderOffset(AbstractMotionEffect):
+    """A joint's zero that is off."""
+
+    name = "encoder_offset"
+    title = "encoder offset"
+    equation = "logged q = true q + offset"
+    reference = "Hollerbach and Wampler, IJRR 1996"
+    parameters = {"offset": Parameter("rad", -0.8, 0.8)}
+    confounders = (("link_inertia_error",), ("base_tilt",), ("torque_offset",))
+    advice = "a calibration of the joint's zero by an outer measurement"
+    picture = "body"
+
+    def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
+        xp = motion.q.__array_namespace__()
+        own = xp.asarray(np.arange(motion.q.shape[0]) == joint, dtype=motion.q.dtype)
+        own = xp.reshape(own, (-1, *(1,) * (motion.q.ndim - 1)))
+        return Motion(motion.q - own * parameters["offset"], motion.qd, motion.qdd)
+
+
+def _unit(robot: Robot, link: int, parameter: int) -> np.ndarray:
+    """(n, 10), one for this parameter of this link."""
+    one = np.zeros((robot.dofs, 10))
+    one[link, parameter] = 1.0
+    return one
+
+
+def _added(robot: Robot, link: int, change: Sequence[Any]) -> Robot:
+    """The robot with ten more parameters on a link."""
+    xp = next((x.__array_namespace__() for x in change if hasattr(x, "__array_namespace__")), np)
+    row = xp.stack([xp.asarray(x, dtype=float) for x in change])
+    own = np.arange(robot.dofs) == link
+    return replace(robot, inertial=xp.asarray(robot.inertial) + xp.asarray(own[:, None], dtype=float) * row)
+
+
+def _length(robot: Robot) -> float:
+    return float(np.linalg.norm(np.asarray(robot.gravity)))
+
+
+def _sideways(down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across the nominal direction of gravity."""
+    down = down / np.linalg.norm(down)
+    first = np.eye(3)[np.argmin(np.abs(down))]
+    first = first - down * (first @ down)
+    first = first / np.linalg.norm(first)
+    return first, np.cross(down, first)

@@ -1,0 +1,74 @@
+"""Transmission and cables: torques that follow a joint's angle."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.types import Array
+
+
+@dataclass(frozen=True)
+class TorqueRipple(AbstractTorqueEffect):
+    """A periodic torque over the angle: teeth, wave generator, magnets.
+
+    Its cycles are not tried from a list but scanned for in the residual (`diagnosis.scan`), from two periods within the
+    joint's range up to `most`.
+    """
+
+    most: float = 400.0
+
+    name = "torque_ripple"
+    title = "torque ripple"
+    equation = "amplitude sin(cycles q + phase)"
+    reference = "Taghirad and Bélanger, ASME JDSMC 1998; Tuttle and Seering, IEEE T-RA 1996"
+    parameters = {
+        "amplitude": Parameter("N m", 0.0),
+        "cycles": Parameter("1/rev", 0.5),
+        "phase": Parameter("rad"),
+    }
+    confounders = (("joint_spring",),)
+    advice = "a slow constant speed over a whole turn, logged fast enough"
+    picture = "q"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        xp = state.q.__array_namespace__()
+        return parameters["amplitude"] * xp.sin(parameters["cycles"] * state.q + parameters["phase"])
+
+    def shapes(self, state: JointState) -> Sequence[Parameters]:
+        return ()
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        xp = state.q.__array_namespace__()
+        return xp.sin(shape["cycles"] * state.q), xp.cos(shape["cycles"] * state.q)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        a, b = coefficients
+        return {"amplitude": float(np.hypot(a, b)), **shape, "phase": float(np.arctan2(b, a))}
+
+
+@dataclass(frozen=True)
+class JointSpring(AbstractTorqueEffect):
+    """A spring at the joint: cable, hose, dress pack, balancer."""
+
+    name = "joint_spring"
+    title = "joint spring"
+    equation = "stiffness (q − rest)"
+    reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
+    parameters = {"stiffness": Parameter("N m/rad", 0.0), "rest": Parameter("rad")}
+    confounders = (("link_inertia_error",), ("torque_offset",), ("base_tilt",), ("encoder_offset",))
+    contains = ("torque_offset",)
+    advice = "postures over the joint's whole range: gravity bends as a sine, a spring does not"
+    picture = "q"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["stiffness"] * (state.q - parameters["rest"])
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        xp = state.q.__array_namespace__()
+        return state.q, xp.ones_like(state.q)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        stiffness = coefficients[0]
+        return {"stiffness": stiffness, "rest": float(-coefficients[1] / (stiffness if stiffness else 1e-300))}

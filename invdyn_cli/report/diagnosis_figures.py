@@ -1,0 +1,224 @@
+"""The figures of a diagnosis: an overview, and one picture for every cause that shows it to the eye.
+
+Black is what was measured, less what the other effects explain; vermillion is the fitted term that belongs to it.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from textwrap import fill
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+from invdyn_cli.report import channel_laws, laws
+from invdyn_cli.report.canvas import (
+    BAND,
+    GREY,
+    INK,
+    MEASURED,
+    ORANGE,
+    PREDICTED,
+    SAMPLES,
+    STYLE,
+    WIDTH,
+    add_legend,
+    label_below,
+    plain,
+    shape_of,
+    thinned,
+)
+from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_window
+from invdyn_cli.report.overview import overview
+from invdyn_cli.report.quantities import best_gain
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import EFFECTS, headline_of, picture, place, set_words
+from invdyn_cli.types import Diagnosis
+
+OVERVIEW = "overview"
+
+Panel = Callable[[Axes, Exhibit], None]
+PANELS: dict[str, tuple[Panel, ...]] = {
+    "viscous_friction": (laws.over_velocity,),
+    "coulomb_friction": (laws.over_velocity,),
+    "asymmetric_coulomb_friction": (laws.over_velocity,),
+    "quadratic_friction": (laws.over_velocity,),
+    "presliding_hysteresis": (laws.over_velocity,),
+    "stribeck_friction": (laws.over_velocity, laws.near_standstill),
+    "load_dependent_friction": (laws.over_velocity, laws.over_load),
+    "thermal_friction_drift": (laws.over_velocity, laws.slope_over_time),
+    "torque_ripple": (laws.over_angle, laws.spectrum_over_angle),
+    "joint_spring": (laws.over_position,),
+    "encoder_offset": (laws.over_position,),
+    "rotor_inertia": (laws.over_acceleration,),
+    "torque_gain_error": (channel_laws.over_nominal,),
+    "torque_gain_change": (channel_laws.over_nominal,),
+    "torque_delay": (channel_laws.over_rate, channel_laws.misfit_over_shift),
+    "actuator_lag": (channel_laws.over_rate, channel_laws.misfit_over_shift),
+    "torque_saturation": (channel_laws.clipping,),
+}
+BODIES = ("payload", "payload_change", "external_contact", "link_inertia_error", "base_tilt")
+
+
+def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Draw the overview and every cause's picture into `folder`, once per format (png, svg, pdf): their paths.
+
+    Nothing is drawn without signals: a log that is unusable has nothing to show.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    with matplotlib.rc_context(STYLE):
+        drawn = [(OVERVIEW, overview(diagnosis))] if diagnosis.signals is not None else []
+        drawn += [(picture(x.number, x.finding), draw(x)) for x in exhibits(diagnosis)]
+        for name, figure in drawn:
+            for suffix in formats:
+                written.append(folder / f"{name}.{suffix}")
+                figure.savefig(written[-1], dpi=110)
+    return written
+
+
+def draw(exhibit: Exhibit) -> Figure:
+    """The picture that fits the effect; one without a picture of its own is shown over time."""
+    effect = exhibit.finding.effect
+    if effect in BODIES:
+        return all_joints(exhibit)
+    return law_and_time(exhibit, PANELS[effect]) if effect in PANELS else level(exhibit)
+
+
+def law_and_time(exhibit: Exhibit, panels: Sequence[Panel]) -> Figure:
+    """The law in one or two panels, and the stretch of time that shows it best: beside one panel, below two."""
+    if len(panels) == 1:
+        figure = _headed(exhibit, 4.3)
+        left, time = figure.subplots(1, 2, width_ratios=(1, 1.35))
+        above = [left]
+    else:
+        figure = _headed(exhibit, 6.4)
+        grid = figure.add_gridspec(2, 2, height_ratios=(1.7, 1))
+        above = [figure.add_subplot(grid[0, k]) for k in range(2)]
+        time = figure.add_subplot(grid[1, :])
+    for panel, axes in zip(panels, above, strict=True):
+        panel(axes, exhibit)
+    _stretch(time, exhibit)
+    add_legend(figure, *above, time)
+    return figure
+
+
+def level(exhibit: Exhibit, *, bins: int = 150) -> Figure:
+    """The whole record over time beside its distribution, and the telling stretch below: offsets, drifts, and what has
+    no picture of its own."""
+    figure = _headed(exhibit, 6.0)
+    grid = figure.add_gridspec(2, 2, width_ratios=(3.2, 1), height_ratios=(1.4, 1))
+    whole = figure.add_subplot(grid[0, 0])
+    spread = figure.add_subplot(grid[0, 1], sharey=whole)
+    y, term = exhibit.own(exhibit.residual), exhibit.own(exhibit.term)
+    start = 0.0
+    for rows in recordings(exhibit.signals):
+        t = exhibit.signals.t[rows] - exhibit.signals.t[rows][0] + start
+        some = slice(None, None, max(1, len(y) // 8000))
+        whole.plot(t[some], y[rows][some], ".", color=SAMPLES, ms=2, mew=0, alpha=0.5, rasterized=True)
+        parts = np.array_split(np.arange(len(t)), max(1, min(len(t), round(bins * len(t) / len(y)))))
+        middle = [float(np.nanmedian(y[rows][x])) if np.isfinite(y[rows][x]).any() else np.nan for x in parts]
+        whole.plot([t[x].mean() for x in parts], middle, ".", color=MEASURED, ms=4, label="median of a while", zorder=3)
+        whole.plot(*thinned(t, term[rows]), color=PREDICTED, lw=1.8, label=laws.TERM, zorder=2)
+        if start:
+            whole.axvline(start, color=GREY, lw=1, ls=":")
+        name = plain(str(exhibit.signals.trajectory[rows.start]))
+        whole.annotate(name, (start, 1.0), xycoords=("data", "axes fraction"), fontsize=7, va="bottom", color=INK)
+        start = float(t[-1])
+    fine = y[np.isfinite(y)]
+    if len(fine):
+        low, high = np.percentile(np.concatenate([fine, term[np.isfinite(term)]]), [0.2, 99.8])
+        margin = 0.1 * (high - low) or 1.0
+        whole.set_ylim(min(low, 0) - margin, max(high, 0) + margin)
+        spread.hist(fine, bins=60, range=(low - margin, high + margin), orientation="horizontal", color=SAMPLES)
+    spread.axhline(float(np.nanmedian(term)), color=PREDICTED, lw=1.8)
+    for axes in (whole, spread):
+        axes.axhline(0, color=INK, lw=0.8)
+    spread.tick_params(labelleft=False)
+    spread.set_xlabel("samples")
+    whole.margins(x=0.01)
+    whole.set_xlabel("time, recordings one after another [s]")
+    whole.set_ylabel(f"residual [{exhibit.units[exhibit.column]}]")
+    stretch = figure.add_subplot(grid[1, :])
+    _stretch(stretch, exhibit)
+    add_legend(figure, whole, stretch)
+    return figure
+
+
+def all_joints(exhibit: Exhibit) -> Figure:
+    """Every joint over the stretch of time that tells most: one body must explain all of them."""
+    n, signals, finding = len(exhibit.joints), exhibit.signals, exhibit.finding
+    rows = telling_window(signals, exhibit.term, range(n), where=finding.trajectory, around=finding.window)
+    grid_rows, columns = shape_of(n)
+    figure = _headed(exhibit, 1.45 * grid_rows + 1.5, "One cause, all joints at once.")
+    grid = figure.subplots(grid_rows, columns, squeeze=False, sharex=True)
+    t = signals.t[rows]
+    widest = np.nanmax(np.ptp(np.nan_to_num(exhibit.term[rows]), axis=0), initial=0.0)
+    for i, axes in enumerate(grid.flat[:n]):
+        _two_curves(axes, t, exhibit.residual[rows, i], exhibit.term[rows, i], widest / 25)
+        _shade(axes, exhibit)
+        gain = finding.gain.get(exhibit.joints[i])
+        title = exhibit.joints[i]
+        if gain:
+            title += f"    RMSE {significant(gain.rmse_before)} → {significant(gain.rmse_after)} {exhibit.units[i]}"
+        axes.set_title(plain(title))
+        axes.set_ylabel(f"[{exhibit.units[i]}]")
+        label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
+    for axes in grid.flat[n:]:
+        axes.remove()
+    add_legend(figure, grid.flat[0])
+    return figure
+
+
+def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
+    """An empty figure under the finding in words, with what it gains and what it means in a second line."""
+    finding = exhibit.finding
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure.get_layout_engine().set(h_pad=0.06, w_pad=0.06)  # type: ignore[union-attr]
+    headline = f"{place(finding)}: {headline_of(finding)}"
+    meaning = EFFECTS[finding.effect].meaning if finding.effect in EFFECTS else ""
+    if finding.status == "ambiguous":
+        meaning = f"This log cannot tell it from {' or '.join(map(set_words, finding.alternatives)) or 'others'}."
+    gain, joint = "", best_gain(finding.gain)
+    if joint is not None:
+        one, other = (significant(x) for x in (finding.gain[joint].rmse_before, finding.gain[joint].rmse_after))
+        unit = dict(zip(exhibit.joints, exhibit.units, strict=True)).get(joint, "N m")
+        gain = f"Held-out RMSE of {joint}: {one} → {other} {unit}."
+    said = figure.suptitle(plain(fill(headline, 118)) + "\n ", x=0.01, ha="left", fontsize=11, fontweight="bold")
+    under = plain(" ".join(x for x in (meaning, word, gain) if x))
+    figure.add_artist(
+        Annotation(under, (0, 0), xycoords=said, xytext=(0, 1), textcoords="offset points", fontsize=9, color=INK)
+    )
+    return figure
+
+
+def _stretch(axes: Axes, exhibit: Exhibit) -> None:
+    """Residual and term of the exhibit's joint in the window that tells most."""
+    signals, finding = exhibit.signals, exhibit.finding
+    rows = telling_window(signals, exhibit.term, [exhibit.column], where=finding.trajectory, around=finding.window)
+    _two_curves(axes, signals.t[rows], exhibit.own(exhibit.residual)[rows], exhibit.own(exhibit.term)[rows])
+    _shade(axes, exhibit)
+    held = ", held out" if rows.stop > rows.start and signals.held_out[rows].all() else ""
+    axes.set_title(f"over time{held}")
+    axes.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
+    axes.set_ylabel(f"residual [{exhibit.units[exhibit.column]}]")
+
+
+def _two_curves(axes: Axes, t: np.ndarray, y: np.ndarray, term: np.ndarray, least: float = 0.0) -> None:
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.plot(*thinned(t, y), color=MEASURED, lw=1.0, label="left by the other effects")
+    axes.plot(*thinned(t, term), color=PREDICTED, lw=1.8, alpha=0.9, label=laws.TERM)
+    axes.margins(x=0.01)
+    seen = np.concatenate([[0.0], y[np.isfinite(y)], term[np.isfinite(term)]])
+    low, high = seen.min(), seen.max()
+    lacking = max(0.0, least - (high - low)) / 2
+    margin = 0.06 * (high - low + 2 * lacking) or 1.0
+    axes.set_ylim(low - lacking - margin, high + lacking + margin)
+
+
+def _shade(axes: Axes, exhibit: Exhibit) -> None:
+    if exhibit.finding.window is not None:
+        axes.axvspan(*exhibit.finding.window, color=ORANGE, alpha=BAND, lw=0, label="window of the finding", zorder=0)

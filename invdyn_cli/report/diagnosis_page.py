@@ -1,0 +1,283 @@
+"""A diagnosis as one HTML file that needs nothing else: the verdict, every cause with its evidence, what the log could
+not have shown, and how to use the better model."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from invdyn_cli.report.diagnosis_figures import OVERVIEW
+from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
+from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import (
+    EFFECTS,
+    STATUS_WORDS,
+    VERDICT_WORDS,
+    capital,
+    cause,
+    claims,
+    estimates,
+    joints_of,
+    place,
+    set_words,
+    units_of,
+    words,
+)
+from invdyn_cli.report.wording import picture as picture_name
+from invdyn_cli.types import Check, Diagnosis, Finding, Gain
+
+CAPTION = "Black: measured torque less what all other effects explain. Vermillion: the fitted term of this one."
+OVERVIEW_CAPTION = (
+    "Errors on data that chose nothing. A black line is the noise floor of repeated trajectories: no model can do "
+    "better. What a learner still finds in the rest has a cause that is not named here."
+)
+COMMAND = """\
+invdyn run data=real_log data.path=log.h5 model=extended model.path=extended_model.json"""
+CHECK = """\
+invdyn check data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf"""
+PYTHON = """\
+from invdyn_cli import load_model
+
+model = load_model("extended_model.json")
+tau = model.predict(q, qd, qdd)   # (T, n) each: N m for rad, rad/s, rad/s²"""
+FOLD_FROM = 4
+"""Rejected rivals from which their list is folded."""
+
+STYLE = """
+.verdict { font-weight: 600; } .lead { margin-top: .6rem; }
+.note-line { border-left: 4px solid var(--line); padding: .2rem .8rem; margin: .4rem 0; color: var(--soft); }
+.pill { display: inline-block; padding: 0 .55rem; border-radius: 1rem; font-size: .82rem; border: 1px solid;
+  white-space: nowrap; color: #0072b2; } .pill.ambiguous, .pill.warn { color: #b35a00; }
+.pill.not_excited, .pill.not_observable, .pill.note { color: var(--soft); } .pill.fail { color: #c2410c;
+  border-width: 2px; font-weight: 600; }
+@media (prefers-color-scheme: dark) { .pill { color: #6cc0f5; } .pill.ambiguous, .pill.warn { color: #f2a65a; }
+  .pill.fail { color: #ff8a5c; } }
+table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
+table.causes { min-width: 58rem; }
+table.words td.whole { white-space: nowrap; } td small.name, .name { font-family: ui-monospace, monospace;
+  font-size: .78rem; color: var(--soft); } td a { color: inherit; }
+.law { font-size: 1.08rem; border-left: 4px solid #d55e00; padding: .25rem .9rem; margin: .7rem 0; }
+.law i { font-family: Georgia, serif; } h3 { font-size: 1.05rem; margin: 2.4rem 0 .3rem; }
+h3 .pill { margin-left: .5rem; vertical-align: .1em; font-weight: 400; } h3 + figure { margin-top: .6rem; }
+.side { display: flex; flex-wrap: wrap; gap: .4rem 3rem; align-items: flex-start; } .side > div { min-width: 0; }
+.bar { display: inline-block; height: .6em; background: #e69f00; margin-right: .5em; border-radius: 1px; }
+caption { text-align: left; padding-bottom: .2rem; }
+@media print { table.causes { min-width: 0; } h3 { break-after: avoid; } .cause { break-inside: avoid-page; } }
+"""
+
+
+def write_report(diagnosis: Diagnosis, robot_name: str, figures: Iterable[str | Path], path: str | Path) -> Path:
+    """Write the report of a diagnosis to `path`, whole or not at all; of `figures` (those of `diagnosis_figures`), the
+    PNG files are put inside."""
+    return write_whole(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures]))
+
+
+def page(diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path]) -> str:
+    """The report as HTML text."""
+    drawn = {x.stem: x for x in figures if x.suffix == ".png"}
+    found = claims(diagnosis)
+    told = f'<p class="sub"><span class="verdict">{escape(_verdict(diagnosis))}</span></p>\n'
+    told += f'<p class="lead">{escape(diagnosis.summary or _verdict(diagnosis) + ".")}</p>\n'
+    told += "".join(f'<p class="note-line">{escape(x)}</p>\n' for x in diagnosis.notes)
+    picked = picture(drawn[OVERVIEW], OVERVIEW_CAPTION) if OVERVIEW in drawn else ""
+    evidence = "".join(_cause(diagnosis, k + 1, x, drawn) for k, x in enumerate(found))
+    usable = diagnosis.verdict != "log_unusable"
+    sections = [
+        ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
+        ("Causes", _causes(diagnosis)),
+        ("What is gained", picked + _errors(diagnosis)),
+        ("The evidence", evidence),
+        ("What this log could not have shown", _blind_spots(diagnosis)),
+        ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),
+        ("Using the extended model", _usage() if usable and found else ""),
+        ("How it was done", folded("filter, rates, tries", pairs(diagnosis.details)) if diagnosis.details else ""),
+    ]
+    return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), STYLE)
+
+
+def _title(diagnosis: Diagnosis, robot_name: str) -> str:
+    if diagnosis.verdict == "log_unusable":
+        return f"The log of {robot_name} cannot be diagnosed"
+    return f"What the simulation of {robot_name} gets wrong"
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    """'Partly explained: 4 causes named, 1 ambiguous'."""
+    word = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
+    named = sum(x.status == "named" for x in diagnosis.findings)
+    open_ones = sum(x.status == "ambiguous" for x in diagnosis.findings)
+    counts = [f"{named} cause{'s' * (named != 1)} named"] * (named > 0) + [f"{open_ones} ambiguous"] * (open_ones > 0)
+    return ": ".join([word, *([", ".join(counts)] if counts else [])])
+
+
+def _causes(diagnosis: Diagnosis) -> str:
+    """A row per claim: effect, joint, status, parameters with 95 % intervals, what it gains most, alternatives."""
+    body = ""
+    for k, finding in enumerate(claims(diagnosis)):
+        rivals = "<br>".join(escape(set_words(x)) for x in finding.alternatives) or "-"
+        values = "<br>".join(escape(x) for x in estimates(finding)) or "-"
+        joint = best_gain(finding.gain)
+        gain = "-" if joint is None else f"{escape(gain_text(finding.gain[joint]))}{_at(joint, finding)}"
+        body += (
+            f'<tr><td class="whole"><a href="#finding-{k + 1}">{escape(capital(words(finding.effect)))}</a>'
+            f'<small class="name">{escape(finding.effect)}</small></td><td class="whole">{escape(place(finding))}</td>'
+            f"<td>{_pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
+        )
+    if not body:
+        return "" if diagnosis.verdict == "log_unusable" else "<p>None was found.</p>"
+    unit = "; ".join(dict.fromkeys(units_of(diagnosis).values()))
+    heads = ("effect", "joint", "status", "estimate [95 %]", f"held-out RMSE falls by [{unit}]", "or else")
+    return _table(heads, body, "words causes")
+
+
+def _at(joint: str, finding: Finding) -> str:
+    """Where a gain was made, if it is not plain."""
+    return "" if joint == finding.joint else f"<small>{escape(joint)}, of {len(finding.gain)} joints</small>"
+
+
+def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[str, Path]) -> str:
+    """One claim: picture, law, parameters and gains, what else it could be, rivals, what to record."""
+    status = _pill(finding.status, STATUS_WORDS)
+    said = f"{place(finding)}: {cause(finding)}"
+    out = f'<div class="cause" id="finding-{number}"><h3>{escape(said)} {status}</h3>\n'
+    effect = EFFECTS.get(finding.effect)
+    if effect:
+        out += f'<p>{escape(effect.meaning)} <span class="name">{escape(finding.effect)}</span></p>'
+        out += f'<p class="law">{effect.law}</p>'
+    name = picture_name(number, finding)
+    out += picture(drawn[name], CAPTION, said) if name in drawn else ""
+    out += "</div>"
+    if finding.window is not None:
+        where = f" of {finding.trajectory}" if finding.trajectory else ""
+        out += f"<p>It acts from {finding.window[0]:.4g} s to {finding.window[1]:.4g} s{escape(where)}.</p>"
+    out += f'<div class="side"><div>{_parameters(finding)}</div><div>{_gains(diagnosis, finding.gain)}</div></div>'
+    if finding.alternatives:
+        sets = "; or by ".join(f"<b>{escape(set_words(x))}</b>" for x in finding.alternatives)
+        out += f'<p class="warning">On this log it could be replaced by {sets}, within the noise.</p>'
+    if finding.advice:
+        out += f"<p><b>To be surer:</b> {escape(finding.advice)}</p>"
+    out += _rejected(finding.rejected)
+    return out + (folded("numbers behind it", pairs(finding.evidence)) if finding.evidence else "")
+
+
+def _parameters(finding: Finding) -> str:
+    body = ""
+    for name, quantity in finding.parameters.items():
+        degrees = in_degrees(quantity)
+        small = f"<small>{escape(degrees)}</small>" if degrees else ""
+        body += f"<tr><td>{escape(name)}</td><td>{escape(quantity_text(quantity))}{small}</td></tr>"
+    return _table(("parameter", "estimate [95 %]"), body, "") if body else ""
+
+
+def _gains(diagnosis: Diagnosis, gains: Mapping[str, Gain]) -> str:
+    units, body = units_of(diagnosis), ""
+    for joint, x in gains.items():
+        body += f"<tr><td>{escape(joint)}</td><td>{significant(x.rmse_before)}</td><td>{significant(x.rmse_after)}</td>"
+        body += f"<td>{escape(gain_text(x))} {units.get(joint, 'N m')}</td></tr>"
+    heads = ("held-out RMSE", "without it", "with it", "gain [95 %]")
+    return _table(heads, body, "") if body else ""
+
+
+def _rejected(rejected: Sequence[tuple[str, str]]) -> str:
+    if not rejected:
+        return ""
+    body = "".join(f'<tr><td class="whole">{escape(words(x))}</td><td>{escape(why)}</td></tr>' for x, why in rejected)
+    count = f"{len(rejected)} rival{'s' * (len(rejected) > 1)} tried to replace it and failed"
+    return folded(count, _table(("rival", "why not"), body), shown=len(rejected) < FOLD_FROM)
+
+
+def _blind_spots(diagnosis: Diagnosis) -> str:
+    """Effects that this log cannot show, joints with the same reason and the same advice in one row."""
+    rows: dict[tuple[str, str, str], list[str]] = {}
+    for x in diagnosis.findings:
+        if x.status in ("not_excited", "not_observable"):
+            rows.setdefault((x.effect, x.status, x.advice), []).append(place(x))
+    body, every = "", joints_of(diagnosis)
+    for (effect, status, advice), places in rows.items():
+        where = "all joints" if len(every) > 1 and set(places) >= set(every) else ", ".join(places)
+        body += (
+            f'<tr><td>{escape(capital(words(effect)))}<small class="name">{escape(effect)}</small></td>'
+            f"<td>{escape(where)}</td><td>{_pill(status, STATUS_WORDS)}</td><td>{escape(advice)}</td></tr>"
+        )
+    note = '<p class="note">No claims: these effects may be there or not.</p>'
+    return note + _table(("effect", "joint", "why", "what would show it"), body) if body else ""
+
+
+def _errors(diagnosis: Diagnosis) -> str:
+    if not diagnosis.baseline:
+        return ""
+    floor, units, body = diagnosis.noise_floor, units_of(diagnosis), ""
+    for joint in joints_of(diagnosis):
+        one, other = diagnosis.baseline.get(joint, {}), diagnosis.extended.get(joint, {})
+        share = diagnosis.unexplained.get(joint, math.nan)
+        bar = f'<span class="bar" style="width:{max(0.0, min(1.0, share)) * 5:.2f}em"></span>' if share == share else ""
+        cells = [significant(x.get(kind)) for kind in ("rmse", "nmse") for x in (one, other)]
+        cells.insert(2, significant((floor or {}).get(joint, {}).get("rmse")))
+        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells)
+        body += f"<td>{bar}{'-' if share != share else f'{100 * share:.0f} %'}</td></tr>"
+    heads = ("joint", "RMSE nominal", "extended", "noise floor", "NMSE nominal", "extended", "still unexplained")
+    note = f"On held-out data; RMSE in {'; '.join(dict.fromkeys(units.values()))}. "
+    note += "Still unexplained: the share of the rest that a learner predicts. "
+    note += "" if floor else "No trajectory was repeated, so that there is no noise floor."
+    return _table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
+
+
+def _checks(diagnosis: Diagnosis) -> str:
+    """What the doctor did not find in order, the gravest first, and how many checks were."""
+    order = ("fail", "warn", "note")
+    told = [x for kind in order for x in diagnosis.examination.checks if x.severity == kind]
+    fine = sum(x.severity == "ok" for x in diagnosis.examination.checks)
+    body = "".join(_check(x) for x in told)
+    count = f'<p class="note">{fine} check{"s" * (fine != 1)} found nothing to object to.</p>' if fine else ""
+    return (_table(("", "check", "where", "what was seen", "what to do"), body) if body else "") + count
+
+
+def _check(check: Check) -> str:
+    where = ", ".join(x for x in (check.trajectory, check.joint) if x) or "everywhere"
+    meaning = f"<small>{escape(capital(check.meaning))}</small>" if check.meaning else ""
+    return (
+        f"<tr><td>{_pill(check.severity, {'fail': 'fails', 'warn': 'warning', 'note': 'note'})}</td>"
+        f'<td class="whole">{escape(check.check.replace("_", " "))}</td><td>{escape(where)}</td>'
+        f"<td>{escape(capital(check.seen))}{meaning}</td><td>{escape(capital(check.advice))}</td></tr>"
+    )
+
+
+def _excitation(diagnosis: Diagnosis) -> str:
+    excitation = diagnosis.examination.excitation
+    heads = list(dict.fromkeys(name for found in excitation.values() for name in found))
+    if not heads:
+        return ""
+    body = ""
+    for joint, found in excitation.items():
+        cells = "".join(f"<td>{escape(_cell(found.get(name)))}</td>" for name in heads)
+        body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
+    return folded("what the log excites", _table(("joint", *(x.replace("_", " ") for x in heads)), body, ""))
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "-"}[value]
+    if isinstance(value, float):
+        return significant(value)
+    return ", ".join(map(_cell, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _next_step() -> str:
+    said = "Nothing is said of the robot before its log is sane. Mend what fails, look again, then diagnose:"
+    return f"<p>{said}</p><pre>{escape(CHECK)}</pre>"
+
+
+def _usage() -> str:
+    return f"<pre>{escape(COMMAND)}</pre><pre>{escape(PYTHON)}</pre>"
+
+
+def _pill(kind: str, said: Mapping[str, str]) -> str:
+    return f'<span class="pill {escape(kind)}">{escape(said.get(kind, kind))}</span>'
+
+
+def _table(heads: Sequence[str], body: str, style: str = "words") -> str:
+    """A table that scrolls if it is too wide; heads are plain text, the body is HTML."""
+    head = "".join(f"<th>{escape(x)}</th>" for x in heads)
+    return f'<div class="wide"><table class="{style}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

@@ -1,0 +1,88 @@
+"""A diagnosis on the terminal: the verdict, the causes, the errors; rich objects that fit 100 columns."""
+
+import math
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from invdyn_cli.report.quantities import best_gain, gain_text
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import (
+    VERDICT_WORDS,
+    capital,
+    cause,
+    claims,
+    estimates,
+    joints_of,
+    place,
+    units_of,
+    words,
+)
+from invdyn_cli.types import Diagnosis
+
+VERDICT_STYLE = {"explained": "bold green", "partly_explained": "bold yellow", "log_unusable": "bold red"}
+OPEN = {"ambiguous": "\nambiguous"}
+
+
+def verdict_line(diagnosis: Diagnosis) -> Text:
+    """The verdict in a word, then the summary."""
+    word = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
+    return Text.assemble((word, VERDICT_STYLE.get(diagnosis.verdict, "bold")), f". {diagnosis.summary}".rstrip())
+
+
+def finding_table(diagnosis: Diagnosis) -> Table:
+    """A row per claim, 'X or Y' where the log leaves it open; below the table what the log could not have shown."""
+    caption = Text(unseen_line(diagnosis), style="dim")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption if caption else None, caption_justify="left")
+    unit = "; ".join(dict.fromkeys(units_of(diagnosis).values())) or "N m"
+    table.add_column("cause", overflow="fold", max_width=30)
+    table.add_column("joint", overflow="fold", max_width=18)
+    table.add_column("estimate [95 %]", overflow="fold")
+    table.add_column(f"RMSE falls by [{unit}]", overflow="fold")
+    for finding in claims(diagnosis):
+        joint = best_gain(finding.gain)
+        gain = "-" if joint is None else gain_text(finding.gain[joint])
+        where = f"\n{joint}, of {len(finding.gain)} joints" if joint not in (None, finding.joint) else ""
+        table.add_row(
+            Text(capital(cause(finding))),
+            Text.assemble(place(finding), (OPEN.get(finding.status, ""), "yellow")),
+            Text("\n".join(estimates(finding)) or "-"),
+            Text(gain + where),
+        )
+    if not table.row_count:
+        table.add_row("none")
+    return table
+
+
+def unseen_line(diagnosis: Diagnosis) -> str:
+    """'Not to be seen in this log: Stribeck friction (joint3, joint4), …', nothing where nothing was hidden."""
+    hidden: dict[str, list[str]] = {}
+    for x in diagnosis.findings:
+        if x.status in ("not_excited", "not_observable"):
+            hidden.setdefault(x.effect, []).append(place(x))
+    every = joints_of(diagnosis)
+    said = [
+        f"{words(effect)} ({'all joints' if len(every) > 1 and set(places) >= set(every) else ', '.join(places)})"
+        for effect, places in hidden.items()
+    ]
+    return f"Not to be seen in this log: {'; '.join(said)}." if said else ""
+
+
+def error_table(diagnosis: Diagnosis) -> Table:
+    """Held-out errors per joint, nominal and extended, beside the noise floor, and what a learner still finds."""
+    units = units_of(diagnosis)
+    sliding = [joint for joint, unit in units.items() if unit == "N"]
+    said = "N" if sliding and len(sliding) == len(units) else "N m" + f" (N for {', '.join(sliding)})" * bool(sliding)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held out; RMSE in {said}.", style="dim"))
+    table.add_column("joint", overflow="fold", max_width=24)
+    for head in ("RMSE nominal", "extended", "noise floor", "NMSE nominal", "extended", "unexplained"):
+        table.add_column(head, justify="right")
+    for joint in joints_of(diagnosis):
+        one, other = diagnosis.baseline.get(joint, {}), diagnosis.extended.get(joint, {})
+        floor = (diagnosis.noise_floor or {}).get(joint, {}).get("rmse")
+        share = diagnosis.unexplained.get(joint)
+        cells = (one.get("rmse"), other.get("rmse"), floor, one.get("nmse"), other.get("nmse"))
+        left = "-" if share is None or math.isnan(share) else f"{100 * share:.0f} %"
+        table.add_row(Text(joint), *map(significant, cells), left)
+    return table

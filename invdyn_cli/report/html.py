@@ -1,0 +1,98 @@
+"""What all pages share: one HTML file that needs nothing else, no script, good in light, dark and print."""
+
+import base64
+from collections.abc import Iterable, Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+STYLE = """
+:root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
+  --worst: #b84e00; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12;
+    --worst: #ff9a57; } }
+body { max-width: 68rem; margin: 2rem auto; padding: 0 1.2rem; color: var(--ink); background: var(--ground);
+  font: 1rem/1.5 system-ui, sans-serif; }
+h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
+.sub, figcaption, caption, .note { color: var(--soft); font-size: .9rem; } .sub { margin-top: .2rem; }
+.lead { font-size: 1.1rem; max-width: 52rem; } .warning { background: var(--mark); border-left: 4px solid #d55e00;
+  padding: .4rem .8rem; margin: .4rem 0; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
+th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }
+thead tr:first-child th[colspan] { text-align: center; border-bottom: 0; }
+tr.mean td { font-weight: 600; border-top: 2px solid var(--soft); } b.worst { color: var(--worst); }
+.scores td:nth-child(even), thead th[colspan], thead tr + tr th:nth-child(odd) { padding-left: 1.8rem; }
+thead tr + tr th:first-child { text-align: right; }
+table.pairs td { text-align: left; white-space: normal; overflow-wrap: anywhere; vertical-align: top; }
+table.pairs td:first-child { color: var(--soft); white-space: nowrap; }
+figure { margin: 1.4rem 0; break-inside: avoid; } figure img { width: 100%; box-sizing: border-box; padding: .4rem;
+  background: #fff; border-radius: 4px; }
+td small { display: block; white-space: normal; max-width: 40rem; color: var(--soft); }
+pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
+summary { cursor: pointer; margin-bottom: .4rem; }
+@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
+  th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
+  details::details-content { content-visibility: visible; } }
+"""
+
+
+def write_whole(path: Path, text: str) -> Path:
+    """Write a page to `path`, whole or not at all."""
+    aside = path.with_name(f".{path.name}.tmp")
+    try:
+        aside.write_text(text, encoding="utf-8")
+        aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)
+    return path
+
+
+def document(title: str, body: str, style: str = "") -> str:
+    """A page with this title (plain text) and this body (HTML); `style` is added to STYLE."""
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}{style}</style></head>\n<body>"
+        f"<h1>{escape(title)}</h1>{body}</body></html>\n"
+    )
+
+
+def section(title: str, content: str) -> str:
+    """A heading (plain text) and what stands below it (HTML); nothing without content."""
+    return f"<section><h2>{escape(title)}</h2>{content}</section>\n" if content else ""
+
+
+def picture(path: Path, caption: str, alt: str = "") -> str:
+    """A PNG put inside the page, its caption (plain text) below; `alt` is read in its place, else the caption's first
+    sentence."""
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    alt = escape(alt or caption.partition(".")[0], quote=True)
+    image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
+    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def folded(label: str, content: str, *, shown: bool = False) -> str:
+    """HTML behind a line (plain text) that opens it."""
+    return f"<details{' open' * shown}><summary>{escape(label)}</summary>{content}</details>"
+
+
+def pairs(facts: Mapping[str, Any]) -> str:
+    """A two-column table; what is nested comes out as dotted names, what is empty is left out."""
+    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(facts) if v)
+    return f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
+
+
+def _flat(facts: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        elif isinstance(value, list | tuple):
+            yield f"{above}{name}", ", ".join(map(str, value))
+        elif isinstance(value, float | np.floating):
+            yield f"{above}{name}", f"{value:.6g}"
+        else:
+            yield f"{above}{name}", "" if value is None else str(value)

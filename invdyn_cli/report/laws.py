@@ -1,0 +1,206 @@
+"""Panels that show a law to the eye: what the other effects leave for one, over the quantity that drives it.
+
+In all of them the points are samples (sky blue), their medians in bins (black) and the fitted term (vermillion), which
+went through the same filter. A panel takes its axes and an exhibit.
+"""
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from scipy.signal import lombscargle
+
+from invdyn_cli.report.canvas import (
+    BAND,
+    CLOUD_POINTS,
+    GREY,
+    INK,
+    MEASURED,
+    PREDICTED,
+    SAMPLES,
+    binned,
+    plain,
+)
+from invdyn_cli.report.exhibits import Exhibit, recordings
+from invdyn_cli.types import Finding
+
+CLOUD, MEDIAN, TERM = "samples", "median of a bin, bar from 10 to 90 %", "fitted term"
+PERIODS = 6
+"""Periods of a ripple that are shown."""
+
+
+def over_velocity(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the joint's own velocity, where it moves: a step is Coulomb friction, a slope viscous friction."""
+    y, term = exhibit.own(exhibit.residual, moving=True), exhibit.own(exhibit.term)
+    law(axes, exhibit.own(exhibit.signals.qd), y, term, split=True)
+    axes.set_title("over velocity")
+    name_axes(axes, exhibit, f"velocity of {joint_name(exhibit)} [{rate_unit(exhibit)}]")
+
+
+def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
+    """The same, zoomed to slow motion; dashed the law itself, before the filter rounds it off."""
+    coulomb, static, velocity = (scalar(exhibit.finding, name) for name in ("coulomb", "static", "velocity"))
+    qd, y = exhibit.own(exhibit.signals.qd), exhibit.own(exhibit.residual, moving=True)
+    reach = 6 * abs(scalar(exhibit.finding, "velocity", 0.05))
+    near = np.abs(qd) < reach
+    law(axes, qd[near], y[near], exhibit.own(exhibit.term)[near], split=True, fewest=5)
+    if np.isfinite(coulomb + static + velocity):
+        v = np.linspace(1e-4 * reach, reach, 200)
+        height = coulomb + (static - coulomb) * np.exp(-((v / velocity) ** 2))
+        for sign in (-1, 1):
+            axes.plot(sign * v, sign * height, color=PREDICTED, lw=1.1, ls="--", label="the law, unfiltered")
+    axes.set_xlim(-reach, reach)
+    axes.set_title("near standstill")
+    name_axes(axes, exhibit, f"velocity of {joint_name(exhibit)} [{rate_unit(exhibit)}]")
+
+
+def over_load(axes: Axes, exhibit: Exhibit) -> None:
+    """What acts against the motion, over the size of the torque that the gear carries."""
+    sign = np.sign(exhibit.own(exhibit.signals.qd))
+    load = np.abs(exhibit.own(exhibit.signals.nominal))
+    y = sign * exhibit.own(exhibit.residual, moving=True)
+    law(axes, load, y, sign * exhibit.own(exhibit.term, moving=True))
+    axes.set_title("against the motion, over the load")
+    name_axes(axes, exhibit, f"|nominal torque| [{exhibit.units[exhibit.column]}]", y="residual · sign(velocity)")
+
+
+def slope_over_time(axes: Axes, exhibit: Exhibit, *, windows: int = 15) -> None:
+    """Slope of residual over velocity in windows of time: a viscous friction as it warms up."""
+    t = exhibit.signals.t
+    qd, y, term = exhibit.own(exhibit.signals.qd, moving=True), exhibit.own(exhibit.residual), exhibit.own(exhibit.term)
+    points = []
+    for rows in recordings(exhibit.signals):
+        for part in np.array_split(np.arange(rows.start, rows.stop), windows):
+            use = part[np.isfinite(qd[part] + y[part] + term[part])]
+            if len(use) > 10:
+                power = np.sum(qd[use] ** 2)
+                points.append([t[use].mean(), np.sum(y[use] * qd[use]) / power, np.sum(term[use] * qd[use]) / power])
+    when, measured, fitted = np.array(sorted(points)).reshape(-1, 3).T
+    axes.plot(when, measured, "o", color=MEASURED, ms=3.5, mew=0, label="slope in a window of time")
+    cold, warm, constant = (scalar(exhibit.finding, name) for name in ("cold", "warm", "time_constant"))
+    if np.isfinite(cold + warm + constant) and len(when):
+        when = np.linspace(when[0], when[-1], 200)
+        fitted = warm + (cold - warm) * np.exp(-when / constant)
+        axes.axhline(warm, color=GREY, lw=1, ls=":", label="warm")
+    axes.plot(when, fitted, color=PREDICTED, lw=2.2, zorder=1.5, label=TERM)
+    axes.set_ylim(min(0, *axes.get_ylim()))
+    axes.set_title("drag over time")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(f"residual / velocity [{exhibit.units[exhibit.column]} / ({rate_unit(exhibit)})]")
+
+
+def over_position(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the joint's own position: a spring is a line, an offset of the encoder a slice of gravity."""
+    law(axes, exhibit.own(exhibit.signals.q), exhibit.own(exhibit.residual), exhibit.own(exhibit.term))
+    axes.set_title("over position")
+    name_axes(axes, exhibit, f"position of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
+
+
+def over_acceleration(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the joint's own acceleration: a rotor's inertia is a line."""
+    law(axes, exhibit.own(exhibit.signals.qdd), exhibit.own(exhibit.residual), exhibit.own(exhibit.term))
+    axes.set_title("over acceleration")
+    name_axes(axes, exhibit, f"acceleration of {joint_name(exhibit)} [{angle_unit(exhibit)}/s²]")
+
+
+def over_angle(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the joint's angle, a few periods where most samples are."""
+    q, y, term = exhibit.own(exhibit.signals.q), exhibit.own(exhibit.residual), exhibit.own(exhibit.term)
+    cycles = scalar(exhibit.finding, "cycles", 1.0)
+    reach = PERIODS / 2 * 2 * np.pi / abs(cycles)
+    near = np.abs(q - np.nanmedian(q)) < reach
+    law(axes, q[near], y[near], term[near], bins=12 * PERIODS)
+    shown = f"{PERIODS} of its periods" if (~near).any() else "all of it"
+    axes.set_title(f"over the angle, {shown}")
+    name_axes(axes, exhibit, f"angle of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
+
+
+def spectrum_over_angle(axes: Axes, exhibit: Exhibit, *, most: int = 6000, lines: int = 700) -> None:
+    """Amplitude over cycles per revolution (Lomb-Scargle, for angles that are not evenly spaced), the line marked."""
+    q, y = exhibit.own(exhibit.signals.q), exhibit.own(exhibit.residual)
+    use = np.flatnonzero(np.isfinite(q + y))
+    use = use[:: max(1, len(use) // most)]
+    span = np.ptp(q[use]) / (2 * np.pi) if len(use) else 0.0
+    cycles = scalar(exhibit.finding, "cycles", 1.0)
+    if span > 0:
+        highest = max(2.2 * abs(cycles), 10.0)
+        found = np.linspace(min(0.5 / span, 0.5 * highest), highest, lines)
+        power = lombscargle(q[use], y[use] - y[use].mean(), found)
+        axes.plot(found, 2 * np.sqrt(np.maximum(power, 0) / len(use)), color=MEASURED, lw=1.2)
+        axes.set_xlim(0, highest)
+    axes.axvline(cycles, color=PREDICTED, lw=2.2, alpha=0.35, zorder=0)
+    axes.set_ylim(bottom=0)
+    mark(axes, cycles, f"{cycles:.4g} / rev")
+    axes.set_title("spectrum over the angle")
+    name_axes(axes, exhibit, "cycles per revolution [1/rev]", y="amplitude")
+
+
+def law(
+    axes: Axes, x: np.ndarray, y: np.ndarray, term: np.ndarray, *, split=False, bins: int = 40, fewest: int = 10
+) -> None:
+    """Samples (x, y), medians of y in bins of x, and of the term, in finer ones where x alone decides it; `split`: in
+    two parts about zero."""
+    fine = np.isfinite(x + y + term)
+    x, y, term = x[fine], y[fine], term[fine]
+    cloud(axes, x, y, SAMPLES, CLOUD)
+    axes.axhline(0, color=INK, lw=0.8)
+    centre, low, middle, high = binned(x, y, bins, fewest)
+    full = np.isfinite(middle)
+    where, *ends, fitted = binned(x, term, 4 * bins, max(3, fewest // 3))[[0, 1, 3, 2]]
+    if len(term) and np.nanmedian(ends[1] - ends[0]) > 0.02 * np.ptp(term):
+        where, _, fitted, _ = binned(x, term, bins, fewest)
+    for part in (where < 0, where > 0) if split else (np.ones(len(where), bool),):
+        part = part & np.isfinite(fitted)
+        axes.plot(where[part], fitted[part], color="white", lw=4.2, alpha=0.9)
+        axes.plot(where[part], fitted[part], color=PREDICTED, lw=2.4, label=TERM)
+    axes.vlines(centre[full], low[full], high[full], color=MEASURED, lw=0.8, alpha=2 * BAND, zorder=3)
+    axes.plot(centre[full], middle[full], "o", color=MEASURED, ms=3.6, mec="white", mew=0.5, label=MEDIAN, zorder=4)
+    if len(y):
+        seen = np.concatenate([np.percentile(y, [0.3, 99.7]), term, [0.0]])
+        margin = 0.08 * np.ptp(seen) or 1.0
+        axes.set_ylim(seen.min() - margin, seen.max() + margin)
+        axes.margins(x=0.02)
+
+
+def scalar(finding: Finding, name: str, missing: float = math.nan) -> float:
+    """A parameter that is a single finite number; `missing` where there is none."""
+    value = finding.parameters[name].value if name in finding.parameters else None
+    if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+        return missing
+    return float(value)
+
+
+def cloud(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str, label: str) -> None:
+    some = slice(None, None, max(1, -(-len(x) // CLOUD_POINTS)))
+    axes.plot(x[some], y[some], ".", color=colour, ms=2.6, mew=0, alpha=0.55, rasterized=True, label=label)
+
+
+def mark(axes: Axes, x: float, text: str) -> None:
+    """A word beside a vertical line, at the top of the panel."""
+    axes.annotate(
+        text,
+        (x, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(5, 0),
+        textcoords="offset points",
+        va="top",
+        color=PREDICTED,
+        fontweight="bold",
+    )
+
+
+def name_axes(axes: Axes, exhibit: Exhibit, x: str, y: str = "residual") -> None:
+    axes.set_xlabel(x)
+    axes.set_ylabel(f"{y} [{exhibit.units[exhibit.column]}]")
+
+
+def joint_name(exhibit: Exhibit) -> str:
+    return plain(exhibit.joints[exhibit.column])
+
+
+def angle_unit(exhibit: Exhibit) -> str:
+    return "m" if exhibit.units[exhibit.column] == "N" else "rad"
+
+
+def rate_unit(exhibit: Exhibit) -> str:
+    return f"{angle_unit(exhibit)}/s"

@@ -1,0 +1,83 @@
+"""The figure that sums a diagnosis up: errors before and after, what is still unexplained, the worst joint in time."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, limit_bars, plain, thinned
+from invdyn_cli.report.exhibits import as_numpy, telling_window
+from invdyn_cli.report.wording import joints_of, units_of
+from invdyn_cli.types import Diagnosis
+
+BEFORE, AFTER = GREY, RESIDUAL
+LOG_FROM = 20.0
+"""Largest over smallest bar from which errors are shown on a log axis."""
+
+
+def overview(diagnosis: Diagnosis) -> Figure:
+    """Held-out error per joint before and after, what is still unexplained, and the worst joint's residual in time."""
+    assert diagnosis.signals is not None
+    joints, signals = joints_of(diagnosis), as_numpy(diagnosis.signals)
+    figure = Figure(figsize=(WIDTH, 6.2), layout="constrained")
+    figure.suptitle(
+        "What the extended model gains, on held-out data", x=0.01, ha="left", fontsize=11, fontweight="bold"
+    )
+    grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1), height_ratios=(1.35, 1))
+    bars, shares, time = (figure.add_subplot(grid[k]) for k in ((0, 0), (0, 1), (1, slice(None))))
+    _error_bars(bars, diagnosis)
+    crowded = len(joints) * max(map(len, joints)) > 75
+    where = np.arange(len(joints))
+    share = 100 * np.array([diagnosis.unexplained.get(x, np.nan) for x in joints], float)
+    shares.barh(where, np.nan_to_num(share), 0.62, color=ORANGE)
+    for x, value in zip(where, share, strict=True):
+        shares.annotate(
+            f"{value:.0f} %" if np.isfinite(value) else "not measured",
+            (np.nan_to_num(value), x),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+        )
+    shares.set_yticks(where, map(plain, joints))
+    shares.invert_yaxis()
+    shares.set_xlim(0, 112)
+    shares.set_xticks([0, 25, 50, 75, 100])
+    shares.grid(False, axis="y")
+    shares.set_xlabel("[%] of what is left")
+    shares.set_title("still unexplained: what a learner finds in it")
+    bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
+    worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
+    unit = units_of(diagnosis)[joints[worst]]
+    rows = telling_window(signals, signals.tau - signals.nominal, [worst], length=15.0)
+    t = signals.t[rows]
+    before, after = ((signals.tau - x)[rows, worst] for x in (signals.nominal, signals.extended))
+    time.axhline(0, color=INK, lw=0.8)
+    time.plot(*thinned(t, before), color=BEFORE, lw=1.6, label="nominal model")
+    time.plot(*thinned(t, after), color=AFTER, lw=1.2, label="extended model")
+    time.margins(x=0.01)
+    time.set_title(f"what is left of {plain(joints[worst])}, the joint with the largest error")
+    time.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
+    time.set_ylabel(f"residual [{unit}]")
+    add_legend(figure, bars)
+    return figure
+
+
+def _error_bars(axes: Axes, diagnosis: Diagnosis) -> None:
+    joints, floor = joints_of(diagnosis), diagnosis.noise_floor or {}
+    where = np.arange(len(joints))
+    found = [
+        np.array([x.get(j, {}).get("rmse", np.nan) for j in joints], float)
+        for x in (diagnosis.baseline, diagnosis.extended, floor)
+    ]
+    for values, colour, side, label in zip(
+        found, (BEFORE, AFTER), (-0.2, 0.2), ("nominal model", "extended model"), strict=False
+    ):
+        axes.bar(where + side, np.nan_to_num(values), 0.37, color=colour, label=label)
+    if np.isfinite(found[2]).any():
+        axes.hlines(found[2], where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
+    values = np.concatenate(found)
+    seen = values[np.isfinite(values) & (values > 0)]
+    if len(seen) and seen.max() > LOG_FROM * seen.min():
+        limit_bars(axes, values, float(np.median(seen)))
+    axes.grid(False, axis="x")
+    axes.set_title("error of every joint")
+    axes.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units_of(diagnosis).values()))}]")

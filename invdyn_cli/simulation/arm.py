@@ -1,0 +1,141 @@
+"""types.Robot -> MuJoCo: the same joints, frames, inertials and gravity; no friction, no limits, no contacts.
+
+The compiler of MuJoCo refuses links that no real body could be (no mass, a broken triangle inequality), which URDFs are
+full of. So it is given placeholders, and the true numbers are set behind it: all that the equations of motion need is a
+positive definite mass matrix. Where even that fails, a joint gets the `LEAST_INERTIA` that is missing, with a word.
+"""
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from invdyn_cli.types import Robot
+
+LEAST_INERTIA = 1e-6
+"""[kg m^2; kg] Smallest inertia about a joint that is integrated as it is; a wrist's is a hundred times as large."""
+
+POSTURES = 64
+"""So many random postures are looked at for the smallest inertia."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A solid sphere, mass [kg] and radius [m], its centre at `com` (3,) [m] in the last moving joint's frame."""
+
+    mass: float
+    com: Sequence[float]
+    radius: float
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A MuJoCo model whose n degrees of freedom are the robot's joints, in its order; `notes` say what was added."""
+
+    model: mujoco.MjModel
+    notes: tuple[str, ...] = ()
+
+
+def build(
+    robot: Robot,
+    *,
+    inertial: np.ndarray | None = None,
+    gravity: np.ndarray | None = None,
+    carried: Sequence[Body] = (),
+    armature: np.ndarray | None = None,
+    timestep: float = 2.5e-4,
+) -> Arm:
+    """The arm.
+
+    Args:
+        robot: kinematics, and inertials and gravity unless the next two are given.
+        inertial: (n, 10) in place of the robot's, as `types.Robot` has them.
+        gravity: (3,) [m/s^2] in place of the robot's.
+        carried: bodies welded to the link behind the last moving joint.
+        armature: (n,) [kg m^2; kg] rotor inertias.
+        timestep: [s].
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    inertial = np.asarray(robot.inertial if inertial is None else inertial)
+    solids = [_solid(row) for row in inertial]
+    bodies = []
+    for i, name in enumerate(robot.joints):
+        parent = spec.worldbody if robot.parents[i] < 0 else bodies[robot.parents[i]]
+        frame = {"pos": np.asarray(robot.translation[i]), "quat": _quaternion(np.asarray(robot.rotation[i]))}
+        bodies.append(_body(parent, f"link_{i}", solids[i], **frame))
+        slides = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
+        bodies[i].add_joint(name=name, type=slides, axis=np.asarray(robot.axis[i]))
+    for i, body in enumerate(carried):
+        sphere = np.full(3, 0.4 * body.mass * body.radius**2)
+        solids.append((body.mass, np.asarray(body.com, float), np.array([1.0, 0, 0, 0]), sphere))
+        _body(bodies[-1], f"carried_{i}", solids[-1])
+    spec.option.timestep = timestep
+    spec.option.gravity = np.asarray(robot.gravity if gravity is None else gravity)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    model = spec.compile()
+    names = [*(f"link_{i}" for i in range(robot.dofs)), *(f"carried_{i}" for i in range(len(carried)))]
+    for name, (mass, _, _, principal) in zip(names, solids, strict=True):
+        body = model.body(name).id
+        model.body_mass[body], model.body_inertia[body] = mass, principal
+    if armature is not None:
+        model.dof_armature[:] = armature
+    # Friction as stiff as the solver goes: a joint that shall stick creeps at 1e-6 rad/s, not at 1e-2 as by default.
+    model.dof_solref[:] = 2 * timestep, 1
+    model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return Arm(model, _mended(model, robot))
+
+
+def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData, q: np.ndarray) -> np.ndarray:
+    """(n, n) [kg m^2; kg] at q (n,), rotor inertias included."""
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_crb(model, data)
+    full = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return full
+
+
+def _solid(row: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Ten parameters about the frame's origin -> mass, com (3,), principal axes (a quaternion) and moments (3,)."""
+    mass = float(row[0])
+    com = row[1:4] / mass if mass > 1e-9 else np.zeros(3)
+    xx, xy, yy, xz, yz, zz = row[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return mass, com, _quaternion(axes), moments
+
+
+def _body(parent, name: str, solid: tuple, **frame):
+    """A child body with the solid's place, and placeholders for its mass and moments of inertia."""
+    _, com, axes, _ = solid
+    return parent.add_body(
+        name=name, ipos=com, iquat=axes, mass=1.0, inertia=np.ones(3), explicitinertial=True, **frame
+    )
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).reshape(9))
+    return quaternion
+
+
+def _mended(model: mujoco.MjModel, robot: Robot) -> tuple[str, ...]:
+    """Add the inertia that joints lack for a positive definite mass matrix, in place; words on what was added."""
+    data, draw = mujoco.MjData(model), np.random.default_rng(0)
+    span = np.where(robot.prismatic, 0.5, np.pi)
+    matrices = np.array([mass_matrix(model, data, draw.uniform(-span, span)) for _ in range(POSTURES)])
+    lack = np.maximum(0.0, LEAST_INERTIA - np.diagonal(matrices, axis1=1, axis2=2).min(0))
+    lack += max(0.0, LEAST_INERTIA / 10 - float(np.linalg.eigvalsh(matrices + np.diag(lack)).min()))
+    if not lack.any():
+        return ()
+    model.dof_armature[:] += lack
+    mujoco.mj_setConst(model, data)
+    added = ", ".join(f"{joint} {x:.2g}" for joint, x in zip(robot.joints, lack, strict=True) if x)
+    return (f"inertia added where links have too little to be moved [kg m^2; kg]: {added}",)

@@ -1,0 +1,111 @@
+"""The arm's controller: computed torque along a reference, with the positions and velocities that it measures.
+
+    tau = ID(q, qd_ref, qdd_ref + w^2 (q_ref - q) + 2 D w (qd_ref - qd)) + friction(qd_ref)      (Siciliano, 8.5.2)
+
+ID is MuJoCo's inverse dynamics; q is measured, with its noise and steps; qd is its difference quotient through a
+first-order low-pass. Inertia inside the feedback makes all joints equally fast. A wrist's inertia is a ten-thousandth
+of a shoulder's, though: no feedback of this bandwidth holds it against a friction that the controller knows nothing
+of. Hence the controller is commissioned on the arm as it is, unless it is told to know the nominal one alone. The log
+is right either way: which torque moved the arm does not depend on who asked for it.
+"""
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.simulation.hidden import Build
+from invdyn_cli.simulation.references import Reference
+
+FASTEST = 4.0
+"""[Hz] bandwidth without delays; a position noise of 1e-5 rad then makes torques of 0.5 N m rms in a shoulder."""
+
+LATE = 0.06
+"""[-] Bandwidth [Hz] times delay [s] beyond which the feedback would swing: 3 Hz at 20 ms."""
+
+SMOOTH = 0.005
+"""[rad/s; m/s] Speeds at which the friction that is compensated fades in and out."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """The controller's numbers.
+
+    Attributes:
+        frequency: w / 2 pi [Hz], the bandwidth of the feedback; None: FASTEST, less where torques come late.
+        damping_ratio: D [-].
+        velocity_cutoff: [Hz] of the low-pass on the measured velocity.
+        knows: "arm": the arm with all that is built into it, but delays, lags, saturation and custom effects;
+            "nominal": the nominal arm.
+        settle: [s] of holding the first posture before the log begins.
+        largest_error: [rad; m] beyond which the arm is out of control and the simulation stops.
+    """
+
+    frequency: float | None = None
+    damping_ratio: float = 0.8
+    velocity_cutoff: float = 25.0
+    knows: Literal["arm", "nominal"] = "arm"
+    settle: float = 0.5
+    largest_error: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("frequency", "damping_ratio", "velocity_cutoff", "largest_error"):
+            value = getattr(self, name)
+            if (value is None or value <= 0) and (name, value) != ("frequency", None):
+                raise UsageError(f"control.{name}={value}; allowed: above 0")
+        if self.settle < 0:
+            raise UsageError(f"control.settle={self.settle}; allowed: from 0")
+        if self.knows not in ("arm", "nominal"):
+            raise UsageError(f"control.knows={self.knows!r}; allowed: arm, nominal")
+
+
+class Controller:
+    """One controller at work; mutable, alive for one simulation.
+
+    Args:
+        control: its numbers.
+        model: the arm that it knows, without dry friction.
+        build: what it knows beside the model: dry friction, ripple, offsets, gains.
+        latency: [s] with which torques arrive, at worst.
+        wanted: the reference, at `rate` [Hz].
+    """
+
+    def __init__(
+        self, control: Control, model: mujoco.MjModel, build: Build, latency: float, wanted: Reference, rate: float
+    ) -> None:
+        frequency = control.frequency or min(FASTEST, LATE / max(latency, 1e-9))
+        omega = 2 * np.pi * frequency
+        self._stiffness, self._damping = omega**2, 2 * control.damping_ratio * omega
+        self._follow = 1 - np.exp(-2 * np.pi * control.velocity_cutoff / rate)
+        self._model, self._build, self._wanted, self._rate = model, build, wanted, rate
+        self._data: Any = mujoco.MjData(model)
+        self._qpos, self._qvel, self._qacc = self._data.qpos, self._data.qvel, self._data.qacc
+        self._inverse = self._data.qfrc_inverse
+        self._direction = np.tanh(wanted.qd / SMOOTH)
+        self._friction = build.offset + build.friction * self._direction
+        t = np.arange(len(wanted.q)) / rate
+        for i, damping in build.drags:
+            self._friction[:, i] += damping(t, wanted.qd[:, i]) * wanted.qd[:, i]
+        self._last: np.ndarray = wanted.q[0]
+        self._velocity = np.zeros(model.nv)
+
+    def torque(self, row: int, q: np.ndarray) -> np.ndarray:
+        """What it asks for at a row of the reference, where it measures q (n,): (n,) [N m; N]."""
+        wanted, build = self._wanted, self._build
+        self._velocity += self._follow * ((q - self._last) * self._rate - self._velocity)
+        self._last = q
+        self._qpos[:] = q - build.encoder
+        self._qvel[:] = wanted.qd[row]
+        self._qacc[:] = wanted.qdd[row]
+        self._qacc += self._stiffness * (wanted.q[row] - q) + self._damping * (wanted.qd[row] - self._velocity)
+        mujoco.mj_inverse(self._model, self._data)
+        tau = self._inverse + self._friction[row]
+        for i, level in build.levels:
+            load = self._inverse[i] + self._data.qfrc_passive[i] - build.armature[i] * self._qacc[i]
+            tau[i] += level(self._velocity[i], load) * self._direction[row, i]
+        for i, force in build.forces:
+            tau[i] += force(row / self._rate, self._qpos[i], self._velocity[i])
+        return tau / build.gain

@@ -1,0 +1,266 @@
+"""What can be built into the arm: effects by name, with the parameters and signs of DESIGN, section 6.
+
+Logged torque = nominal torque + the effect's term: the joint receives what is logged less the term. `assemble` turns
+effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies), and
+into the few laws that it does not have, which `drive` puts into every step.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.simulation.arm import Body
+from invdyn_cli.types import Robot
+
+ABOVE, FROM, NUMBER, VECTOR, FUNCTION = "a number above 0", "a number from 0", "a number", "three numbers", "a function"
+STANDARD_GRAVITY = 9.81
+"""[m/s^2] of a tilted base, as DESIGN has it."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What an effect takes: whether it belongs to a joint, its parameters with what is allowed, and those with a
+    default."""
+
+    needed: Mapping[str, str]
+    optional: Mapping[str, str] = field(default_factory=dict)
+    of_joint: bool | None = True
+
+
+KINDS = {
+    "viscous_friction": Kind({"damping": FROM}),
+    "coulomb_friction": Kind({"coulomb": FROM}),
+    "asymmetric_coulomb_friction": Kind({"positive": FROM, "negative": FROM}),
+    "stribeck_friction": Kind({"coulomb": FROM, "static": FROM, "velocity": ABOVE}),
+    "load_dependent_friction": Kind({"mu": FROM}),
+    "quadratic_friction": Kind({"drag": FROM}),
+    "thermal_friction_drift": Kind({"cold": FROM, "warm": FROM, "time_constant": ABOVE}),
+    "torque_ripple": Kind({"amplitude": NUMBER, "cycles": ABOVE, "phase": NUMBER}),
+    "joint_spring": Kind({"stiffness": FROM, "rest": NUMBER}),
+    "rotor_inertia": Kind({"armature": FROM}),
+    "torque_gain_error": Kind({"gain": ABOVE}),
+    "torque_offset": Kind({"offset": NUMBER}),
+    "torque_delay": Kind({"delay": FROM}),
+    "actuator_lag": Kind({"time_constant": ABOVE}),
+    "torque_saturation": Kind({"limit": ABOVE}),
+    "payload": Kind({"mass": ABOVE, "com": VECTOR}, {"radius": FROM}, of_joint=False),
+    "link_inertia_error": Kind({}, {"mass": NUMBER, "com": VECTOR, "inertia": NUMBER}),
+    "base_tilt": Kind({"angle": NUMBER, "azimuth": NUMBER}, of_joint=False),
+    "encoder_offset": Kind({"offset": NUMBER}),
+    "custom": Kind({"force": FUNCTION}, of_joint=None),
+}
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect that is built into the arm.
+
+    `custom` stands for whatever the catalogue lacks, from Python only: its `force(t, q, qd)` gives the term [N m; N] at
+    t [s], of the joint's own true angle and velocity, or of all joints' (n,) where `joint` is None.
+
+    Attributes:
+        effect: its name, one of `KINDS`.
+        joint: the joint it acts on; None for the whole arm (payload, base_tilt). link_inertia_error names the joint
+            that moves the link.
+        parameters: by name, in the units of DESIGN. payload: also `radius` [m] of the sphere that it is (0.02).
+            link_inertia_error: `mass` [kg] and `com` (3,) [m, in the joint's frame] are what is added to the nominal
+            ones, `inertia` [-] is the relative change of the inertia about the centre of mass.
+    """
+
+    effect: str
+    joint: str | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Build:
+    """All effects of an arm with n joints, as numbers (n,) per joint and laws.
+
+    Attributes:
+        inertial: (n, 10) as in `types.Robot`.
+        gravity: (3,) [m/s^2].
+        carried: bodies on the last link.
+        armature, damping, friction, stiffness: [kg m^2], [N m s/rad], [N m], [N m/rad]; zero without effects.
+        pull: stiffness times rest angle [N m].
+        offset: [N m] that the joint does not receive.
+        gain, delay, lag, limit: [-], [s], [s], [N m] of the way from logged to delivered torque; 1, 0, 0, infinity.
+        encoder: [rad; m] added to what is measured.
+        levels: (joint, law(qd, load) -> dry friction [N m]), load: torque [N m] that the joint transmits.
+        drags: (joint, law(t, qd) -> damping [N m s/rad]).
+        forces: (joint, law(t, q, qd) -> term [N m]), known to a commissioned controller.
+        customs: likewise, (None: all joints at once), known to nobody.
+    """
+
+    inertial: np.ndarray
+    gravity: np.ndarray
+    armature: np.ndarray
+    damping: np.ndarray
+    friction: np.ndarray
+    stiffness: np.ndarray
+    pull: np.ndarray
+    offset: np.ndarray
+    gain: np.ndarray
+    delay: np.ndarray
+    lag: np.ndarray
+    limit: np.ndarray
+    encoder: np.ndarray
+    carried: list[Body] = field(default_factory=list)
+    levels: list[tuple[int, Callable]] = field(default_factory=list)
+    drags: list[tuple[int, Callable]] = field(default_factory=list)
+    forces: list[tuple[int, Callable]] = field(default_factory=list)
+    customs: list[tuple[int | None, Callable]] = field(default_factory=list)
+
+
+def assemble(robot: Robot, hidden: Sequence[Hidden] = ()) -> Build:
+    """The effects as numbers and laws; several of one kind on one joint add up.
+
+    Raises:
+        UsageError: for an effect, a joint or a parameter that is not known, is missing, or out of range.
+    """
+    build = Build(
+        inertial=np.array(robot.inertial, float),
+        gravity=np.array(robot.gravity, float),
+        gain=np.ones(robot.dofs),
+        limit=np.full(robot.dofs, np.inf),
+        armature=np.zeros(robot.dofs),
+        damping=np.zeros(robot.dofs),
+        friction=np.zeros(robot.dofs),
+        stiffness=np.zeros(robot.dofs),
+        pull=np.zeros(robot.dofs),
+        offset=np.zeros(robot.dofs),
+        delay=np.zeros(robot.dofs),
+        lag=np.zeros(robot.dofs),
+        encoder=np.zeros(robot.dofs),
+    )
+    for one in hidden:
+        refuse(one, robot)
+        _put(build, one, None if one.joint is None else robot.joints.index(one.joint))
+    return build
+
+
+def refuse(one: Hidden, robot: Robot | None = None) -> None:
+    """Raise a UsageError if this effect cannot be built (into this robot, where one is given)."""
+    if one.effect not in KINDS:
+        got = f"no effect {one.effect!r} can be hidden{closest(one.effect, KINDS)}"
+        raise UsageError(f"{got}; allowed: {listed(KINDS, most=30)}")
+    kind, joints = KINDS[one.effect], robot.joints if robot else ()
+    if kind.of_joint is False and one.joint is not None:
+        raise UsageError(f"{one.effect} on joint {one.joint!r}; allowed: no joint, it belongs to the whole arm")
+    if kind.of_joint and one.joint is None:
+        raise UsageError(f"{one.effect} names no joint; allowed: {listed(joints) if robot else 'a joint of the robot'}")
+    if robot and one.joint is not None and one.joint not in joints:
+        got = f"{one.effect}: no joint {one.joint!r}{closest(one.joint, joints)}"
+        raise UsageError(f"{got}; allowed: {listed(joints)}")
+    known = {**kind.needed, **kind.optional}
+    for name in one.parameters:
+        if name not in known:
+            raise UsageError(f"{one.effect} has no parameter {name!r}{closest(name, known)}; allowed: {listed(known)}")
+    if missing := [name for name in kind.needed if name not in one.parameters]:
+        raise UsageError(f"{one.effect} lacks {listed(missing)}; it takes {listed(known)}")
+    for name, value in one.parameters.items():
+        if not _suits(value, known[name]):
+            raise UsageError(f"{one.effect}: {name}={value}; allowed: {known[name]}")
+
+
+def _suits(value: Any, allowed: str) -> bool:
+    if allowed == FUNCTION:
+        return callable(value)
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return False
+    if numbers.shape != ((3,) if allowed == VECTOR else ()) or not np.isfinite(numbers).all():
+        return False
+    return bool(np.all(numbers > 0 if allowed == ABOVE else numbers >= 0 if allowed == FROM else True))
+
+
+def _put(build: Build, one: Hidden, i: Any) -> None:
+    """Add an effect to the build, in place; `i` is the joint's column."""
+    p: dict[str, Any] = {k: v if callable(v) or np.ndim(v) else float(v) for k, v in one.parameters.items()}
+    match one.effect:
+        case "viscous_friction":
+            build.damping[i] += p["damping"]
+        case "coulomb_friction":
+            build.friction[i] += p["coulomb"]
+        case "asymmetric_coulomb_friction":  # within [-negative, positive] nothing moves: a shifted symmetric friction
+            build.friction[i] += (p["positive"] + p["negative"]) / 2
+            build.offset[i] += (p["positive"] - p["negative"]) / 2
+        case "stribeck_friction":
+            build.levels.append((i, partial(_stribeck, **p)))
+        case "load_dependent_friction":
+            build.levels.append((i, partial(_load_dependent, **p)))
+        case "quadratic_friction":
+            build.drags.append((i, partial(_quadratic, **p)))
+        case "thermal_friction_drift":
+            build.drags.append((i, partial(_thermal, **p)))
+        case "torque_ripple":
+            build.forces.append((i, partial(_ripple, **p)))
+        case "joint_spring":
+            build.stiffness[i] += p["stiffness"]
+            build.pull[i] += p["stiffness"] * p["rest"]
+        case "rotor_inertia":
+            build.armature[i] += p["armature"]
+        case "torque_gain_error":
+            build.gain[i] *= p["gain"]
+        case "torque_offset":
+            build.offset[i] += p["offset"]
+        case "torque_delay":
+            build.delay[i] += p["delay"]
+        case "actuator_lag":
+            build.lag[i] += p["time_constant"]
+        case "torque_saturation":
+            build.limit[i] = min(build.limit[i], p["limit"])
+        case "payload":
+            build.carried.append(Body(p["mass"], p["com"], p.get("radius", 0.02)))
+        case "link_inertia_error":
+            build.inertial[i] = _changed(build.inertial[i], one.joint, **p)
+        case "base_tilt":
+            sine, cosine = np.sin(p["angle"]), np.cos(p["angle"])
+            direction = sine * np.cos(p["azimuth"]), sine * np.sin(p["azimuth"]), -cosine
+            build.gravity[:] = STANDARD_GRAVITY * np.array(direction)
+        case "encoder_offset":
+            build.encoder[i] += p["offset"]
+        case "custom":
+            build.customs.append((i, p["force"]))
+
+
+def _stribeck(qd, load, coulomb: float, static: float, velocity: float):
+    return coulomb + (static - coulomb) * np.exp(-((qd / velocity) ** 2))
+
+
+def _load_dependent(qd, load, mu: float):
+    return mu * abs(load)
+
+
+def _quadratic(t, qd, drag: float):
+    return drag * abs(qd)
+
+
+def _thermal(t, qd, cold: float, warm: float, time_constant: float):
+    return warm + (cold - warm) * np.exp(-np.maximum(t, 0.0) / time_constant)
+
+
+def _ripple(t, q, qd, amplitude: float, cycles: float, phase: float):
+    return amplitude * np.sin(cycles * q + phase)
+
+
+def _changed(row: np.ndarray, joint: str | None, mass: float = 0.0, com: Any = (0, 0, 0), inertia: float = 0.0):
+    """A link's ten parameters with another mass, centre of mass and inertia about it."""
+    if row[0] + mass <= 0:
+        got = f"link_inertia_error of {joint}: mass={mass:g} leaves {row[0] + mass:.3g} kg"
+        raise UsageError(f"{got}; allowed: above {-row[0]:.3g}")
+    before = row[1:4] / row[0] if row[0] else np.zeros(3)
+    after = before + np.asarray(com, float)
+    central = row[4:] - row[0] * _steiner(before)
+    whole = row[0] + mass
+    return np.concatenate([[whole], whole * after, (1 + inertia) * central + whole * _steiner(after)])
+
+
+def _steiner(c: np.ndarray) -> np.ndarray:
+    """(6,) xx xy yy xz yz zz of a unit mass at c (3,) about the origin."""
+    x, y, z = c
+    return np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])

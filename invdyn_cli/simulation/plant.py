@@ -1,0 +1,217 @@
+"""The arm that plays the real one: a reference, hidden effects and sensors go in, a trajectory of a log comes out.
+
+What is logged at t is what the controller measured then, and the torque that it asked for from then on, held until the
+next tick (zero-order hold): a torque is on average half a tick younger than its t.
+"""
+# pyright: reportAttributeAccessIssue=false
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.interfaces import Progress, silent
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.simulation.arm import build
+from invdyn_cli.simulation.control import Control, Controller
+from invdyn_cli.simulation.drive import Drive
+from invdyn_cli.simulation.hidden import Build, Hidden, assemble
+from invdyn_cli.simulation.references import AbstractReference, Reference
+from invdyn_cli.simulation.sensors import SIDES, Noise, Side, stepped
+from invdyn_cli.types import Robot
+
+SOURCE = f"simulated arm (invdyn, MuJoCo {mujoco.__version__})"
+EXACT, USUAL = Noise(), Control()
+LOOK_EVERY = 50
+"""Ticks between two looks at whether the arm is still under control."""
+
+
+def simulate(
+    robot: Robot,
+    reference: AbstractReference,
+    hidden: Sequence[Hidden] = (),
+    *,
+    noise: Noise = EXACT,
+    duration: float = 60.0,
+    rate: float = 1000.0,
+    substeps: int = 4,
+    control: Control = USUAL,
+    seed: int = 0,
+    torque_side: Side = "command",
+    name: str = "trajectory_1",
+    progress: Progress = silent,
+) -> RawTrajectory:
+    """One recording of the arm with these effects hidden in it.
+
+    Args:
+        robot: what everybody believes the arm to be.
+        reference: what it shall do.
+        hidden: what is different about it.
+        noise: of the sensors.
+        duration: [s].
+        rate: [Hz] of the controller and the log.
+        substeps: steps of the physics per tick.
+        control: the controller.
+        seed: of the reference and the noise.
+        torque_side: what is logged as torque, see `sensors.Side`.
+        name: the trajectory's.
+
+    Raises:
+        UsageError: for effects that cannot be built, numbers out of range, or an arm that goes out of control.
+    """
+    refuse_clock(duration, rate, substeps)
+    if torque_side not in SIDES:
+        raise UsageError(f"torque_side={torque_side!r}; allowed: {listed(SIDES)}")
+    made, step = assemble(robot, hidden), 1 / (rate * substeps)
+    wanted = reference.motion(robot, duration, rate, seed)
+    arm = build(
+        robot,
+        inertial=made.inertial,
+        gravity=made.gravity,
+        carried=made.carried,
+        armature=made.armature,
+        timestep=step,
+    )
+    _set_joints(arm.model, made)
+    known = arm.model if control.knows == "arm" else build(robot, timestep=step).model
+    known_build = made if control.knows == "arm" else assemble(robot)
+    latency = float((made.delay + made.lag).max())
+    controller = Controller(control, copy.copy(known), known_build, latency, wanted, rate)
+    arm.model.dof_frictionloss[:] = made.friction
+    drive = Drive(arm.model, made, substeps, sense=torque_side == "link")
+    noises = np.random.default_rng([seed, 1])
+    with _quiet():
+        logged = _run(drive, controller, wanted, noise, control, noises, rate, name, progress)
+    tau = logged["link" if torque_side == "link" else "tau"]
+    tau = tau + noises.normal(size=tau.shape) * noise.of("torque", robot.dofs)
+    qd = None
+    if noise.velocity is not None:
+        qd = logged["qd"] + noises.normal(size=tau.shape) * noise.of("velocity", robot.dofs)
+    return RawTrajectory(
+        name=name,
+        t=np.arange(len(tau)) / rate,
+        q=logged["q"],
+        tau=stepped(tau, noise.of("torque_quantum", robot.dofs)),
+        qd=qd,
+        q_ref=wanted.q,
+        notes="; ".join(arm.notes),
+    )
+
+
+def record(
+    robot: Robot,
+    references: Sequence[AbstractReference],
+    hidden: Sequence[Hidden] = (),
+    *,
+    rate: float = 1000.0,
+    torque_side: Side = "command",
+    position_side: str = "unknown",
+    urdf: str = "",
+    seed: int = 0,
+    progress: Progress = silent,
+    **options: Any,
+) -> Log:
+    """A log of one recording for every reference: trajectory_1, trajectory_2, ... with seeds from `seed` on.
+
+    `urdf` is the path that the log names; `options` are those of `simulate`. Positions are the same on both sides of
+    the gear as long as nothing yields; `position_side` is only what the log says.
+    """
+    trajectories = []
+    for i, reference in enumerate(references):
+        share = _between(progress, i / len(references), (i + 1) / len(references))
+        name = f"trajectory_{i + 1}"
+        how = {"rate": rate, "torque_side": torque_side, "seed": seed + i, "name": name, "progress": share}
+        trajectories.append(simulate(robot, reference, hidden, **how, **options))
+    return Log(
+        robot=robot.name,
+        joints=robot.joints,
+        torque_side=torque_side,
+        torque_unit="N m",
+        rate=rate,
+        trajectories=tuple(trajectories),
+        urdf=urdf,
+        source=SOURCE,
+        position_side=position_side,
+    )
+
+
+def refuse_clock(duration: float, rate: float, substeps: int) -> None:
+    """Raise a UsageError for a recording that cannot be made."""
+    if not (np.isfinite(rate) and rate > 0 and np.isfinite(duration) and duration * rate >= 2):
+        raise UsageError(f"duration={duration} s at rate={rate} Hz; allowed: both above 0, two samples or more")
+    if not (isinstance(substeps, int) and substeps >= 1):
+        raise UsageError(f"substeps={substeps}; allowed: a whole number from 1")
+
+
+def _set_joints(model: mujoco.MjModel, made: Build) -> None:
+    """Damping and springs, which MuJoCo integrates by itself; dry friction comes after the feedforward."""
+    model.dof_damping[:] = made.damping
+    model.jnt_stiffness[:] = made.stiffness.reshape(model.jnt_stiffness.shape)
+    model.qpos_spring[:] = made.pull / np.where(made.stiffness > 0, made.stiffness, 1.0)
+
+
+def _run(
+    drive: Drive,
+    controller: Controller,
+    wanted: Reference,
+    noise: Noise,
+    control: Control,
+    noises: np.random.Generator,
+    rate: float,
+    name: str,
+    progress: Progress,
+) -> Mapping[str, np.ndarray]:
+    """The control loop: measured "q", true "qd", commanded "tau" and "link" torque, (T, n) each."""
+    samples, n = wanted.q.shape
+    before = round(control.settle * rate)
+    commands = np.empty((before + samples, n))
+    q, qd, link = np.empty((3, samples, n))
+    errors = noises.normal(size=(before + samples, n)) * noise.of("position", n) + drive.build.encoder
+    quantum = noise.of("position_quantum", n)
+    drive.start(wanted.q[0] - drive.build.encoder)
+    for tick in range(before + samples):
+        k = tick - before
+        measured = drive.measured_q() + errors[tick]
+        if quantum.any():
+            measured = stepped(measured, quantum)
+        commands[tick] = controller.torque(max(k, 0), measured)
+        if k >= 0:
+            q[k], qd[k] = measured, drive.qvel
+        drive.advance(commands, tick, k / rate)
+        if k >= 0 and drive.sense:
+            link[k] = drive.felt
+        if not tick % LOOK_EVERY:
+            _refuse_runaway(drive, wanted.q[max(k, 0)] - measured, k / rate, control, name)
+            progress(tick / len(commands), f"{max(k, 0) / rate:.0f} s of {name}")
+    progress(1.0, name)
+    return {"q": q, "qd": qd, "tau": commands[before:], "link": link}
+
+
+def _refuse_runaway(drive: Drive, error: np.ndarray, t: float, control: Control, name: str) -> None:
+    worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf)))
+    if abs(error[worst]) <= control.largest_error:
+        return
+    joint = drive.model.joint(worst).name
+    raise UsageError(
+        f"{name}: the simulated arm is out of control at {max(t, 0):.2f} s, {joint} is {error[worst]:.3g} from its "
+        f"reference; allowed: {control.largest_error:g}",
+        advice="smaller hidden effects, a slower reference, or another control.frequency",
+    )
+
+
+def _between(progress: Progress, start: float, end: float) -> Progress:
+    return lambda done, note: progress(start + (end - start) * done, note)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)

@@ -1,0 +1,217 @@
+"""What the simulated arm is asked to do: motions from rest to rest, inside its joint and velocity limits."""
+
+import abc
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.types import Robot
+
+UNLIMITED = 2.0
+"""[rad] to either side of zero for joints without limits."""
+UNLIMITED_SLIDE = 0.5
+"""[m] likewise for sliding joints."""
+UNLIMITED_SPEED = 3.0
+"""[rad/s; m/s] for joints without a velocity limit."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Positions, velocities, accelerations, each (T, n) [rad; m, and per second], at 0, 1/rate, ... ."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+
+
+class AbstractReference(abc.ABC):
+    """A way to move; its fields are shares of what the joints allow, so that it suits any arm."""
+
+    @abc.abstractmethod
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+        """The motion of `duration` [s] at `rate` [Hz]; what is left to chance comes from the seed."""
+
+
+@dataclass(frozen=True)
+class Multisine(AbstractReference):
+    """A sum of harmonics on all joints at once, with random phases and weights, faded in from rest and out again.
+
+    Attributes:
+        amplitude: share of half the joint's range that it swings to either side, at most.
+        speed: share of the joint's velocity limit, at most; the stricter of the two decides.
+        harmonics: so many, from the base frequency on.
+        base: [Hz]; the motion repeats after 1/base seconds.
+        ramp: [s] of fading in, and out.
+    """
+
+    amplitude: float = 0.6
+    speed: float = 0.5
+    harmonics: int = 5
+    base: float = 0.1
+    ramp: float = 2.0
+
+    def __post_init__(self) -> None:
+        _refuse_shares(self)
+        if self.base <= 0 or self.harmonics < 1 or self.ramp <= 0:
+            got = f"multisine with base={self.base}, harmonics={self.harmonics}, ramp={self.ramp}"
+            raise UsageError(f"{got}; allowed: base and ramp above 0, harmonics from 1")
+
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+        draw = np.random.default_rng(seed)
+        middle, half, fastest = room(robot)
+        centre = middle + draw.uniform(-1, 1, robot.dofs) * (0.95 - min(self.amplitude, 0.95)) * half
+        t = np.arange(round(duration * rate)) / rate
+        w, w1, w2 = _faded(t, duration, min(self.ramp, duration / 2))
+        s, s1, s2 = (np.zeros((len(t), robot.dofs)) for _ in range(3))
+        for k in range(1, self.harmonics + 1):
+            omega = 2 * np.pi * self.base * k
+            angle = omega * t[:, None] + draw.uniform(0, 2 * np.pi, robot.dofs)
+            weight = draw.uniform(0.5, 1.0, robot.dofs) / k**0.5
+            sine, cosine = weight * np.sin(angle), weight * np.cos(angle)
+            s += sine
+            s1 += omega * cosine
+            s2 -= omega**2 * sine
+        x, x1, x2 = w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
+        scale = np.minimum(self.amplitude * half / np.abs(x).max(0), self.speed * fastest / np.abs(x1).max(0))
+        return Reference(centre + scale * x, scale * x1, scale * x2)
+
+
+@dataclass(frozen=True)
+class PickPlace(AbstractReference):
+    """Minimum-jerk moves of all joints between random postures, with rests.
+
+    Attributes:
+        amplitude: share of the joints' ranges in which the postures lie.
+        speed: share of the velocity limits that the fastest joint of a move reaches.
+        dwell: [s] of rest after each move.
+    """
+
+    amplitude: float = 0.6
+    speed: float = 0.5
+    dwell: float = 0.5
+
+    def __post_init__(self) -> None:
+        _refuse_shares(self)
+        if self.dwell < 0:
+            raise UsageError(f"pick_place with dwell={self.dwell}; allowed: from 0")
+
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+        draw = np.random.default_rng(seed)
+        middle, half, fastest = room(robot)
+        t = np.arange(round(duration * rate)) / rate
+        here = middle + draw.uniform(-1, 1, robot.dofs) * self.amplitude * half
+        q, qd, qdd = np.tile(here, (len(t), 1)), np.zeros((len(t), robot.dofs)), np.zeros((len(t), robot.dofs))
+        start = self.dwell
+        while True:
+            there = middle + draw.uniform(-1, 1, robot.dofs) * self.amplitude * half
+            takes = max(0.3, float(np.max(1.875 * np.abs(there - here) / (self.speed * fastest))))
+            if start + takes > duration:
+                return Reference(q, qd, qdd)
+            x, x1, x2 = _smooth((t - start) / takes)
+            rows = t >= start
+            q[rows] = here + x[rows, None] * (there - here)
+            qd[rows] = x1[rows, None] / takes * (there - here)
+            qdd[rows] = x2[rows, None] / takes**2 * (there - here)
+            here, start = there, start + takes + self.dwell
+
+
+@dataclass(frozen=True)
+class ConstantSpeed(AbstractReference):
+    """Each joint sweeps to one side, the other and back at several constant speeds, with smooth reversals.
+
+    Attributes:
+        speeds: shares of `speed`, swept one after the other.
+        speed: share of the joint's velocity limit that stands for 1.
+        amplitude: share of half the joint's range that it sweeps to either side, at most.
+        together: all joints at once, each with another order of speeds; else one after the other, the others at rest.
+        blend: [s] of a reversal, at most; short sweeps have shorter ones.
+    """
+
+    speeds: tuple[float, ...] = (0.05, 0.15, 0.4, 1.0)
+    speed: float = 0.5
+    amplitude: float = 0.6
+    together: bool = False
+    blend: float = 0.4
+
+    def __post_init__(self) -> None:
+        _refuse_shares(self)
+        object.__setattr__(self, "speeds", tuple(self.speeds))
+        if not self.speeds or not all(0 < x <= 1 for x in self.speeds) or self.blend <= 0:
+            got = f"constant_speed with speeds={list(self.speeds)}, blend={self.blend}"
+            raise UsageError(f"{got}; allowed: speeds above 0 up to 1, blend above 0")
+
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+        draw = np.random.default_rng(seed)
+        middle, half, fastest = room(robot)
+        n, slots = robot.dofs, len(self.speeds) * (1 if self.together else robot.dofs)
+        t = np.arange(round(duration * rate)) / rate
+        qd = np.zeros((len(t), n))
+        qdd = np.zeros((len(t), n))
+        each = duration / slots
+        for slot in range(slots):
+            for i in range(n) if self.together else (slot % n,):
+                turn = (slot + i) % len(self.speeds) if self.together else slot // n
+                v = self.speeds[turn] * self.speed * fastest[i]
+                sign = draw.choice((-1.0, 1.0))
+                x1, x2 = self._sweep(t - slot * each, each, v, self.amplitude * half[i])
+                qd[:, i] += sign * x1
+                qdd[:, i] += sign * x2
+        steps = (qd[1:] + qd[:-1]) / 2 / rate
+        start = middle + draw.uniform(-1, 1, n) * (0.95 - min(self.amplitude, 0.95)) * half
+        return Reference(start + np.concatenate([np.zeros((1, n)), np.cumsum(steps, axis=0)]), qd, qdd)
+
+    def _sweep(self, t: np.ndarray, takes: float, v: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Speed and acceleration of +v, -v, +v over `takes` [s] from 0 on, less where it would go beyond `reach`."""
+        b = min(self.blend, takes / 8)
+        for _ in range(2):  # a shorter sweep has shorter reversals, which reach a little less far
+            takes = min(takes, 4 * reach / v + 2.25 * b)
+            b = min(b, takes / 8)
+        first = (takes - 3 * b) / 4  # reversals take 2 b, start and end b, and it comes back to where it began
+        x, a = np.zeros_like(t), np.zeros_like(t)
+        for at, before, after, long in (
+            (0.0, 0.0, v, b),
+            (first, v, -v, 2 * b),
+            (3 * first + b, -v, v, 2 * b),
+            (takes - b, v, 0.0, b),
+        ):
+            s, s1, _ = _smooth((t - at) / long)
+            x += s * (after - before)
+            a += s1 / long * (after - before)
+        return x, a
+
+
+def room(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middle and half of each joint's range, and its highest speed, (n,) each [rad; m, and per second]."""
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    free = np.where(robot.prismatic, UNLIMITED_SLIDE, UNLIMITED)
+    middle = np.where(bounded, (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)) / 2, 0.0)
+    half = np.where(bounded, (np.where(bounded, upper, 0) - np.where(bounded, lower, 0)) / 2, free)
+    wide = ~bounded | (half > np.pi)  # a joint that turns several times need not
+    middle = np.where(wide, np.clip(0.0, lower + free, upper - free), middle)
+    speed = np.asarray(robot.velocity_limit)
+    speed = np.where(np.isfinite(speed) & (speed > 0), speed, UNLIMITED_SPEED)
+    return middle, np.where(wide, free, half), speed
+
+
+def _smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Minimum jerk from 0 to 1 over s in [0, 1], constant outside; its first and second derivative by s."""
+    s = np.clip(s, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
+
+
+def _faded(t: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A window (T, 1) that rises and falls over `ramp` [s], and its first and second derivative by time."""
+    up, down = _smooth(t / ramp), _smooth((duration - t) / ramp)
+    w = up[0] * down[0]
+    w1 = (up[1] * down[0] - up[0] * down[1]) / ramp
+    w2 = (up[2] * down[0] - 2 * up[1] * down[1] + up[0] * down[2]) / ramp**2
+    return w[:, None], w1[:, None], w2[:, None]
+
+
+def _refuse_shares(reference: AbstractReference) -> None:
+    for name in ("amplitude", "speed"):
+        value = getattr(reference, name)
+        if not 0 < value <= 1:
+            raise UsageError(f"{type(reference).__name__}: {name}={value}; allowed: above 0 up to 1")

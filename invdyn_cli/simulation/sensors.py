@@ -1,0 +1,53 @@
+"""What the encoders and the torque channel of the simulated arm add to the truth: white noise, then whole steps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Measuring errors, white, one number for all joints or one for each.
+
+    Attributes:
+        position: [rad; m] rms on the measured positions, which the controller sees too.
+        torque: [N m; N] rms on the logged torques; the joints receive the torques without it.
+        position_quantum, torque_quantum: [rad; m], [N m; N] whole steps of what is measured and logged; 0: none.
+        velocity: [rad/s; m/s] rms of a velocity sensor; None: velocities are not logged.
+    """
+
+    position: float | Sequence[float] = 0.0
+    torque: float | Sequence[float] = 0.0
+    position_quantum: float | Sequence[float] = 0.0
+    torque_quantum: float | Sequence[float] = 0.0
+    velocity: float | Sequence[float] | None = None
+
+    def of(self, name: str, joints: int) -> np.ndarray:
+        """One of the numbers for each joint, (n,).
+
+        Raises:
+            UsageError: if there are not as many as joints, or one is negative or no number.
+        """
+        value = getattr(self, name)
+        try:
+            numbers = np.asarray(value, float)
+        except (TypeError, ValueError):
+            numbers = np.array(np.nan)
+        if numbers.shape not in ((), (joints,)) or not np.all(numbers >= 0) or not np.isfinite(numbers).all():
+            raise UsageError(f"noise.{name}={value}; allowed: a number from 0, or {joints} of them, one for each joint")
+        return np.broadcast_to(numbers, joints).copy()
+
+
+def stepped(x: np.ndarray, quantum: np.ndarray) -> np.ndarray:
+    """x (..., n) rounded to whole steps of quantum (n,); as it is where that is 0."""
+    return np.where(quantum > 0, np.round(x / np.where(quantum > 0, quantum, 1.0)) * quantum, x)
+
+
+Side = Literal["command", "motor", "link"]
+"""Where the torque is taken; command, motor: what the controller asked for; link: behind the gear and its friction."""
+
+SIDES: tuple[str, ...] = get_args(Side)

@@ -1,0 +1,110 @@
+"""invdyn simulate: the log of a simulated arm that plays the real one, and beside it the truth about what is hidden."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from invdyn_cli import store
+from invdyn_cli.data.plant import Plant
+from invdyn_cli.errors import UsageError
+from invdyn_cli.logfile import Log, write_log
+from invdyn_cli.types import Robot
+from invdyn_cli.verbs import screen
+from invdyn_cli.verbs.launch import instantiate, job, launch
+from invdyn_cli.verbs.run import make_robot
+
+LOG, URDF, TRUTH = "log.h5", "robot.urdf", "truth.json"
+UNTOLD = ("dofs", "tip", "gravity", "base_rpy", "payload")
+"""Options of the robot that change what its URDF says: the log does not keep them."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Simulate with the overrides in argv; the exit code."""
+    return launch("simulate", argv, task)
+
+
+def task(config: DictConfig) -> None:
+    """One log."""
+    execute(config, Path(job().runtime.output_dir), Console())
+
+
+def execute(config: DictConfig, folder: Path, console: Console) -> Log:
+    """Config -> arm -> log.h5, robot.urdf and truth.json in `folder`; tells on `console` what was made."""
+    if config.data is None or config.data.get("_target_") != f"{Plant.__module__}.{Plant.__name__}":
+        got = config.data.get("_target_") if config.data is not None else None
+        raise UsageError(f"data makes a {got}; allowed: data=plant, the only source with an arm to simulate")
+    source: Plant = instantiate(config.data)
+    robot = make_robot(config, source.header(), optional=False, console=console)
+    assert robot is not None  # make_robot refuses data without a robot
+    with screen.stages(quiet=console.quiet) as stage:
+        log = source.record(robot, stage("simulate"))
+    write(replace(log, urdf=str(folder / URDF) if robot.urdf else ""), source, robot, folder)
+    console.print(_recordings(log))
+    console.print(_hidden(source))
+    for note in dict.fromkeys(raw.notes for raw in log.trajectories if raw.notes):
+        console.print(f"[yellow]{escape(note)}[/]", highlight=False)
+    if untold := [f"robot.{name}" for name in UNTOLD if config.robot.get(name) is not None]:
+        said = f"{URDF} does not know of {', '.join(untold)}: say so again where the log is read"
+        console.print(f"[yellow]{said}[/]", highlight=False)
+    console.print(str(_shown(folder)), highlight=False, markup=False, soft_wrap=True)
+    return log
+
+
+def write(log: Log, source: Plant, robot: Robot, folder: Path) -> None:
+    """The three files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if robot.urdf:
+        (folder / URDF).write_text(robot.urdf)
+    write_log(log, folder / LOG)
+    (folder / TRUTH).write_text(json.dumps(truth(source, robot), indent=2) + "\n")
+
+
+def truth(source: Plant, robot: Robot) -> dict[str, Any]:
+    """What is hidden, and all that the recording was made with."""
+    effects = [{"effect": x.effect, "joint": x.joint, "parameters": dict(x.parameters)} for x in source.hidden()]
+    return {
+        "schema": "invdyn-truth/1",
+        "robot": robot.name,
+        "joints": list(robot.joints),
+        "effects": effects,
+        "source": store.encode(source),
+    }
+
+
+def _recordings(log: Log) -> Table:
+    table = Table(title=f"{log.robot}, {log.torque_side} torque, {log.rate:g} Hz", title_justify="left")
+    for column in ("trajectory", "length [s]", "samples", "largest torque [N m; N]", "largest tracking error [rad; m]"):
+        table.add_column(column, justify="left" if column == "trajectory" else "right")
+    for raw in log.trajectories:
+        off = np.abs(raw.q - raw.q_ref).max() if raw.q_ref is not None else np.nan
+        length = len(raw.t) / log.rate
+        table.add_row(escape(raw.name), f"{length:g}", f"{len(raw.t)}", f"{np.abs(raw.tau).max():.3g}", f"{off:.2g}")
+    return table
+
+
+def _hidden(source: Plant) -> Table:
+    table = Table("hidden effect", "joint", "parameters", title_justify="left")
+    for one in source.hidden():
+        table.add_row(one.effect, escape(one.joint or "(whole arm)"), escape(_words(one.parameters)))
+    if not source.effects:
+        table.add_row("(none)", "", "")
+    return table
+
+
+def _words(parameters: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in parameters.items())
+
+
+def _shown(folder: Path) -> Path:
+    try:
+        return folder.relative_to(Path.cwd())
+    except ValueError:
+        return folder
