@@ -50,7 +50,7 @@ class Scene:
     q: np.ndarray
     speed: np.ndarray
     acceleration: np.ndarray
-    highest: np.ndarray
+    tau: np.ndarray
 
 
 def draw_scene(draw: np.random.Generator, joints: int | None = None) -> Scene:
@@ -74,7 +74,7 @@ def draw_scene(draw: np.random.Generator, joints: int | None = None) -> Scene:
     motion = reference.motion(robot, duration, 100.0, seed)
     tau = inverse_dynamics(robot, motion.q, motion.qd, motion.qdd)
     rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (tau, motion.qd, motion.qdd)]
-    return Scene(robot, reference, duration, seed, rms[0], motion.q, rms[1], rms[2], np.abs(tau).max(0))
+    return Scene(robot, reference, duration, seed, rms[0], motion.q, rms[1], rms[2], tau)
 
 
 def inverse_dynamics(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -197,7 +197,7 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
     "torque_offset": lambda d, s, j: {"offset": _sign(d) * _share(d) * s.torque[j]},
     "torque_delay": lambda d, s, j: {"delay": float(d.uniform(0.004, 0.02))},
     "actuator_lag": lambda d, s, j: {"time_constant": float(d.uniform(0.004, 0.02))},
-    "torque_saturation": lambda d, s, j: {"limit": s.highest[j] * d.uniform(0.6, 0.85)},
+    "torque_saturation": lambda d, s, j: {"limit": float(np.quantile(abs(s.tau[:, j]), d.uniform(0.8, 0.96)))},
     "payload": lambda d, s, j: {
         "mass": float(s.robot.inertial[:, 0].sum() * np.exp(d.uniform(np.log(0.02), np.log(0.15)))),
         "com": _com(d),

@@ -6,6 +6,7 @@ from importlib import import_module
 
 VERBS = {
     "run": "one experiment, or a sweep with -m: data, model, adaptation",
+    "check": "is a measured log sane, what can be mended in it, what does it excite",
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
     "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
     "report": "draw the figures and the page of a run.h5 anew",
@@ -23,7 +24,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run --help                                   all options of a verb
   invdyn --version
 
-Exit code: 0, or 2 for wrong use or where a job of a sweep failed.
+Exit code: 0; 1 where a check failed under strict=true; 2 for wrong use or where a job of a sweep failed.
 """
 
 

@@ -171,6 +171,9 @@ class AbstractTorqueEffect(AbstractEffect):
     def term(self, parameters: Parameters, state: JointState) -> Array:
         """What it adds to the logged torque [N m; N], shape of the state's arrays."""
 
+    nonlinear: ClassVar[tuple[str, ...]] = ()
+    """Parameters that no linear combination of columns can make up for."""
+
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         """Values of the nonlinear parameters to try on this motion."""
         return ({},)
@@ -219,6 +222,10 @@ class AbstractBodyEffect(AbstractEffect):
     @abc.abstractmethod
     def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
         """Parameters from the columns' coefficients."""
+
+    @abc.abstractmethod
+    def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        """The coefficients that `read` makes these parameters from: coordinates without singular points."""
 
 
 class AbstractMotionEffect(AbstractEffect):

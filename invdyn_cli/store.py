@@ -34,6 +34,7 @@ from invdyn_cli.types import (
 
 RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
+CHECK_SCHEMA = "invdyn-check/1"
 DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
 RUN, METRICS = "run.h5", "metrics.json"
 """What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
@@ -204,6 +205,13 @@ def _finding_tree(finding: Finding) -> dict[str, Any]:
         "gain": {joint: vars(x) for joint, x in finding.gain.items()},
         "rejected": [{"effect": effect, "why": why} for effect, why in finding.rejected],
     }
+
+
+def write_check(examination: Examination, path: Path) -> None:
+    """Write check.json (schema invdyn-check/1), aside and renamed; numbers that do not exist as null."""
+    tree = {"schema": CHECK_SCHEMA, **examination_as_dict(examination)}
+    text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
+    write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
 
 
 def write_aside(path: Path, write: Callable[[Path], Any]) -> None:

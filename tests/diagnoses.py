@@ -4,8 +4,8 @@ The motion is a multisine, so that everything can be evaluated at any time: a de
 later. No code is shared with what looks for effects.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -259,8 +259,10 @@ UNSEEN: tuple[Finding, ...] = (
 )
 
 
-def make_diagnosis(*, joints: Sequence[str] = JOINTS) -> Diagnosis:
-    """An arm with a load, friction, ripple, a late torque and an offset that may be something else."""
+@cache
+def make_diagnosis(*, joints: tuple[str, ...] = JOINTS) -> Diagnosis:
+    """An arm with a load, friction, ripple, a late torque and an offset that may be something else; made once, so not
+    to be written into."""
     causes = [
         (
             "payload",
@@ -312,6 +314,7 @@ def make_diagnosis(*, joints: Sequence[str] = JOINTS) -> Diagnosis:
     return diagnosis_of(causes, findings=unseen, joints=joints, summary=summary, notes=notes)
 
 
+@cache
 def nothing_found() -> Diagnosis:
     """A robot that does as its model says."""
     return diagnosis_of(

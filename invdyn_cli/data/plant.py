@@ -27,7 +27,7 @@ class Plant(AbstractSource):
     """Recordings trajectory_1, trajectory_2, … of one simulated arm.
 
     Attributes:
-        effects: what is hidden in it, each {"effect": name, "joint": name, parameter: value, …} as in DESIGN, section 6.
+        effects: what is hidden in it, each {"effect": name, "joint": name, parameter: value, …}, see docs/plant.md.
         reference: "multisine", "pick_place", "constant_speed", or such an object with options of its own.
         trajectories, duration: how many, of how long [s].
         rate: [Hz] of the controller and the log.

@@ -34,11 +34,11 @@ CHECKS: tuple[AbstractCheck, ...] = (
     TooShort(),
     NotMoving(),
     Quantisation(),
-    Saturation(),
     GravityRemoved(),
     JointOrder(),
     SignError(),
     TorqueUnits(),
+    Saturation(),
     TimeOffset(),
     CommandCopiesMeasurement(),
     ModelMismatch(),
@@ -47,6 +47,8 @@ CHECKS: tuple[AbstractCheck, ...] = (
 
 SEVERITIES = ("ok", "note", "warn", "fail")
 """ok: looked at, nothing seen; note: worth knowing; warn: it costs accuracy; fail: no physics before it is mended."""
+
+FAULT = "a fault of invdyn, not of the log"
 
 
 def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS) -> Examination:
@@ -65,7 +67,7 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
         for check in checks:
             seen = _asked(check, patient, robot)
             found += seen
-            patient, _ = check.mend(patient, seen, robot)
+            patient, _ = check.mend(patient, _mendable(seen), robot)
             if any(one.severity == "fail" for one in seen):
                 hopeless |= any(one.severity == "fail" for one in _asked(check, patient, robot))
         try:
@@ -89,7 +91,7 @@ def mend(
     with np.errstate(all="ignore"):
         for check in checks:
             mine = [one for one in examination.checks if one.check == check.name and one.severity != "ok"]
-            log, said = check.mend(log, [one for one in mine if _is_from(check, one)], robot)
+            log, said = check.mend(log, _mendable(mine), robot)
             notes += said
     return log, tuple(notes)
 
@@ -100,12 +102,12 @@ def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
         return check.examine(log, robot)
     except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError) as error:
         said = f"{type(check).__name__} could not be made: {type(error).__name__}: {error}"
-        return [Check(check.name, "note", threshold={"channel": None}, seen=said, meaning="a fault of invdyn, not of the log")]
+        return [Check(check.name, "note", seen=said, meaning=FAULT)]
 
 
-def _is_from(check: AbstractCheck, one: Check) -> bool:
-    """Of two checks that share a name, whether this one has a say on the finding: they tell channels apart."""
-    return not isinstance(one.threshold, dict) or one.threshold.get("channel", "") is not None
+def _mendable(found: Sequence[Check]) -> list[Check]:
+    """What a check may mend by: its findings, but for those that tell of a fault of its own."""
+    return [one for one in found if one.meaning != FAULT]
 
 
 def _with_ok(found: Sequence[Check], checks: Sequence[AbstractCheck]) -> tuple[Check, ...]:

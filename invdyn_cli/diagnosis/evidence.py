@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.recording import Piece, Recording
-from invdyn_cli.effects.composition import chunked, kinematics_of, rebuilt, rigid_torque, sign_of
+from invdyn_cli.effects.composition import Acting, chunked, kinematics_of, rebuilt, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -91,6 +91,17 @@ class Evidence:
     states: list[list[JointState]] = field(default_factory=list)
     reference_rows: np.ndarray | None = None
 
+    def left(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
+        """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
+        out = np.column_stack([table[:, 0] for table in self.tables])
+        start = 0
+        for c in candidates:
+            own = theta[start : start + len(c.precision)]
+            start += len(own)
+            for j, (fixed, free) in c.columns.items():
+                out[:, j] -= self.tables[j][:, list(fixed)].sum(1) + self.tables[j][:, list(free)] @ own
+        return out
+
     @property
     def dofs(self) -> int:
         """Number of joints."""
@@ -98,6 +109,8 @@ class Evidence:
 
     def append(self, row: int, columns: Sequence[np.ndarray]) -> tuple[int, ...]:
         """Add columns (R,) to a row's table; their numbers."""
+        if self.reference_rows is not None:
+            columns = [np.where(self.reference_rows, 0.0, x) for x in columns]
         first = self.tables[row].shape[1]
         self.tables[row] = np.column_stack([self.tables[row], *columns]) if len(columns) else self.tables[row]
         return tuple(range(first, first + len(columns)))
@@ -165,6 +178,9 @@ def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: 
     each parameter (free). A gain acts on the model's torque, which has no noise."""
     rate = evidence.recording.filter.rate
     if effect.name == "torque_gain_error":
+        made = [c for c in evidence.candidates if c.key == (effect.name, joint)]
+        if made:
+            return made[0]
         parts = [s[joint].transmitted[None] for s in evidence.states]
         (column,) = evidence.append(joint, list(_filtered(evidence.recording, parts)))
         return Candidate(effect, joint, shape, {joint: ((), (column,))}, np.zeros(1))
@@ -176,7 +192,8 @@ def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: 
         )[0]
 
     fixed = changed(shape)
-    quiet = _quiet(evidence, effect, joint, shape)
+    # its correction may take it farther than the trial
+    quiet = _quiet(evidence, effect, joint, {k: 1.5 * v + 0.006 if k != "limit" else v for k, v in shape.items()})
     free = []
     for name, value in shape.items():
         step = max(STEP * abs(value), 2e-4)
@@ -302,3 +319,18 @@ def _filtered(recording: Recording, parts: Sequence[np.ndarray]) -> np.ndarray:
 def _last_block(t: np.ndarray) -> int:
     """Number of the last block of a piece: an incomplete one belongs to the one before."""
     return max(0, int((t[-1] - t[0] + 1e-9) // BLOCK) - 1)
+
+
+def trial_at(evidence: Evidence, acting: Acting) -> Candidate:
+    """The candidate of an effect at parameters that were found: its nonlinear ones tried there and nowhere else."""
+    effect, joint = acting.effect, acting.joint
+    if isinstance(effect, AbstractBodyEffect | AbstractMotionEffect):
+        return body_candidate(evidence, effect, joint, acting.parameters)
+    assert joint is not None
+    if isinstance(effect, AbstractChannelEffect):
+        return channel_candidate(evidence, effect, joint, acting.parameters)
+    assert isinstance(effect, AbstractTorqueEffect)
+    shape = {name: acting.parameters[name] for name in effect.nonlinear}
+    if not shape:
+        return next(c for c in evidence.candidates if c.key == (effect.name, joint))
+    return torque_candidate(evidence, effect, joint, shape)

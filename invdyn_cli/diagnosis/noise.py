@@ -45,9 +45,20 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         x, y = evidence.tables[j][:, columns], evidence.tables[j][:, 0]
         scale = np.sqrt(np.mean(x[used] ** 2, axis=0))
         x = x[:, scale > 0] / scale[scale > 0]
-        solution, _, rank, _ = linalg.lstsq(x[used], y[used], cond=1e-7)  # type: ignore[misc]
-        residual[:, j] = y - x @ solution
-        variance = np.sum(residual[used, j] ** 2) / max(used.sum() - rank, 1)
+        # the channel may be at fault as well: the trial that leaves least counts
+        trials = [c for c in evidence.candidates if c.effect.point == "channel" and j in c.columns and c.columns[j][0]]
+        targets = y[:, None] - evidence.tables[j][:, [0, *(c.columns[j][0][0] for c in trials)]] * (
+            np.arange(len(trials) + 1) > 0
+        )
+        values, vectors = linalg.eigh(x[used].T @ x[used])
+        kept = values > 1e-12 * values[-1]
+        inverse = vectors[:, kept] / values[kept]
+        left = targets - x @ (inverse @ (vectors[:, kept].T @ (x[used].T @ targets[used])))
+        loud = np.array([1.0, *(max(1 - c.quiet, 0.05) for c in trials)])
+        spread = np.sum(left[used] ** 2, axis=0) / max(used.sum() - kept.sum(), 1) / loud
+        best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread))
+        residual[:, j] = left[:, best]
+        variance = spread[best]
         strong = np.sqrt(np.mean(evidence.tau[used, j] ** 2))
         deviation[j] = np.sqrt(variance + (FLOOR * strong) ** 2)
         time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])

@@ -26,6 +26,9 @@ clocks, interpolation and filters."""
 SHORTLIST = 10
 """Candidates of a step whose held-out loss is computed; the others gain less on the data that fits them."""
 
+FARTHEST = 1.5
+"""Reaches beyond which a channel's correction of a trial is no longer the straight line that it is taken for."""
+
 LEAST_PRECISION = 1e-9
 
 Hypothesis = tuple[Candidate, ...]
@@ -60,6 +63,7 @@ class Judge:
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
         self.rows_worth = weights * used.sum(0)
         self.deviation = deviation
+        self._freedom: dict[int, float] = {}
         self.tried = 0
 
     def refresh(self) -> None:
@@ -121,7 +125,7 @@ class Judge:
         """What a hypothesis must gain at least."""
         return sum(
             PRICE_OF_EFFECT
-            + PRICE_OF_COEFFICIENT * len(c.precision)
+            + PRICE_OF_COEFFICIENT * self.freedom(c)
             + self.least[c.joint if c.effect.point in ("torque", "channel") else None]
             + (c.quiet * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2 if c.quiet else 0.0)
             for c in hypothesis
@@ -129,11 +133,26 @@ class Judge:
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
         """Why the coefficients of a hypothesis are no physics, "" if they are."""
+        start = 0
         for candidate, parameters in read_all(self.evidence, hypothesis, theta):
+            own = theta[start : start + len(candidate.precision)]
+            start += len(own)
             why = candidate.effect.refuse(parameters)
             if why:
                 return f"{candidate.effect.title}: {why}"
+            if candidate.effect.point == "channel" and np.any(own**2 * candidate.precision > FARTHEST**2):
+                return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
         return ""
+
+    def freedom(self, candidate: Candidate) -> float:
+        """How many coefficients of a candidate the data determine at all."""
+        if not candidate.precision.any():
+            return float(len(candidate.precision))
+        if id(candidate) not in self._freedom:
+            normal = self.sums((candidate,))[2].sum(0)
+            prior = np.diag(candidate.precision)
+            self._freedom[id(candidate)] = float(np.trace(np.linalg.solve(normal + prior, normal)))
+        return self._freedom[id(candidate)]
 
 
 def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):

@@ -98,7 +98,7 @@ class TorqueDelay(AbstractChannelEffect):
         delays: to try [s].
     """
 
-    delays: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
+    delays: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04, 0.06)
 
     name = "torque_delay"
     title = "torque delay"
@@ -127,7 +127,7 @@ class ActuatorLag(AbstractChannelEffect):
         time_constants: to try [s].
     """
 
-    time_constants: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
+    time_constants: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04, 0.06)
 
     name = "actuator_lag"
     title = "actuator lag"

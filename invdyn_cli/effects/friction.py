@@ -113,6 +113,7 @@ class StribeckFriction(AbstractTorqueEffect):
     }
     confounders = (("coulomb_friction",), ("coulomb_friction", "viscous_friction"))
     contains = ("coulomb_friction",)
+    nonlinear = ("velocity",)
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
     picture = "qd"
 
@@ -205,6 +206,7 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
     }
     confounders = (("viscous_friction",), ("quadratic_friction",))
     contains = ("viscous_friction",)
+    nonlinear = ("time_constant",)
     advice = "the same trajectory cold and after 20 minutes of motion"
     picture = "qd"
 

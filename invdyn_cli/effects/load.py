@@ -17,31 +17,40 @@ STILL = np.zeros(3)
 
 @dataclass(frozen=True)
 class Payload(AbstractBodyEffect):
-    """A body on the last link that the model does not know: tool, gripper, object. Taken for a point mass."""
+    """A body on the last link that the model does not know: tool, gripper, object.
+
+    `inertia` (xx, xy, yy, xz, yz, zz) about its centre of mass is what it has beyond a point mass. A negative mass is
+    kept for the search: it is then no payload, but a link that is lighter than its model.
+    """
 
     name = "payload"
     title = "payload"
     equation = "a body of this mass at com in the frame of the last moving joint"
     reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
-    parameters = {"mass": Parameter("kg", 0.0), "com": Parameter("m", -1.0, 1.0)}
+    parameters = {"mass": Parameter("kg"), "com": Parameter("m"), "inertia": Parameter("kg m²")}
     confounders = (("link_inertia_error",), ("torque_gain_error",))
     advice = "the same trajectory without the load, or the tool on a scale"
     picture = "body"
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
-        mass, com = parameters["mass"], parameters["com"]
-        x, y, z = com[0], com[1], com[2]
-        body = [mass, mass * x, mass * y, mass * z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
-        return _added(robot, robot.dofs - 1, [*body[:4], *(mass * i for i in body[4:])])
+        mass, (x, y, z), own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
+        point = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+        about = [mass * i + o for i, o in zip(point, own, strict=True)]
+        return _added(robot, robot.dofs - 1, [mass, mass * x, mass * y, mass * z, *about])
 
     def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
         scales = [MASS] + [MOMENT] * 3 + [0.1 * INERTIA] * 6
         return [(_unit(robot, robot.dofs - 1, k), STILL, scale) for k, scale in enumerate(scales)]
 
     def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
-        mass = coefficients[0]
-        com = np.asarray(coefficients[1:4]) / (mass if mass else 1e-300)
-        return {"mass": mass, "com": com}
+        mass = coefficients[0] or 1e-12
+        x, y, z = com = np.asarray(coefficients[1:4]) / mass
+        point = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+        return {"mass": mass, "com": com, "inertia": np.asarray(coefficients[4:]) - mass * np.array(point)}
+
+    def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        none = replace(robot, inertial=np.zeros((robot.dofs, 10)))
+        return list(self.changed(parameters, none, joint).inertial[-1])
 
 
 @dataclass(frozen=True)
@@ -68,8 +77,8 @@ class LinkInertiaError(AbstractBodyEffect):
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         assert joint is not None
-        moment, inertia = parameters["moment"], parameters["inertia"]
-        return _added(robot, joint, [parameters["mass"], *(moment[i] for i in range(3)), *(inertia[i] for i in range(6))])
+        change = parameters["mass"], *_each(parameters["moment"], 3), *_each(parameters["inertia"], 6)
+        return _added(robot, joint, change)
 
     def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
         assert joint is not None
@@ -79,6 +88,9 @@ class LinkInertiaError(AbstractBodyEffect):
     def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
         change = np.asarray(coefficients)
         return {"mass": float(change[0]), "moment": change[1:4], "inertia": change[4:]}
+
+    def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        return [float(parameters["mass"]), *map(float, parameters["moment"]), *map(float, parameters["inertia"])]
 
 
 @dataclass(frozen=True)
@@ -110,6 +122,11 @@ class BaseTilt(AbstractBodyEffect):
         down = down / np.linalg.norm(down)
         angle = np.arctan2(np.hypot(down[0], down[1]), -down[2])
         return {"angle": float(angle), "azimuth": float(np.arctan2(down[1], down[0]))}
+
+    def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        nominal = np.asarray(robot.gravity) / _length(robot)
+        down = np.asarray(self.changed(parameters, robot, joint).gravity) / _length(robot)
+        return [float(down @ side / (down @ nominal)) for side in _sideways(nominal)]
 
 
 @dataclass(frozen=True)
@@ -145,6 +162,11 @@ def _added(robot: Robot, link: int, change: Sequence[Any]) -> Robot:
     row = xp.stack([xp.asarray(x, dtype=float) for x in change])
     own = np.arange(robot.dofs) == link
     return replace(robot, inertial=xp.asarray(robot.inertial) + xp.asarray(own[:, None], dtype=float) * row)
+
+
+def _each(vector: Any, count: int) -> tuple[Any, ...]:
+    """The numbers of a vector, traced or not."""
+    return tuple(vector[i] for i in range(count))
 
 
 def _length(robot: Robot) -> float:

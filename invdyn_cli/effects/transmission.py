@@ -29,6 +29,7 @@ class TorqueRipple(AbstractTorqueEffect):
         "phase": Parameter("rad"),
     }
     confounders = (("joint_spring",),)
+    nonlinear = ("cycles",)
     advice = "a slow constant speed over a whole turn, logged fast enough"
     picture = "q"
 

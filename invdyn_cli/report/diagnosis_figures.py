@@ -134,7 +134,7 @@ def level(exhibit: Exhibit, *, bins: int = 150) -> Figure:
         margin = 0.1 * (high - low) or 1.0
         whole.set_ylim(min(low, 0) - margin, max(high, 0) + margin)
         spread.hist(fine, bins=60, range=(low - margin, high + margin), orientation="horizontal", color=SAMPLES)
-    spread.axhline(float(np.nanmedian(term)), color=PREDICTED, lw=1.8)
+        spread.axhline(float(np.median(np.nan_to_num(term))), color=PREDICTED, lw=1.8)
     for axes in (whole, spread):
         axes.axhline(0, color=INK, lw=0.8)
     spread.tick_params(labelleft=False)

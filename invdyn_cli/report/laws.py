@@ -146,8 +146,8 @@ def law(
     axes.axhline(0, color=INK, lw=0.8)
     centre, low, middle, high = binned(x, y, bins, fewest)
     full = np.isfinite(middle)
-    where, *ends, fitted = binned(x, term, 4 * bins, max(3, fewest // 3))[[0, 1, 3, 2]]
-    if len(term) and np.nanmedian(ends[1] - ends[0]) > 0.02 * np.ptp(term):
+    where, lowest, fitted, highest = binned(x, term, 4 * bins, max(3, fewest // 3))
+    if not np.isfinite(fitted).any() or np.nanmedian(highest - lowest) > 0.02 * np.ptp(term):
         where, _, fitted, _ = binned(x, term, bins, fewest)
     for part in (where < 0, where > 0) if split else (np.ones(len(where), bool),):
         part = part & np.isfinite(fitted)

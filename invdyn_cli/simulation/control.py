@@ -18,7 +18,7 @@ import numpy as np
 
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation.hidden import Build
-from invdyn_cli.simulation.references import Reference
+from invdyn_cli.types import Motion
 
 FASTEST = 4.0
 """[Hz] bandwidth without delays; a position noise of 1e-5 rad then makes torques of 0.5 N m rms in a shoulder."""
@@ -74,33 +74,34 @@ class Controller:
     """
 
     def __init__(
-        self, control: Control, model: mujoco.MjModel, build: Build, latency: float, wanted: Reference, rate: float
+        self, control: Control, model: mujoco.MjModel, build: Build, latency: float, wanted: Motion, rate: float
     ) -> None:
         frequency = control.frequency or min(FASTEST, LATE / max(latency, 1e-9))
         omega = 2 * np.pi * frequency
         self._stiffness, self._damping = omega**2, 2 * control.damping_ratio * omega
         self._follow = 1 - np.exp(-2 * np.pi * control.velocity_cutoff / rate)
-        self._model, self._build, self._wanted, self._rate = model, build, wanted, rate
+        self._model, self._build, self._rate = model, build, rate
+        self._q, self._qd, self._qdd = (np.asarray(x) for x in (wanted.q, wanted.qd, wanted.qdd))
         self._data: Any = mujoco.MjData(model)
         self._qpos, self._qvel, self._qacc = self._data.qpos, self._data.qvel, self._data.qacc
         self._inverse = self._data.qfrc_inverse
-        self._direction = np.tanh(wanted.qd / SMOOTH)
+        self._direction = np.tanh(self._qd / SMOOTH)
         self._friction = build.offset + build.friction * self._direction
-        t = np.arange(len(wanted.q)) / rate
+        t = np.arange(len(self._q)) / rate
         for i, damping in build.drags:
-            self._friction[:, i] += damping(t, wanted.qd[:, i]) * wanted.qd[:, i]
-        self._last: np.ndarray = wanted.q[0]
+            self._friction[:, i] += damping(t, self._qd[:, i]) * self._qd[:, i]
+        self._last: np.ndarray = self._q[0]
         self._velocity = np.zeros(model.nv)
 
     def torque(self, row: int, q: np.ndarray) -> np.ndarray:
         """What it asks for at a row of the reference, where it measures q (n,): (n,) [N m; N]."""
-        wanted, build = self._wanted, self._build
+        build = self._build
         self._velocity += self._follow * ((q - self._last) * self._rate - self._velocity)
         self._last = q
         self._qpos[:] = q - build.encoder
-        self._qvel[:] = wanted.qd[row]
-        self._qacc[:] = wanted.qdd[row]
-        self._qacc += self._stiffness * (wanted.q[row] - q) + self._damping * (wanted.qd[row] - self._velocity)
+        self._qvel[:] = self._qd[row]
+        self._qacc[:] = self._qdd[row]
+        self._qacc += self._stiffness * (self._q[row] - q) + self._damping * (self._qd[row] - self._velocity)
         mujoco.mj_inverse(self._model, self._data)
         tau = self._inverse + self._friction[row]
         for i, level in build.levels:

@@ -16,13 +16,13 @@ from invdyn_cli.simulation.hidden import Build
 class Drive:
     """One arm in motion; mutable, alive for one simulation.
 
-    The steps are MuJoCo's semi-implicit Euler: the velocity of a step is the one in the middle of it. `measured_q` and
-    `measured_qd` are therefore the state half a step before `qpos`: first half of the way, then the push of a whole
-    step, then the other half. That is of second order, and a torque acts from the very instant it is logged at.
+    MuJoCo steps by semi-implicit Euler: torques push, and then the arm moves on with the new velocity. A tick therefore
+    begins half a step before `qpos`, in the middle of that way: half of the way, the push, the other half. Read so, the
+    steps are of second order, `qvel` is the velocity of that instant, and a torque acts from when it is logged.
     """
 
     def __init__(self, model: mujoco.MjModel, build: Build, substeps: int, *, sense: bool = False) -> None:
-        self.sense, self._felt_last = sense, np.zeros(model.nv)
+        self.sense, self.felt, self._felt_last = sense, np.zeros(model.nv), np.zeros(model.nv)
         self.model, self.build, self.substeps = model, build, substeps
         self.data: Any = mujoco.MjData(model)
         self.qpos, self.qvel, self.applied = self.data.qpos, self.data.qvel, self.data.qfrc_applied
@@ -37,7 +37,8 @@ class Drive:
         self._limits = bool(np.isfinite(build.limit).any())
         self._offsets = bool(build.offset.any())
         self._between = bool(self._late.any() or build.lag.any())
-        self._laws = bool(build.levels or build.forces or build.customs or any(_fast(law) for _, law in build.drags))
+        self._laws = bool(build.drags or build.forces or build.customs)
+        self._stepwise = self._between or self._laws or bool(build.levels) or sense
 
     def start(self, q: np.ndarray) -> None:
         """At rest at q (n,)."""
@@ -51,13 +52,13 @@ class Drive:
     def advance(self, commands: np.ndarray, k: int, t: float) -> None:
         """One tick from t [s] on, under commands[k] (n,) and what came before it in commands (..., n)."""
         model, data = self.model, self.data
-        for i, law in self.build.drags:
-            model.dof_damping[i] = self.build.damping[i] + law(t, float(self.qvel[i]))
-        if not (self._between or self._laws or self.sense):
+        if not self._stepwise:
             self.applied[:] = self._delivered(commands[k])
             mujoco.mj_step(model, data, self.substeps)
             return
         for step in range(self.substeps):
+            if self.build.levels:
+                self._put_friction()
             self.applied[:] = self._delivered(self._arriving(commands, k, step) if self._between else commands[k])
             if self._laws:
                 self._put_laws(t + step * self.step)
@@ -94,16 +95,21 @@ class Drive:
             arriving = np.clip(arriving, -self.build.limit, self.build.limit)
         return arriving - self.build.offset if self._offsets else arriving
 
+    def _put_friction(self) -> None:
+        """Dry friction of the next step, by the velocity before it and the torque that the last one transmitted."""
+        friction, load = self.build.friction.copy(), self.transmitted()
+        for i, level in self.build.levels:
+            friction[i] += level(float(self.qvel[i]), float(load[i]))
+        self.model.dof_frictionloss[:] = friction
+
     def _put_laws(self, t: float) -> None:
-        """Friction, damping and forces that depend on the state, for the next step."""
+        """Damping and forces that depend on the state, for the next step."""
         build, model = self.build, self.model
-        if build.levels:
-            friction, load = build.friction.copy(), self.transmitted()
-            for i, level in build.levels:
-                friction[i] += level(float(self.qvel[i]), float(load[i]))
-            model.dof_frictionloss[:] = friction
-        for i, law in build.drags:
-            model.dof_damping[i] = build.damping[i] + law(t, float(self.qvel[i]))
+        if build.drags:
+            damping = build.damping.copy()
+            for i, law in build.drags:
+                damping[i] += law(t, float(self.qvel[i]))
+            model.dof_damping[:] = damping
         for i, force in build.forces:
             self.applied[i] -= force(t, float(self.qpos[i]), float(self.qvel[i]))
         for i, force in build.customs:
@@ -111,8 +117,3 @@ class Drive:
                 self.applied -= force(t, self.qpos.copy(), self.qvel.copy())
             else:
                 self.applied[i] -= force(t, float(self.qpos[i]), float(self.qvel[i]))
-
-
-def _fast(law: Any) -> bool:
-    """Whether a damping changes within a tick: a law of the velocity does, one of the temperature does not."""
-    return "time_constant" not in getattr(law, "keywords", {})

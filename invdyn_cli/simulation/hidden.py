@@ -23,8 +23,8 @@ STANDARD_GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Kind:
-    """What an effect takes: whether it belongs to a joint, its parameters with what is allowed, and those with a
-    default."""
+    """What an effect takes: parameters with what is allowed, those with a default, and whether it names a joint (None:
+    it may)."""
 
     needed: Mapping[str, str]
     optional: Mapping[str, str] = field(default_factory=dict)
@@ -44,6 +44,7 @@ KINDS = {
     "rotor_inertia": Kind({"armature": FROM}),
     "torque_gain_error": Kind({"gain": ABOVE}),
     "torque_offset": Kind({"offset": NUMBER}),
+    "torque_offset_drift": Kind({"rate": NUMBER}),
     "torque_delay": Kind({"delay": FROM}),
     "actuator_lag": Kind({"time_constant": ABOVE}),
     "torque_saturation": Kind({"limit": ABOVE}),
@@ -208,6 +209,8 @@ def _put(build: Build, one: Hidden, i: Any) -> None:
             build.gain[i] *= p["gain"]
         case "torque_offset":
             build.offset[i] += p["offset"]
+        case "torque_offset_drift":
+            build.forces.append((i, partial(_drift, **p)))
         case "torque_delay":
             build.delay[i] += p["delay"]
         case "actuator_lag":
@@ -246,6 +249,10 @@ def _thermal(t, qd, cold: float, warm: float, time_constant: float):
 
 def _ripple(t, q, qd, amplitude: float, cycles: float, phase: float):
     return amplitude * np.sin(cycles * q + phase)
+
+
+def _drift(t, q, qd, rate: float):
+    return rate * max(t, 0.0)
 
 
 def _changed(row: np.ndarray, joint: str | None, mass: float = 0.0, com: Any = (0, 0, 0), inertia: float = 0.0):

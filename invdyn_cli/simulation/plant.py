@@ -8,6 +8,7 @@ next tick (zero-order hold): a torque is on average half a tick younger than its
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from typing import Any
 
 import mujoco
@@ -20,9 +21,9 @@ from invdyn_cli.simulation.arm import build
 from invdyn_cli.simulation.control import Control, Controller
 from invdyn_cli.simulation.drive import Drive
 from invdyn_cli.simulation.hidden import Build, Hidden, assemble
-from invdyn_cli.simulation.references import AbstractReference, Reference
+from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side, stepped
-from invdyn_cli.types import Robot
+from invdyn_cli.types import Motion, Robot
 
 SOURCE = f"simulated arm (invdyn, MuJoCo {mujoco.__version__})"
 EXACT, USUAL = Noise(), Control()
@@ -66,6 +67,8 @@ def simulate(
     refuse_clock(duration, rate, substeps)
     if torque_side not in SIDES:
         raise UsageError(f"torque_side={torque_side!r}; allowed: {listed(SIDES)}")
+    for sensor in fields(noise):
+        noise.of(sensor.name, robot.dofs)
     made, step = assemble(robot, hidden), 1 / (rate * substeps)
     wanted = reference.motion(robot, duration, rate, seed)
     arm = build(
@@ -97,7 +100,7 @@ def simulate(
         q=logged["q"],
         tau=stepped(tau, noise.of("torque_quantum", robot.dofs)),
         qd=qd,
-        q_ref=wanted.q,
+        q_ref=np.asarray(wanted.q),
         notes="; ".join(arm.notes),
     )
 
@@ -157,7 +160,7 @@ def _set_joints(model: mujoco.MjModel, made: Build) -> None:
 def _run(
     drive: Drive,
     controller: Controller,
-    wanted: Reference,
+    wanted: Motion,
     noise: Noise,
     control: Control,
     noises: np.random.Generator,
@@ -166,13 +169,14 @@ def _run(
     progress: Progress,
 ) -> Mapping[str, np.ndarray]:
     """The control loop: measured "q", true "qd", commanded "tau" and "link" torque, (T, n) each."""
-    samples, n = wanted.q.shape
+    goal = np.asarray(wanted.q)
+    samples, n = goal.shape
     before = round(control.settle * rate)
     commands = np.empty((before + samples, n))
     q, qd, link = np.empty((3, samples, n))
     errors = noises.normal(size=(before + samples, n)) * noise.of("position", n) + drive.build.encoder
     quantum = noise.of("position_quantum", n)
-    drive.start(wanted.q[0] - drive.build.encoder)
+    drive.start(goal[0] - drive.build.encoder)
     for tick in range(before + samples):
         k = tick - before
         measured = drive.measured_q() + errors[tick]
@@ -185,7 +189,7 @@ def _run(
         if k >= 0 and drive.sense:
             link[k] = drive.felt
         if not tick % LOOK_EVERY:
-            _refuse_runaway(drive, wanted.q[max(k, 0)] - measured, k / rate, control, name)
+            _refuse_runaway(drive, goal[max(k, 0)] - measured, k / rate, control, name)
             progress(tick / len(commands), f"{max(k, 0) / rate:.0f} s of {name}")
     progress(1.0, name)
     return {"q": q, "qd": qd, "tau": commands[before:], "link": link}
@@ -196,8 +200,9 @@ def _refuse_runaway(drive: Drive, error: np.ndarray, t: float, control: Control,
     if abs(error[worst]) <= control.largest_error:
         return
     joint = drive.model.joint(worst).name
+    when = f"at {t:.2f} s" if t >= 0 else "before the log begins"
     raise UsageError(
-        f"{name}: the simulated arm is out of control at {max(t, 0):.2f} s, {joint} is {error[worst]:.3g} from its "
+        f"{name}: the simulated arm is out of control {when}, {joint} is {error[worst]:.3g} from its "
         f"reference; allowed: {control.largest_error:g}",
         advice="smaller hidden effects, a slower reference, or another control.frequency",
     )

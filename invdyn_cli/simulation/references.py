@@ -6,31 +6,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.types import Robot
+from invdyn_cli.types import Motion, Robot
 
 UNLIMITED = 2.0
 """[rad] to either side of zero for joints without limits."""
 UNLIMITED_SLIDE = 0.5
 """[m] likewise for sliding joints."""
 UNLIMITED_SPEED = 3.0
-"""[rad/s; m/s] for joints without a velocity limit."""
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Positions, velocities, accelerations, each (T, n) [rad; m, and per second], at 0, 1/rate, ... ."""
-
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
+"""[rad/s] for joints without a velocity limit."""
+UNLIMITED_SLIDE_SPEED = 1.0
+"""[m/s] likewise for sliding joints."""
 
 
 class AbstractReference(abc.ABC):
     """A way to move; its fields are shares of what the joints allow, so that it suits any arm."""
 
     @abc.abstractmethod
-    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
-        """The motion of `duration` [s] at `rate` [Hz]; what is left to chance comes from the seed."""
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
+        """The motion (T, n) of `duration` [s], T = duration rate, at 0, 1/rate, …; what is left to chance comes from
+        the seed."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +51,7 @@ class Multisine(AbstractReference):
             got = f"multisine with base={self.base}, harmonics={self.harmonics}, ramp={self.ramp}"
             raise UsageError(f"{got}; allowed: base and ramp above 0, harmonics from 1")
 
-    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
         draw = np.random.default_rng(seed)
         middle, half, fastest = room(robot)
         centre = middle + draw.uniform(-1, 1, robot.dofs) * (0.95 - min(self.amplitude, 0.95)) * half
@@ -74,7 +68,7 @@ class Multisine(AbstractReference):
             s2 -= omega**2 * sine
         x, x1, x2 = w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
         scale = np.minimum(self.amplitude * half / np.abs(x).max(0), self.speed * fastest / np.abs(x1).max(0))
-        return Reference(centre + scale * x, scale * x1, scale * x2)
+        return Motion(centre + scale * x, scale * x1, scale * x2)
 
 
 @dataclass(frozen=True)
@@ -96,7 +90,7 @@ class PickPlace(AbstractReference):
         if self.dwell < 0:
             raise UsageError(f"pick_place with dwell={self.dwell}; allowed: from 0")
 
-    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
         draw = np.random.default_rng(seed)
         middle, half, fastest = room(robot)
         t = np.arange(round(duration * rate)) / rate
@@ -107,13 +101,17 @@ class PickPlace(AbstractReference):
             there = middle + draw.uniform(-1, 1, robot.dofs) * self.amplitude * half
             takes = max(0.3, float(np.max(1.875 * np.abs(there - here) / (self.speed * fastest))))
             if start + takes > duration:
-                return Reference(q, qd, qdd)
+                break
             x, x1, x2 = _smooth((t - start) / takes)
             rows = t >= start
             q[rows] = here + x[rows, None] * (there - here)
             qd[rows] = x1[rows, None] / takes * (there - here)
             qdd[rows] = x2[rows, None] / takes**2 * (there - here)
             here, start = there, start + takes + self.dwell
+        if not qd.any():
+            got = f"pick_place: a first move of {takes:.2g} s after {self.dwell:g} s of rest, in {duration:g} s"
+            raise UsageError(f"{got}; allowed: a duration for one move or more", advice="a longer duration")
+        return Motion(q, qd, qdd)
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,7 @@ class ConstantSpeed(AbstractReference):
     speed: float = 0.5
     amplitude: float = 0.6
     together: bool = False
-    blend: float = 0.4
+    blend: float = 0.3
 
     def __post_init__(self) -> None:
         _refuse_shares(self)
@@ -141,7 +139,7 @@ class ConstantSpeed(AbstractReference):
             got = f"constant_speed with speeds={list(self.speeds)}, blend={self.blend}"
             raise UsageError(f"{got}; allowed: speeds above 0 up to 1, blend above 0")
 
-    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Reference:
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
         draw = np.random.default_rng(seed)
         middle, half, fastest = room(robot)
         n, slots = robot.dofs, len(self.speeds) * (1 if self.together else robot.dofs)
@@ -159,14 +157,14 @@ class ConstantSpeed(AbstractReference):
                 qdd[:, i] += sign * x2
         steps = (qd[1:] + qd[:-1]) / 2 / rate
         start = middle + draw.uniform(-1, 1, n) * (0.95 - min(self.amplitude, 0.95)) * half
-        return Reference(start + np.concatenate([np.zeros((1, n)), np.cumsum(steps, axis=0)]), qd, qdd)
+        return Motion(start + np.concatenate([np.zeros((1, n)), np.cumsum(steps, axis=0)]), qd, qdd)
 
     def _sweep(self, t: np.ndarray, takes: float, v: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Speed and acceleration of +v, -v, +v over `takes` [s] from 0 on, less where it would go beyond `reach`."""
-        b = min(self.blend, takes / 8)
-        for _ in range(2):  # a shorter sweep has shorter reversals, which reach a little less far
-            takes = min(takes, 4 * reach / v + 2.25 * b)
-            b = min(b, takes / 8)
+        longest, b = takes, self.blend
+        for _ in range(3):  # a shorter sweep has shorter reversals, and goes a little farther for that
+            b = min(self.blend, takes / 8)
+            takes = min(longest, 4 * reach / v + 2.25 * b)
         first = (takes - 3 * b) / 4  # reversals take 2 b, start and end b, and it comes back to where it began
         x, a = np.zeros_like(t), np.zeros_like(t)
         for at, before, after, long in (
@@ -191,7 +189,8 @@ def room(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     wide = ~bounded | (half > np.pi)  # a joint that turns several times need not
     middle = np.where(wide, np.clip(0.0, lower + free, upper - free), middle)
     speed = np.asarray(robot.velocity_limit)
-    speed = np.where(np.isfinite(speed) & (speed > 0), speed, UNLIMITED_SPEED)
+    usual = np.where(robot.prismatic, UNLIMITED_SLIDE_SPEED, UNLIMITED_SPEED)
+    speed = np.where(np.isfinite(speed) & (speed > 0), speed, usual)
     return middle, np.where(wide, free, half), speed
 
 

@@ -27,12 +27,14 @@ class Noise:
     velocity: float | Sequence[float] | None = None
 
     def of(self, name: str, joints: int) -> np.ndarray:
-        """One of the numbers for each joint, (n,).
+        """One of the numbers for each joint, (n,); zeros for what there is none of.
 
         Raises:
             UsageError: if there are not as many as joints, or one is negative or no number.
         """
         value = getattr(self, name)
+        if value is None:
+            return np.zeros(joints)
         try:
             numbers = np.asarray(value, float)
         except (TypeError, ValueError):

@@ -32,8 +32,8 @@ def lattice(x: np.ndarray, most: int = 100_000) -> float:
 class Quantisation(AbstractCheck):
     """Values on a lattice, and whether its step is coarse for what shall be computed from it.
 
-    Rounding to a step s is white noise of variance s^2 / 12 (Widrow 1956); a zero-phase low-pass at f leaves of it, after
-    two derivatives, s / sqrt(12) (2 pi)^2 sqrt(f^5 / 5 / (rate / 2)).
+    Rounding to a step s is white noise of variance s^2 / 12 (Widrow 1956); a zero-phase low-pass at f leaves of it,
+    after two derivatives, s / sqrt(12) (2 pi)^2 sqrt(f^5 / 5 / (rate / 2)).
 
     Attributes:
         share: of that noise in the RMS of qdd (ours: at 0.3, a tenth of the variance of qdd is rounding).
@@ -105,7 +105,7 @@ class Saturation(AbstractCheck):
     Attributes:
         run: samples in a row with the very same extreme value (ours: noise does not repeat a maximum five times).
         share: of the samples that are in such runs (ours: below, they do not bend a fit).
-        limit: of the effort limit that counts as reached.
+        limit: of the effort limit that counts as reached (a torque that goes as far beyond it knows no such limit).
     """
 
     name: ClassVar[str] = "saturation"
@@ -125,10 +125,12 @@ class Saturation(AbstractCheck):
             if robot is None or not np.isfinite(robot.effort_limit[joint]) or robot.effort_limit[joint] <= 0:
                 continue
             bound = float(robot.effort_limit[joint])
-            parts = [(float(np.mean(np.abs(newton_metres(log, x)[:, joint]) >= self.limit * bound)), x) for x in raws]
-            part, raw = max(parts, key=lambda x: x[0], default=(0.0, None))
-            if raw is not None and part > self.share and not any(c.joint == name for c in found):
-                found.append(self._seen(raw.name, name, bound, part, "the URDF's effort limit or beyond"))
+            near = [(raw, np.abs(newton_metres(log, raw)[:, joint]) / bound) for raw in raws]
+            if not near or max(x.max() for _, x in near) > 2 - self.limit:
+                continue  # it goes beyond: then this limit is none
+            part, raw = max(((float(np.mean(x >= self.limit)), raw) for raw, x in near), key=lambda x: x[0])
+            if part > self.share and not any(c.joint == name for c in found):
+                found.append(self._seen(raw.name, name, bound, part, "the URDF's effort limit"))
         return found
 
     def _flat(self, log: Log, raw, joint: int, side: int) -> tuple[float, float, str]:
@@ -153,7 +155,7 @@ class Saturation(AbstractCheck):
             joint,
             value=value,
             threshold=self.share,
-            seen=f"the torque is at {what}, {value:.4g}, in {100 * share:.2g} % of the samples, without noise",
+            seen=f"the torque is at {what}, {value:.4g}, in {100 * share:.2g} % of the samples",
             meaning="the drive, the sensor or the message ends there: the true demand is not in the log",
             advice="slower or less loaded motion, or leaving these stretches out",
             source="ours: noise does not repeat a maximum",
@@ -233,7 +235,7 @@ class CommandCopiesMeasurement(AbstractCheck):
                         value=apart,
                         threshold=self.equal,
                         seen=f"q_ref and q are the same to {apart:.1g}",
-                        meaning="one of the two is a copy: the command was logged as the position, or the other way round",
+                        meaning="one is a copy of the other: the command was logged as the position, or the reverse",
                         advice="the topic or field that q is taken from",
                         source="ours: no controller tracks better than its encoder resolves",
                     )

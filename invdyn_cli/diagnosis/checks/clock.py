@@ -1,5 +1,6 @@
 """The clock of a log: rows that repeat, jitter, the nominal rate, gaps, and whether enough is left."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -25,8 +26,8 @@ class Duplicates(AbstractCheck):
     """Stamps that stand still or run backwards, and rows that repeat the one before while the arm moves.
 
     A row counts as repeated where q and tau of all joints are the very numbers of the row before, though a joint moves
-    by more than `moving` in the `reach` rows around: two samples of a moving arm with noise on 2 n channels do not agree
-    by chance. A clock that starts anew for at least `restart` rows is another trajectory, not a defect of single rows.
+    by more than `moving` in the `reach` rows around: two noisy samples of a moving arm do not agree by chance. A
+    clock that starts anew for at least `restart` rows is another trajectory, not a defect of single rows.
 
     Attributes:
         share: of repeated rows that is worth a warning (ours: at 1 % linear interpolation still restores them).
@@ -54,8 +55,8 @@ class Duplicates(AbstractCheck):
                         raw.name,
                         value=int(stuck.sum()),
                         threshold=0,
-                        seen=f"in {stuck.sum()} of {len(stuck)} rows the clock stands still or runs backwards, first in "
-                        f"row {np.argmax(stuck)}",
+                        seen=f"in {stuck.sum()} of {len(stuck)} rows the clock stands still or runs backwards, "
+                        f"first in row {np.argmax(stuck)}",
                         meaning="rows were written twice, out of order, or the recording started anew",
                         advice="the logger's time stamps; stamp where the sample is taken",
                         source="a clock increases",
@@ -115,9 +116,9 @@ class Duplicates(AbstractCheck):
     def _restarts(self, raw: RawTrajectory) -> list[int]:
         """Rows at which the clock jumps back and then goes on for a while."""
         back = np.flatnonzero(np.diff(raw.t) < 0) + 1
-        lasting = [r for r in back if r + self.restart <= len(raw.t) and np.all(np.diff(raw.t[r : r + self.restart]) > 0)]
-        behind = [r for r in lasting if raw.t[r + self.restart - 1] <= raw.t[:r].max()]
-        return behind
+        ends = {r: r + self.restart for r in back if r + self.restart <= len(raw.t)}
+        lasting = {r: end for r, end in ends.items() if np.all(np.diff(raw.t[r:end]) > 0)}
+        return [int(r) for r, end in lasting.items() if raw.t[end - 1] <= raw.t[:r].max()]
 
 
 def _increasing(t: np.ndarray) -> np.ndarray:
@@ -214,7 +215,7 @@ class Gaps(AbstractCheck):
             pieces = uninterrupted(raw)
             if len(pieces) < 2 or not is_series(raw):
                 continue
-            lengths = np.array([raw.t[b[0]] - raw.t[a[-1]] for a, b in zip(pieces[:-1], pieces[1:], strict=True)])
+            lengths = np.array([raw.t[b[0]] - raw.t[a[-1]] for a, b in itertools.pairwise(pieces)])
             whole = raw.t[pieces[-1][-1]] - raw.t[pieces[0][0]]
             missing = float(lengths.sum() / whole)
             worst = int(np.argmax(lengths))

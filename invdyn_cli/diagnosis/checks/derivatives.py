@@ -8,10 +8,12 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.evidence import Stretch, stretches
 from invdyn_cli.diagnosis.checks.fits import rms, slope
-from invdyn_cli.diagnosis.checks.rows import each, is_series
+from invdyn_cli.diagnosis.checks.rows import each, is_series, median_step
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.types import Check, Robot
+
+CLOCK = "rather the clock is off by this factor, or rows were left out"
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,9 @@ class DerivativeConsistency(AbstractCheck):
         slope: relative (ours: an observer's or a filter's gain stays within 5 % where an arm moves).
         rest: RMS of what remains over RMS of the channel, its lag taken out (ours: a tenth of the variance).
         wrong: slope or rest from which on a channel is not the derivative of q at all (ours).
+        alike: relative distance of all joints' slopes from their median that makes it the clock's fault (ours).
         lag: [samples] (first order: a hold and a difference quotient lag by half a sample each).
+        still: [s] median step from which on rows are poses.
         slow: [rad/s] joints below it are not judged.
         widest: [s] of lags that are tried.
     """
@@ -31,19 +35,29 @@ class DerivativeConsistency(AbstractCheck):
     slope: float = 0.1
     rest: float = 0.3
     wrong: float = 0.7
+    alike: float = 0.25
+    still: float = 0.5
     lag: float = 1.5
     slow: float = 0.02
     widest: float = 0.1
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory and channel, on the joint where it is worst; the value is the slope."""
-        found = [self._poses(raw) for raw in log.trajectories if len(raw.t) and not is_series(raw)]
+        found = [
+            self._poses(raw)
+            for raw in log.trajectories
+            if len(raw.t) and (not is_series(raw) or median_step(raw.t) > self.still)
+        ]
         parts = stretches(log)
         for name in dict.fromkeys(x.trajectory for x in parts):
             mine = [x for x in parts if x.trajectory == name]
+            seen = []
             for channel in ("qd", "qdd"):
                 if all(channel in x.extra for x in mine):
-                    found += self._channel(log, name, mine, channel)
+                    seen += self._channel(log, name, mine, channel)
+            if any(CLOCK in c.meaning for c in seen):  # it makes both wrong
+                seen = [replace(c, severity="warn") if c.severity == "fail" else c for c in seen]
+            found += seen
         return found
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
@@ -76,7 +90,8 @@ class DerivativeConsistency(AbstractCheck):
         flat = rms(logged[:, moving]) == 0
         rest[flat], slopes[flat] = 1.0, 0.0
         common = float(np.median(slopes))
-        clock = abs(common - 1) > self.slope and np.all(np.abs(slopes / max(common, 1e-12) - 1) < 0.1) and common > 0
+        alike = common > 0 and np.all(np.abs(slopes / common - 1) < self.alike)
+        clock = alike and abs(common - 1) > self.slope and len(moving) > 1
         bad = (np.abs(slopes - 1) > self.wrong) | (rest > self.wrong)
         worst = int(np.argmax(np.maximum(np.abs(slopes - 1), rest)))
         off = abs(slopes[worst] - 1) > self.slope or rest[worst] > self.rest
@@ -89,7 +104,7 @@ class DerivativeConsistency(AbstractCheck):
         of = {"qd": "dq/dt", "qdd": "d2q/dt2"}[channel]
         meaning = "a lag of a filter or an observer; with both channels in one fit, phases do not agree"
         if clock:
-            meaning = f"all joints agree on {common:.3g}: rather the clock is off by this factor, or rows were left out"
+            meaning = f"all joints agree on about {common:.3g}: {CLOCK}"
         elif off:
             meaning = f"{channel} is another quantity, or was filtered hard"
         return [

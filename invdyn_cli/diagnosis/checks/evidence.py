@@ -85,9 +85,9 @@ def stretches(log: Log, cutoff: float = CUTOFF) -> tuple[Stretch, ...]:
         q, tau, *others = np.split(lowpass(x, rate, at), 2 + len(extra), axis=1)
         qd = np.gradient(q, 1 / rate, axis=0)
         settled = slice(inset, len(x) - inset)
-        parts = (y[settled] for y in (q, qd, np.gradient(qd, 1 / rate, axis=0), tau))
+        qdd = np.gradient(qd, 1 / rate, axis=0)
         logged = {c: y[settled] for c, y in zip(extra, others, strict=True)}
-        made.append(Stretch(raw.name, rate, *parts, logged))
+        made.append(Stretch(raw.name, rate, q[settled], qd[settled], qdd[settled], tau[settled], logged))
     return tuple(made)
 
 
@@ -101,8 +101,10 @@ def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] 
     ends = np.cumsum(lengths)
     stretch = np.searchsorted(ends, every, side="right")
     row = every - (ends - lengths)[stretch]
+    chosen = [row[stretch == i] for i in range(len(parts))]
     q, qd, qdd, tau = (
-        np.concatenate([getattr(x, c)[row[stretch == i]] for i, x in enumerate(parts)]) for c in ("q", "qd", "qdd", "tau")
+        np.concatenate([getattr(x, c)[rows] for x, rows in zip(parts, chosen, strict=True)])
+        for c in ("q", "qd", "qdd", "tau")
     )
     motion = Motion(q, qd, qdd)
     nominal, gravity = nominal_torque(robot, motion)

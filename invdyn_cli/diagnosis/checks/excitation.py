@@ -1,4 +1,4 @@
-"""What a log excites: ranges, reversals, speeds, loads, the condition of the regressor, and what it therefore cannot show.
+"""What a log excites: ranges, reversals, speeds, loads, the regressor's condition; and what it so cannot show.
 
 Which effect needs what stands in DESIGN, section 6, and in the library of effects; the thresholds are fields.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.evidence import Evidence, Stretch, gather, stretches
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths import regression
-from invdyn_cli.types import Dataset, Motion, Robot, Trajectory
+from invdyn_cli.types import Dataset, Robot, Trajectory
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ DIRECTED = ("coulomb_friction", "asymmetric_coulomb_friction", "backlash", "pres
 
 
 def condition_number(evidence: Evidence, robot: Robot) -> float:
-    """Largest over smallest singular value of the regressor's identifiable part, columns in SI units (Gautier and Khalil
+    """Largest over smallest singular value of the regressor's identifiable part, columns in SI units (Gautier, Khalil
     1992: below 100 to 1000 parameters come out well); infinite where the motion leaves a direction out."""
     motion = evidence.motion
     one = Trajectory("all", np.arange(len(motion), dtype=float), motion, evidence.tau)

@@ -19,15 +19,14 @@ from invdyn_cli.types import Check, Robot
 class ModelMismatch(AbstractCheck):
     """A log of another robot, a wrong URDF, or a torque that never changes.
 
-    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. Where that is poor on
-    most joints, all inertial parameters are fitted anew (with friction, and rotor inertias) on every other block of
+    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. Where that is poor
+    on most joints, all inertial parameters are fitted anew (with friction, and rotor inertias) on every other block of
     the log, and judged on the blocks between: another payload, another hand, wrong inertials then fit; another robot's
     kinematics do not.
 
     Attributes:
         nominal: median share below which the refit is made, and a warning due.
-        refit: median held-out share of the refit below which the log fails (ours: on five real arms it is above 0.9; of an
-            exchanged URDF with as many joints, below 0).
+        refit: median held-out share of the refit below which the log fails (ours: see docs/checks.md).
         beyond: [rad] past the URDF's limits that is worth a warning (ours: more than a homing error).
         blocks: into which the log is cut.
     """
@@ -62,8 +61,8 @@ class ModelMismatch(AbstractCheck):
                 "fail" if fails else "warn",
                 value=refit if fails else float(np.median(nominal)),
                 threshold=self.refit if fails else self.nominal,
-                seen=f"nominal torque and friction explain {np.median(nominal):.2g} of the torque's variance (median of "
-                f"{len(judged)} joints), all inertials fitted anew {refit:.2g} on data that they were not fitted to",
+                seen=f"nominal torque and friction explain {np.median(nominal):.2g} of the torque's variance (median "
+                f"of {len(judged)} joints), all inertials fitted anew {refit:.2g} on data that they were not fitted to",
                 meaning="the kinematics are not this robot's, or the torque is no torque"
                 if fails
                 else "the URDF's inertials are far from this robot's, or a heavy tool is missing in it",

@@ -24,10 +24,10 @@ class TimeOffset(AbstractCheck):
     effect of its drive, found later.
 
     Attributes:
-        samples: that are normal (first order: a controller's hold and a difference quotient, half a sample each, and one
-            for the order of reading).
+        samples: that are normal (first order: half a sample for a controller's hold, one for the order of reading).
         least: [s] (ours: filters of drives make 1 to 4 ms, effects.md E4).
         agree: [s] or share of the offset within which joints have to be, most of them.
+        explained: share of a joint's torque that nominal torque and friction explain where it is judged.
         widest: [s] of shifts that are tried.
         sharp: by how much the residual variance has to be higher at no shift (ours).
         lag: [s] of q behind q_ref that is worth a note.
@@ -37,7 +37,8 @@ class TimeOffset(AbstractCheck):
     name: ClassVar[str] = "time_offset"
     samples: float = 1.5
     least: float = 0.004
-    agree: float = 0.3
+    agree: float = 0.2
+    explained: float = 0.8
     widest: float = 0.5
     sharp: float = 1.15
     lag: float = 0.01
@@ -80,21 +81,21 @@ class TimeOffset(AbstractCheck):
         if evidence is None:
             return []
         explained, _, excited = matched(evidence)
-        judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > 0.3))
+        judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained))
         offsets, gains = {}, {}
-        for joint in judged:
+        for joint in judged.tolist():
             basis = span(np.column_stack([evidence.columns(joint), evidence.nominal[:, joint]]))
 
-            def residual(shift: int, joint=joint, basis=basis) -> float:
+            def residual(shift: int, joint: int = joint, basis: np.ndarray = basis) -> float:
                 tau = _torque_at(parts, evidence.stretch, evidence.row + most + 2, joint, shift)
                 rest = tau - basis @ (basis.T @ tau)
                 return float(rest @ rest)
 
-            coarse = shifts[int(np.argmin([residual(s) for s in shifts]))]
+            coarse = shifts[int(np.argmin([residual(int(s)) for s in shifts]))]
             width = max(1, most // 25)
             fine = np.arange(max(-most, coarse - width), min(most, coarse + width) + 1)
             fine = fine[:: max(1, len(fine) // 60)]
-            values = [residual(s) for s in fine]
+            values = [residual(int(s)) for s in fine]
             best = int(np.argmin(values))
             if 0 < best < len(fine) - 1:
                 offsets[joint] = _vertex(fine[best - 1 : best + 2], values[best - 1 : best + 2]) / parts[0].rate
@@ -112,7 +113,7 @@ class TimeOffset(AbstractCheck):
         limit = max(self.samples / rate, self.least)
         near = np.abs(values - common) < np.maximum(self.agree * abs(common), limit / 2)
         sharp = np.array([gains[j] for j in offsets]) > self.sharp
-        shared = near.mean() > 0.6 and near.sum() >= min(2, len(log.joints)) and np.sum(near & sharp) >= 1
+        shared = near.mean() > 0.6 and near.sum() >= min(3, len(log.joints)) and np.sum(near & sharp) >= 1
         said = ", ".join(f"{log.joints[j]} {1e3 * x:.3g}" for j, x in offsets.items())
         if abs(common) > limit and shared:
             return [
@@ -122,11 +123,11 @@ class TimeOffset(AbstractCheck):
                     trajectory,
                     value=common,
                     threshold=limit,
-                    seen=f"the torque comes {1e3 * abs(common):.3g} ms {'after' if common > 0 else 'before'} the motion "
-                    f"that it drives (per joint [ms]: {said})",
+                    seen=f"the torque comes {1e3 * abs(common):.3g} ms {'after' if common > 0 else 'before'} the "
+                    f"motion that it drives (per joint [ms]: {said})",
                     meaning="two clocks, or one channel that was filtered or buffered",
                     advice="one clock for both channels, or data.torque_lag",
-                    source="first order: a hold and a difference quotient make up to 1.5 samples; filters of drives 4 ms",
+                    source="first order: a hold and the order of reading make up to 1.5 samples",
                 )
             ]
         found = []
@@ -181,9 +182,7 @@ def _inside(x: Stretch, margin: int) -> Stretch:
     return replace(x, q=x.q[rows], qd=x.qd[rows], qdd=x.qdd[rows], tau=x.tau[rows], extra={})
 
 
-def _torque_at(
-    parts: tuple[Stretch, ...], stretch: np.ndarray, row: np.ndarray, joint: int, shift: int
-) -> np.ndarray:
+def _torque_at(parts: tuple[Stretch, ...], stretch: np.ndarray, row: np.ndarray, joint: int, shift: int) -> np.ndarray:
     """(R,) the torque `shift` samples later than the rows."""
     return np.concatenate([x.tau[row[stretch == i] + shift, joint] for i, x in enumerate(parts)])
 

@@ -19,8 +19,8 @@ from invdyn_cli.logfile import Log
 from invdyn_cli.types import Check, Motion, Robot
 
 EXCITED = 0.03
-"""Least RMS of a joint's nominal torque, friction taken out, of what random states ask of it (ours: below it friction and
-model errors rule; on the iiwa14's friction logs all but one joint stay below)."""
+"""Least RMS of a joint's nominal torque, friction taken out, of what random states ask of it (ours: below it friction
+and model errors rule)."""
 
 
 def matched(evidence: Evidence, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -47,18 +47,21 @@ class GravityRemoved(AbstractCheck):
     """Torques that have gravity taken out already, as some drivers' "external" or "feedback" torques have.
 
     Attributes:
-        share: of the nominal gravity torque's variance that all torques together may have (ours: an arm that moves under
-            gravity needs most of it).
-        slope: of torque on gravity torque that still is none, on every joint that gravity loads (ours: 0.25; with gravity
-            in it, a payload or a wrong gain makes 0.5 to 2).
+        share: of the nominal gravity torque's variance that friction and inertia may leave unexplained (ours: an arm
+            that moves under gravity needs most of it; a twentieth is what compensation without a tool leaves).
+        slope: of torque on gravity torque that still is none, on every joint that gravity loads (ours: with gravity in
+            it, a payload or a wrong gain makes 0.5 to 2).
         correlation: of torque and gravity torque that still is none.
+        inertial: least share, of what is left unexplained, that the nominal torque without gravity explains, unless
+            next to nothing is left (ours: noise alone is no torque without gravity).
         varied: least RMS of the gravity torque, of what random states ask of a joint (ours).
     """
 
     name: ClassVar[str] = "gravity_removed"
-    share: float = 0.3
+    share: float = 0.05
     slope: float = 0.25
     correlation: float = 0.6
+    inertial: float = 0.3
     varied: float = 0.1
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
@@ -66,16 +69,20 @@ class GravityRemoved(AbstractCheck):
         evidence = None if robot is None or not log.trajectories or "gravity" in log.compensated else gather(log, robot)
         if evidence is None or not np.ptp(evidence.tau, axis=0).any():
             return []
-        slopes, moved, asked = [], 0.0, 0.0
+        slopes, moved, asked, inertial = [], 0.0, 0.0, 0.0
         for joint in range(len(log.joints)):
-            columns = np.column_stack([evidence.columns(joint), evidence.nominal[:, joint] - evidence.gravity[:, joint]])
+            columns = np.column_stack(
+                [evidence.columns(joint), evidence.nominal[:, joint] - evidence.gravity[:, joint]]
+            )
             gravity, tau = left(evidence.gravity[:, joint], columns), left(evidence.tau[:, joint], columns)
             moved, asked = moved + float(tau @ tau), asked + float(gravity @ gravity)
+            before = left(evidence.tau[:, joint], evidence.columns(joint))
+            inertial += float(before @ before - tau @ tau)
             if rms(gravity) > self.varied * evidence.reach[joint]:
                 slopes.append(slope(tau, gravity))
                 if abs(slopes[-1]) > self.slope or abs(correlation(tau, gravity)) > self.correlation:
                     return []
-        if not slopes or moved > self.share * asked:
+        if not slopes or moved > self.share * asked or inertial < self.inertial * moved > 1e-3 * asked:
             return []
         value = float(np.median(slopes))
         return [
@@ -84,8 +91,8 @@ class GravityRemoved(AbstractCheck):
                 "fail",
                 value=value,
                 threshold=self.slope,
-                seen=f"on {len(slopes)} joints that gravity loads the torque follows it with a slope of {value:.2g}; all "
-                f"torques together have {100 * moved / asked:.2g} % of its variance",
+                seen=f"on {len(slopes)} joints that gravity loads the torque follows it with a slope of {value:.2g}; "
+                f"all torques together have {100 * moved / asked:.2g} % of its variance",
                 meaning="gravity is taken out of this torque already: an external or a feedback torque",
                 advice="attribute compensated=gravity in the log, or the driver's whole torque",
                 source="ours: with gravity in it, payloads and gains make 0.5 to 2",
@@ -111,25 +118,27 @@ class JointOrder(AbstractCheck):
         ratio: of residual variances, geometric mean over the joints that change places (ours: noise and model errors do
             not shrink fourfold by chance; joints that move in phase do not reach it).
         explained: least share of variance that each explains in its new place.
-        poor: mean squared correlation below which orders of all channels are tried; `good`: what one has to reach.
+        poor: mean squared correlation of torque and nominal torque below which orders of all channels are tried.
+        good: what one of them has to reach; `clearly`: and by how much it has to be better (ours).
     """
 
     name: ClassVar[str] = "joint_order"
     ratio: float = 4.0
     explained: float = 0.7
-    poor: float = 0.5
-    good: float = 0.8
+    poor: float = 0.85
+    good: float = 0.85
+    clearly: float = 0.1
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """For the whole log; the value lists, for every joint of the robot, the column that belongs to it."""
         evidence = None if robot is None or not log.trajectories or len(log.joints) < 2 else gather(log, robot)
         if evidence is None or robot is None:
             return []
-        order, said = self._torques(log, evidence)
-        if order is not None:
-            return [self._seen(log, "tau", order, said)]
-        order, said = self._whole(evidence, robot)
-        return [] if order is None else [self._seen(log, "all", order, said)]
+        columns, said = self._torques(log, evidence)
+        whole, told, reached = self._whole(evidence, robot)
+        if columns is not None and reached < _agreement(evidence, evidence.tau[:, columns]) + self.clearly:
+            return [self._seen(log, "tau", columns, said)]
+        return [] if whole is None else [self._seen(log, "all", whole, told)]
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Put the columns in order."""
@@ -172,7 +181,8 @@ class JointOrder(AbstractCheck):
         )
         return kept, said
 
-    def _whole(self, evidence: Evidence, robot: Robot) -> tuple[list[int] | None, str]:
+    def _whole(self, evidence: Evidence, robot: Robot) -> tuple[list[int] | None, str, float]:
+        """The order of all columns that fits best, None where it is no clear gain; how it was told, how well it fits."""
         rows = slice(None, None, max(1, len(evidence.tau) // 1024))
         n = evidence.tau.shape[1]
 
@@ -180,15 +190,12 @@ class JointOrder(AbstractCheck):
             motion = Motion(*(x[rows][:, order] for x in (evidence.motion.q, evidence.motion.qd, evidence.motion.qdd)))
             nominal, gravity = nominal_torque(robot, motion)
             tau = evidence.tau[rows][:, order]
-            one = replace(evidence, motion=motion, tau=tau, nominal=nominal, gravity=gravity)
-            _, cosine, excited = matched(one)
-            judged = excited > EXCITED
-            return float(np.mean(np.clip(np.diag(cosine)[judged], 0, None) ** 2)) if judged.any() else 0.0
+            return _agreement(replace(evidence, motion=motion, tau=tau, nominal=nominal, gravity=gravity))
 
         best = list(range(n))
         first = top = score(best)
         if first > self.poor:
-            return None, ""
+            return None, "", 0.0
         alphabet = sorted(range(n), key=lambda j: robot.joints[j])
         starts = [best, best[::-1], [alphabet.index(j) for j in range(n)]]
         best = max(starts, key=score)
@@ -199,9 +206,10 @@ class JointOrder(AbstractCheck):
             if max(scores) <= top + 0.02:
                 break
             best, top = swaps[int(np.argmax(scores))], max(scores)
-        if top < self.good or best == list(range(n)):
-            return None, ""
-        return best, f"squared correlation of torque and nominal torque {first:.2g} as logged, {top:.2g} so reordered"
+        if top < self.good or top < first + self.clearly:
+            return None, "", 0.0
+        said = f"squared correlation of torque and nominal torque {first:.2g} as logged, {top:.2g} so reordered"
+        return best, said, top
 
     def _seen(self, log: Log, channel: str, order: list[int], said: str) -> Check:
         return Check(
@@ -269,6 +277,13 @@ class SignError(AbstractCheck):
             advice="the sign convention of the torque channel; positive torque drives towards positive q",
             source="ours: on a well moved joint only noise and model errors take from a correlation of 1",
         )
+
+
+def _agreement(evidence: Evidence, tau: np.ndarray | None = None) -> float:
+    """Mean squared correlation of the judged joints' torque and nominal torque, negative ones as none."""
+    _, cosine, excited = matched(evidence, tau)
+    judged = excited > EXCITED
+    return float(np.mean(np.clip(np.diag(cosine)[judged], 0, None) ** 2)) if judged.any() else 0.0
 
 
 def _cycles(order: Sequence[int]) -> list[list[int]]:

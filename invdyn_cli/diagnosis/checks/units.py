@@ -1,7 +1,7 @@
 """Units: factors between what a channel says and what it should, where they are those of a dictionary."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,16 +16,19 @@ from invdyn_cli.types import Check, Robot
 DEGREE = 180 / np.pi
 RPM = 30 / np.pi
 RATES = {
-    DEGREE: "degrees",
-    1 / DEGREE: "radians that were converted from degrees once too often",
-    DEGREE**2: "degrees that were converted from radians twice",
+    DEGREE: "degrees per second",
+    1 / DEGREE: "rad/s that were converted from degrees once too often",
+    DEGREE**2: "degrees per second, converted twice",
     RPM: "revolutions per minute",
-    1 / RPM: "radians that were converted from revolutions per minute once too often",
-    1 / (2 * np.pi): "revolutions",
-    1e3: "thousandths of a radian (or the clock in ms)",
-    1e-3: "thousands of radians (or the clock in ms)",
+    1 / RPM: "rad/s that were converted from revolutions per minute once too often",
+    1 / (2 * np.pi): "revolutions per second",
+    1e3: "mrad/s (or the clock is in ms)",
+    1e-3: "krad/s (or the clock is off by 1000)",
 }
 """Logged over SI for velocities and accelerations of joints that turn."""
+
+POSITIONS = {1 / DEGREE: "radians that were converted from degrees once too often", 1 / (2 * np.pi): "revolutions"}
+"""Logged over SI for positions too small to be seen by their limits; degrees are seen by these."""
 
 CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 TORQUES = {1e3: "N mm or mN m", 1e-3: "kN m", 1e6: "N m times 1000 twice", 1e-6: "N m over 1000 twice"}
@@ -45,20 +48,22 @@ class MotionUnits(AbstractCheck):
     velocities and accelerations by their ratio to the derivative of the position.
 
     Attributes:
-        within: relative distance of a ratio from the dictionary's (ours: between logged and filtered derivatives some per
-            cent differ; no two entries are nearer than 7 %).
+        within: relative distance of a ratio from the dictionary's (ours: logged and filtered derivatives differ by some
+            per cent; no two entries are nearer than 7 %).
         most: share of the moving joints that have to agree (ours: one joint's gain is an effect, not a unit).
         turns: [rad] beyond which a position without limits is no radian (ours: two turns of a joint).
+        times: a joint's limit beyond which a position is no radian (ours: homing errors and other arms go less far).
         slow: [rad/s] joints below it are not judged.
-        better: by how much the squared correlation of torque and nominal torque has to grow (ours).
+        better: ratio of what the nominal torque leaves unexplained, as logged and converted (ours).
     """
 
     name: ClassVar[str] = "unit_error"
     within: float = 0.03
     most: float = 0.8
     turns: float = 4 * np.pi
+    times: float = 3.0
     slow: float = 0.01
-    better: float = 0.3
+    better: float = 4.0
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """t, then q, then qd and qdd, each with the ones before put right."""
@@ -104,7 +109,7 @@ class MotionUnits(AbstractCheck):
         limit = np.full(len(log.joints), self.turns)
         if robot is not None:
             bounds = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
-            limit = np.where(np.isfinite(bounds) & (bounds < self.turns), 1.2 * bounds + 0.2, self.turns)
+            limit = np.where(np.isfinite(bounds), np.minimum(self.times * bounds, self.turns), self.turns)
         found = []
         for raw in log.trajectories:
             finite = raw.q[np.isfinite(raw.q).all(1)]
@@ -125,12 +130,15 @@ class MotionUnits(AbstractCheck):
             found.append(self._seen("q", raw.name, DEGREE, DEGREE, "degrees", seen, severity))
         if found or robot is None or not log.trajectories:
             return found
-        tried = {k: _agreement(gather(_scaled(log, k, turning), robot, 1024)) for k in (1.0, 1 / DEGREE, 1 / (2 * np.pi))}
+        scales = (1.0, *POSITIONS)
+        tried = {k: _agreement(gather(_scaled(log, k, turning), robot, 1024)) for k in scales}
         best = max(tried, key=lambda k: tried[k])
-        if best != 1.0 and tried[best] > 0.8 and tried[best] - max(tried[1.0], 0) > self.better:
-            seen = f"with q divided by {best:.4g} the nominal torque explains {tried[best]:.2g} of the torque, as logged "
+        if best != 1.0 and tried[best] > 0.9 and 1 - tried[1.0] > self.better * (1 - tried[best]):
+            seen = (
+                f"with q divided by {best:.4g} the nominal torque explains {tried[best]:.2g} of the torque, as logged "
+            )
             seen += f"{tried[1.0]:.2g}"
-            found.append(self._seen("q", None, best, best, RATES[best], seen))
+            found.append(self._seen("q", None, best, best, POSITIONS[best], seen))
         return found
 
     def _derivatives(self, log: Log) -> list[Check]:
@@ -153,7 +161,7 @@ class MotionUnits(AbstractCheck):
                 if not factor or np.mean(np.abs(ratios / factor - 1) < self.within) < self.most:
                     continue
                 raw = next(x for x in log.trajectories if x.name == name)
-                per = " per second" if channel == "qd" else " per second squared"
+                per = "" if channel == "qd" else " per second"
                 seen = f"{channel} is {ratio:.5g} times the derivative of q on {len(ratios)} moving joints"
                 if factor == 1e3 and channel == "qd" and median_step(raw.t) > 0.2:
                     return [*found, self._seen("t", None, ratio, 1e3, "milliseconds", seen)]
@@ -186,7 +194,7 @@ class TorqueUnits(AbstractCheck):
         plausible: slopes from the inverse of it to it are an arm's own (ours).
         correlation: of torque and nominal torque of joints that are judged.
         excited: least RMS of a joint's nominal torque, of what random states ask of it (ours: below, friction rules).
-        most: share of the judged joints that have to agree.
+        most: share of the judged joints that have to agree, within a factor of `spread`.
     """
 
     name: ClassVar[str] = "unit_error"
@@ -196,7 +204,7 @@ class TorqueUnits(AbstractCheck):
     correlation: float = 0.8
     excited: float = 0.03
     most: float = 0.8
-    spread: float = field(default=2.0)
+    spread: float = 2.0
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """For the whole log; the value is logged over expected torque."""

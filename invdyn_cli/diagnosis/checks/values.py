@@ -1,5 +1,6 @@
 """Values of a log that cannot be: missing ones, and single samples far off their neighbours."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -31,7 +32,9 @@ class NotFinite(AbstractCheck):
             stages = {} if raw.stage is None else {"stage": np.zeros(np.shape(raw.stage))}
             for channel, x in {"t": raw.t, **present(raw), **stages}.items():
                 if not _fits(log, raw, channel):
-                    seen = f"{channel} has shape {np.shape(x)}, t has {len(raw.t)} rows, the log {len(log.joints)} joints"
+                    seen = (
+                        f"{channel} has shape {np.shape(x)}, t has {len(raw.t)} rows, the log {len(log.joints)} joints"
+                    )
                     found.append(self._seen(raw.name, None, channel, 0, seen))
                     continue
                 bad = ~np.isfinite(x)
@@ -63,7 +66,7 @@ class NotFinite(AbstractCheck):
             good = np.isfinite(raw.t) & np.all([np.isfinite(x).all(1) for x in present(raw).values()], axis=0)
             holes = [(a, b) for a, b in runs(~good) if b - a > self.hole and a > 0 and b < len(good)]
             edges = [0, *(b for _, b in holes), len(good)]
-            pieces = [np.flatnonzero(good[a:b]) + a for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            pieces = [np.flatnonzero(good[a:b]) + a for a, b in itertools.pairwise(edges)]
             pieces = [rows for rows in pieces if len(rows)]
             words = [f"without the channel{'s' * (len(lost) > 1)} {', '.join(lost)}"] if lost else []
             if not good.all() and pieces:
@@ -115,9 +118,11 @@ class Outliers(AbstractCheck):
     Attributes:
         deviations: (ours: Pearson's 3 flags one sample in 400 of Gaussian noise; 20 none in an hour, and torque noise
             has heavy tails).
-        least: of the range from the 1st to the 99th percentile (ours: impacts and stick-slip of real arms stay below; a
-            smaller one does not bend a fit); `position`: the same for positions, which have no such bursts.
+        least: of the range from the 1st to the 99th percentile, twice that for derivatives (ours: impacts and
+            stick-slip of real arms mostly stay below; a smaller one does not bend a fit).
+        position: the same for positions, which have no such bursts.
         still: [rad; m] range of q below which a joint stands still; also the least jump of a position, over 10.
+        width, longest: samples.
         most: share of samples (ours: what is more frequent is no outlier but the noise).
     """
 
@@ -134,32 +139,14 @@ class Outliers(AbstractCheck):
         """Per trajectory, channel and joint; the value is the number of samples."""
         found = []
         for raw in log.trajectories:
-            if len(raw.t) < 50 or not is_series(raw):
+            if len(raw.t) < 50 or not is_series(raw, roughness=0.5):
                 continue
-            for channel, x in present(raw).items():
+            for channel in present(raw):
                 for joint, name in enumerate(log.joints):
                     rows = self._of(raw, channel, joint)
                     if not len(rows):
                         continue
-                    noise = len(rows) > max(3, self.most * len(x))
-                    found.append(
-                        Check(
-                            self.name,
-                            "note" if noise else "warn",
-                            raw.name,
-                            name,
-                            value=len(rows),
-                            threshold={"channel": channel, "deviations": self.deviations},
-                            seen=f"{len(rows)} samples of {channel} lie more than {self.deviations:g} robust standard "
-                            f"deviations off their neighbours, first at t = {raw.t[rows[0]]:.3f} s: {x[rows[0], joint]:.4g}",
-                            meaning="so many that they are its noise; they stay"
-                            if noise
-                            else "transmission errors; each bends a least-squares fit as many ordinary samples do",
-                            advice="the bus or the driver that this channel comes from",
-                            source="Hampel 1974, Pearson 2002 (doi 10.1109/87.974338); 20 instead of 3: ours, torque noise "
-                            "has heavy tails",
-                        )
-                    )
+                    found.append(self._outlying(raw, channel, joint, name, rows))
         return found
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
@@ -175,10 +162,29 @@ class Outliers(AbstractCheck):
                 keep = np.setdiff1d(np.arange(len(x)), rows)
                 x[rows, joint] = np.interp(raw.t[rows], raw.t[keep], x[keep, joint])
                 raw = replace(raw, **{channel: x})
-                notes.append(f"{raw.name}: {len(rows)} outliers in {channel} of {check.joint} replaced by interpolation")
+                notes.append(f"{raw.name}: {len(rows)} outliers in {channel} of {check.joint} interpolated")
             return raw
 
         return each(log, change), notes
+
+    def _outlying(self, raw: RawTrajectory, channel: str, joint: int, name: str, rows: np.ndarray) -> Check:
+        noise = len(rows) > max(3, self.most * len(raw.t))
+        at, value = raw.t[rows[0]], getattr(raw, channel)[rows[0], joint]
+        return Check(
+            self.name,
+            "note" if noise else "warn",
+            raw.name,
+            name,
+            value=len(rows),
+            threshold={"channel": channel, "deviations": self.deviations},
+            seen=f"{len(rows)} samples of {channel} lie more than {self.deviations:g} robust standard deviations off "
+            f"their neighbours, first at t = {at:.3f} s: {value:.4g}",
+            meaning="so many that they are its noise; they stay"
+            if noise
+            else "transmission errors; each bends a least-squares fit as many ordinary samples do",
+            advice="the bus or the driver that this channel comes from",
+            source="Hampel 1974; Pearson 2002; 20 instead of 3: ours, torque noise has heavy tails",
+        )
 
     def _of(self, raw: RawTrajectory, channel: str, joint: int) -> np.ndarray:
         """Row numbers of the outliers of a channel's joint."""
@@ -189,7 +195,7 @@ class Outliers(AbstractCheck):
         if high - low < self.still:
             return np.arange(0)
         position = channel in ("q", "q_ref", "q_link")
-        return self.rows(x, self.position if position else self.least, self.still / 10)
+        return self.rows(x, self.position if position else 2 * self.least, self.still / 10)
 
     def rows(self, x: np.ndarray, share: float, floor: float) -> np.ndarray:
         """Row numbers of the outliers of a series x (T,), by at least a share of its range and `floor`."""

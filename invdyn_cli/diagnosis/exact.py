@@ -1,0 +1,292 @@
+"""The composed model against the record: all parameters of a hypothesis refined together, as the effects' formulas stand,
+and the intervals that blocks of the log give them.
+
+Linear columns chose the hypothesis; here a gain scales the friction behind it, a payload changes the load of the gear,
+and nothing is straightened any more. Gauss and Newton's steps with numerical slopes, a few times.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, _filtered
+from invdyn_cli.effects.composition import Acting, joint_terms, rigid_torque
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractChannelEffect, AbstractMotionEffect, AbstractTorqueEffect, Parameter
+from invdyn_cli.types import Motion
+
+STEPS = 4
+"""Newton steps at most: columns start within a few percent."""
+
+@dataclass(frozen=True)
+class Refined:
+    """Effects with refined parameters, what each moves by, and the residual that they leave.
+
+    Attributes:
+        acting: the effects.
+        theta: (k,) all parameters in one row; `labels` (effect number, parameter, index) says which.
+        replicas: (B, k) parameters with one block left out each: their spread is the uncertainty (jackknife).
+        residual: (R, n) logged less modelled torque, filtered.
+    """
+
+    acting: tuple[Acting, ...]
+    theta: np.ndarray
+    labels: tuple[tuple[int, str, int], ...]
+    replicas: np.ndarray
+    residual: np.ndarray
+
+
+class Model:
+    """The residual of composed effects on all rows of the evidence; body torques are kept while bodies do not change."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence = evidence
+        self.rate = evidence.recording.filter.rate
+        self._bodies: dict[tuple, list[np.ndarray]] = {}
+        self._rows: dict[tuple, np.ndarray] = {}
+
+    def residual(self, acting: Sequence[Acting]) -> np.ndarray:
+        """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
+        bodies = self.bodies(acting)
+        out = np.column_stack([self._row(acting, bodies, j) for j in range(self.evidence.dofs)])
+        compared = self.evidence.reference_rows
+        if compared is not None and len(acting):  # what was hidden since is not in the reference
+            out[compared] = self.residual(())[compared]
+        return out
+
+    def bodies(self, acting: Sequence[Acting]) -> list[np.ndarray]:
+        """Inverse dynamics (n, T) of every piece with the body and motion effects."""
+        whole = [a for a in acting if a.effect.point in ("body", "motion")]
+        key = tuple(_key(a) for a in whole)
+        if key not in self._bodies:
+            if len(self._bodies) > 40:
+                self._bodies.clear()
+            robot = self.evidence.robot
+            for a in whole:
+                if isinstance(a.effect, AbstractBodyEffect):
+                    robot = a.effect.changed(a.parameters, robot, a.joint)
+            made = []
+            for piece in self.evidence.recording.pieces:
+                motion = Motion(piece.q, piece.qd, piece.qdd)
+                for a in whole:
+                    if isinstance(a.effect, AbstractMotionEffect):
+                        assert a.joint is not None
+                        motion = a.effect.true(a.parameters, motion, a.joint)
+                made.append(rigid_torque(robot, motion))
+            self._bodies[key] = made
+        return self._bodies[key]
+
+    def _row(self, acting: Sequence[Acting], bodies: list[np.ndarray], j: int) -> np.ndarray:
+        own = [a for a in acting if a.joint == j and a.effect.point in ("torque", "channel")]
+        key = (id(bodies), j, tuple(_key(a) for a in own))
+        if key not in self._rows:
+            if len(self._rows) > 400:
+                self._rows.clear()
+            parts = []
+            for piece, states, body in zip(self.evidence.recording.pieces, self.evidence.states, bodies, strict=True):
+                state = states[j]._replace(transmitted=body[j])
+                tau = body[j] + sum(joint_terms(own, j, state))
+                logged = piece.tau[j]
+                for a in own:
+                    if not isinstance(a.effect, AbstractChannelEffect):
+                        continue
+                    if a.effect.name == "torque_saturation":  # what was asked for beyond the limit, no model can know
+                        logged = a.effect.delivered(a.parameters, logged, self.rate)
+                    else:
+                        tau = np.asarray(a.effect.logged(a.parameters, tau, self.rate))
+                parts.append((logged - tau)[None])
+            self._rows[key] = _filtered(self.evidence.recording, parts)[0]
+        return self._rows[key]
+
+
+def _key(acting: Acting) -> tuple:
+    return acting.effect.name, acting.joint, tuple((k, np.asarray(v).tobytes()) for k, v in acting.parameters.items())
+
+
+def refine(
+    evidence: Evidence,
+    model: Model,
+    acting: Sequence[Acting],
+    rows: np.ndarray,
+    weights: np.ndarray,
+    always: Sequence[Candidate] = (),
+    steps: int = STEPS,
+) -> Refined:
+    """The parameters of least weighted squares on the chosen rows (R,) bool, from where they are.
+
+    Friction that jumps has the time of its jump free, as in the search, and so have the columns of `always`; they have
+    no parameter, and the residual is that without the latter.
+    """
+    theta, labels = _flat(evidence, acting)
+    if not acting and not always:
+        return Refined((), theta, labels, np.zeros((2, 0)), model.residual(()))
+    used = rows[:, None] & evidence.valid
+    scale = np.sqrt(weights)[None, :] * used
+    timing, timing_precision = _timing(evidence, acting)
+    allowed, allowed_precision = _allowed(evidence, always)
+    timing = np.concatenate([allowed, timing])
+    timing_precision = np.concatenate([allowed_precision, timing_precision])
+    precision = np.concatenate([_precision(evidence, acting, labels), timing_precision])
+    extra = np.zeros(len(timing))
+    best = None
+    residual = model.residual(acting)
+    for step in range(steps + 1):
+        slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
+        x = (slopes * scale).reshape(len(slopes), -1)
+        y = ((residual - np.tensordot(extra, timing, 1)) * scale).ravel()
+        here = np.concatenate([theta, extra])
+        loss = y @ y + precision @ here**2
+        if best is not None and loss > best[0] * (1 + 1e-9):
+            theta, extra, residual = best[1], best[2], best[3]
+            break
+        best = loss, theta, extra, residual
+        if step == steps:
+            break
+        normal = x @ x.T + np.diag(precision)
+        move = _solve(normal, x @ y - precision * here)
+        theta = _inside(acting, labels, theta + move[: len(theta)])
+        extra = extra + move[len(theta) :]
+        acting = _with(evidence, acting, labels, theta)
+        residual = model.residual(acting)
+    acting = _with(evidence, acting, labels, theta)
+    replicas = _replicas(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
+    left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
+    return Refined(tuple(acting), theta, labels, replicas, left)
+
+
+def _replicas(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual) -> np.ndarray:
+    slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
+    residual = residual - np.tensordot(extra, timing, 1)
+    blocks = np.unique(evidence.block[rows])
+    normals, moments = [], []
+    for b in blocks:
+        at = rows & (evidence.block == b)
+        x = (slopes[:, at] * scale[at]).reshape(len(slopes), -1)
+        normals.append(x @ x.T)
+        moments.append(x @ (residual[at] * scale[at]).ravel())
+    total, moment = np.sum(normals, axis=0), np.sum(moments, axis=0)
+    prior = np.diag(precision)
+    centre = _solve(total + prior, moment)
+    moves = [_solve(total - a + prior, moment - m) - centre for a, m in zip(normals, moments, strict=True)]
+    return theta + np.array(moves)[:, : len(theta)]
+
+
+def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
+    """Every effect's parameters with the ends of their intervals, {name: (value, lower, upper)}: jackknife over blocks,
+    Student's t (Tukey 1958), each replica turned into parameters; angles do not jump between replicas."""
+    count = len(refined.replicas)
+    reach = stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * np.sqrt((count - 1) / count)
+    replicas = [_with(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
+    out = []
+    for number, a in enumerate(refined.acting):
+        row = {}
+        for name, value in a.parameters.items():
+            each = np.array([np.asarray(r[number].parameters[name], float) for r in replicas])
+            if name in ("azimuth", "phase"):
+                each = value + (each - value + np.pi) % (2 * np.pi) - np.pi
+            error = reach * np.sqrt(np.sum((each - each.mean(0)) ** 2, axis=0))
+            row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
+        out.append(row)
+    return out
+
+
+def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual) -> np.ndarray:
+    """(k, R, n): change of the modelled torque with each parameter."""
+    out = np.empty((len(theta), *residual.shape))
+    for i, (number, name, _) in enumerate(labels):
+        step = _step(acting[number], name, theta[i])
+        moved = theta.copy()
+        moved[i] += step
+        out[i] = (residual - model.residual(_with(evidence, acting, labels, moved))) / step
+    return out
+
+
+def _step(acting: Acting, name: str, value: float) -> float:
+    if name in ("delay", "time_constant") and acting.effect.point == "channel":
+        return 2e-4
+    if acting.effect.point in ("body", "motion"):
+        return 1e-4
+    if name == "velocity":
+        return 1e-2 * value
+    return 1e-4 * max(abs(value), 1e-2)
+
+
+def _allowed(evidence: Evidence, always: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (m, R, n) of what is allowed for, and their precision (m,)."""
+    columns = np.zeros((sum(len(c.precision) for c in always), *evidence.tau.shape))
+    start = 0
+    for c in always:
+        for j, (_, free) in c.columns.items():
+            columns[start : start + len(free), :, j] = evidence.tables[j][:, list(free)].T
+        start += len(c.precision)
+    return columns, np.concatenate([c.precision for c in always]) if always else np.zeros(0)
+
+
+def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (m, R, n) that shift the jump of each dry friction, and their precision (m,)."""
+    columns, precision = [], []
+    for a in acting:
+        if a.effect.name not in (*DRY, "asymmetric_coulomb_friction"):
+            continue
+        assert isinstance(a.effect, AbstractTorqueEffect)
+        parts = [
+            np.gradient(np.asarray(a.effect.term(a.parameters, s[a.joint])))[None] * evidence.recording.filter.rate
+            for s in evidence.states
+        ]
+        column = np.zeros(evidence.tau.shape)
+        column[:, a.joint] = _filtered(evidence.recording, parts)[0]
+        columns.append(column)
+        precision.append(1 / STICK_TIME**2)
+    return np.array(columns).reshape(len(columns), *evidence.tau.shape), np.array(precision)
+
+
+def _flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
+    """All coordinates in one row, and what each is: (effect number, parameter or "" for a body's coordinate, index)."""
+    values, labels = [], []
+    for number, a in enumerate(acting):
+        if isinstance(a.effect, AbstractBodyEffect):
+            row = a.effect.coefficients(a.parameters, evidence.robot, a.joint)
+            values += row
+            labels += [(number, "", index) for index in range(len(row))]
+        else:
+            values += [float(x) for x in a.parameters.values()]
+            labels += [(number, name, 0) for name in a.parameters]
+    return np.array(values), tuple(labels)
+
+
+def _with(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
+    """The effects with parameters from one row of coordinates."""
+    made = []
+    for number, a in enumerate(acting):
+        own = {(name, index): x for (k, name, index), x in zip(labels, theta, strict=True) if k == number}
+        if isinstance(a.effect, AbstractBodyEffect):
+            made.append(replace(a, parameters=a.effect.read(list(own.values()), evidence.robot, a.joint)))
+        else:
+            made.append(replace(a, parameters={name: float(x) for (name, _), x in own.items()}))
+    return tuple(made)
+
+
+def _inside(acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
+    """Parameters moved back to where they are physics at all."""
+    bounds = [acting[number].effect.parameters[name] if name else Parameter("") for number, name, _ in labels]
+    return np.clip(theta, [b.lower for b in bounds], [b.upper for b in bounds])
+
+
+def _precision(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
+    """What is known of coordinates beforehand: what the data do not show of a body stays near zero."""
+    out = []
+    for number, name, index in labels:
+        effect = acting[number].effect
+        if isinstance(effect, AbstractBodyEffect):
+            out.append(1 / effect.directions(evidence.robot, acting[number].joint)[index][2] ** 2)
+        else:
+            out.append(0.0)
+    return np.array(out)
+
+
+def _solve(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
+    if not len(r):
+        return r
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.linalg.solve(normal / np.outer(scale, scale) + 1e-10 * np.eye(len(r)), r / scale) / scale

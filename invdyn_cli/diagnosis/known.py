@@ -1,0 +1,135 @@
+"""What the user knows already: declared causes are taken as they are or allowed for, and not found again.
+
+A reference, an earlier log of the same robot, is knowledge too: whatever both logs show alike is allowed for, and only
+what the new one shows beyond it is looked for.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.recording import Recording
+from invdyn_cli.effects.composition import Acting, rigid_torque, sign_of
+from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.interfaces import (
+    AbstractBodyEffect,
+    AbstractChannelEffect,
+    AbstractEffect,
+    AbstractMotionEffect,
+    AbstractTorqueEffect,
+    JointState,
+)
+from invdyn_cli.types import Motion, Robot
+
+COMMON = (
+    "viscous_friction",
+    "coulomb_friction",
+    "quadratic_friction",
+    "torque_offset",
+    "rotor_inertia",
+    "link_inertia_error",
+)
+"""What an earlier log of the same robot is allowed to show beside its nominal model."""
+
+
+def read(
+    declared: Sequence[Any], effects: Mapping[str, AbstractEffect], robot: Robot
+) -> tuple[tuple[Acting, ...], list[tuple[str, int | None]]]:
+    """Declared causes with parameters, and those that are only allowed for.
+
+    Raises:
+        UsageError: for an effect, a joint or a parameter that does not exist.
+    """
+    facts, allowed = [], []
+    for one in declared:
+        if isinstance(one, str):
+            name, _, joint = one.partition("@")
+            one = {"effect": name} | ({"joint": joint} if joint else {})
+        if not isinstance(one, Mapping) or "effect" not in one:
+            raise UsageError(f"diagnosis.known has {one!r}; allowed: effect, effect@joint, or {{effect, joint, …}}")
+        name, joint = str(one["effect"]), one.get("joint")
+        if name not in effects:
+            raise UsageError(f"diagnosis.known: no effect {name!r}{closest(name, effects)}; allowed: {listed(effects)}")
+        if joint is not None and joint not in robot.joints:
+            raise UsageError(f"diagnosis.known: no joint {joint!r}{closest(str(joint), robot.joints)}")
+        effect = effects[name]
+        given = {k: v for k, v in one.items() if k not in ("effect", "joint")}
+        if not given:
+            allowed.append((name, None if joint is None else robot.joints.index(joint)))
+            continue
+        if name == "payload":
+            given.setdefault("inertia", [0.0] * 6)
+        wrong = set(given) ^ set(effect.parameters)
+        if wrong:
+            raise UsageError(f"diagnosis.known: {name} has parameters {listed(effect.parameters)}; got {listed(given)}")
+        whole = isinstance(effect, AbstractBodyEffect) and name != "link_inertia_error"
+        if joint is None and not whole:
+            raise UsageError(f"diagnosis.known: {name} needs a joint; allowed: {listed(robot.joints)}")
+        parameters = {k: np.asarray(v, float) if np.ndim(v) else float(v) for k, v in given.items()}
+        facts.append(Acting(effect, None if whole else robot.joints.index(joint), parameters))
+    return tuple(facts), allowed
+
+
+def is_allowed(candidate: Candidate, allowed: Sequence[tuple[str, int | None]]) -> bool:
+    """Whether a candidate was declared without parameters (for its joint, or for all)."""
+    return any(candidate.effect.name == name and joint in (None, candidate.joint) for name, joint in allowed)
+
+
+def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravity: bool) -> Recording:
+    """The recording without declared causes; with gravity put back where the torque has it taken out already."""
+    pieces = []
+    for piece in recording.pieces:
+        q, tau = piece.q.copy(), piece.tau.copy()
+        motion = Motion(q, piece.qd, piece.qdd)
+        for one in facts:
+            if isinstance(one.effect, AbstractMotionEffect):
+                assert one.joint is not None
+                motion = one.effect.true(one.parameters, motion, one.joint)
+        body = rigid_torque(changed(robot, facts), motion)
+        for one in facts:
+            j = one.joint
+            if isinstance(one.effect, AbstractChannelEffect):
+                tau[j] = one.effect.delivered(one.parameters, tau[j], recording.filter.rate)
+        for one in facts:
+            j = one.joint
+            if isinstance(one.effect, AbstractTorqueEffect):
+                assert j is not None
+                sign = sign_of(piece.qd[j], np.maximum(2 * piece.motion_noise[j], 1e-6))
+                state = JointState(piece.t, motion.q[j], piece.qd[j], piece.qdd[j], sign, body[j])
+                tau[j] = tau[j] - np.asarray(one.effect.term(one.parameters, state))
+        if gravity:
+            tau = tau + rigid_torque(robot, Motion(motion.q, 0 * motion.q, 0 * motion.q))
+        pieces.append(replace(piece, q=np.asarray(motion.q), tau=tau))
+    return replace(recording, pieces=tuple(pieces))
+
+
+def changed(robot: Robot, facts: Sequence[Acting]) -> Robot:
+    """The robot with the declared bodies and mounting."""
+    for one in facts:
+        if isinstance(one.effect, AbstractBodyEffect):
+            robot = one.effect.changed(one.parameters, robot, one.joint)
+    return robot
+
+
+def compared(
+    evidence: Evidence, pool: Sequence[Candidate], reference: int
+) -> tuple[tuple[Candidate, ...], list[Candidate]]:
+    """What both logs may show alike, and the candidates with columns that vanish on the reference's rows."""
+    always = []
+    for c in pool:
+        if c.effect.name in COMMON:
+            copies = {
+                j: ((), evidence.append(j, [evidence.tables[j][:, i].copy() for i in free]))
+                for j, (_, free) in c.columns.items()
+            }
+            always.append(replace(c, columns=copies))
+    rows = evidence.role == reference
+    for c in pool:
+        for j, (fixed, free) in c.columns.items():
+            for i in (*fixed, *free):
+                evidence.tables[j][rows, i] = 0.0
+    evidence.reference_rows = rows
+    return tuple(always), list(pool)

@@ -1,0 +1,108 @@
+"""Before a name is given: every rival has tried to take its place, and what is left unexplained must not outweigh it.
+
+A rival does as well if the held-out loss with it in the effect's place is within the noise of that with the effect. The
+noise is that of the difference, block by block, so that what both leave alike does not count (Vuong 1989).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.diagnosis.evidence import Candidate
+from invdyn_cli.diagnosis.search import PRICE_OF_COEFFICIENT, Hypothesis, Judge, clash
+
+DOUBT = 0.005
+"""Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
+
+LEAST_DIFFERENCE = 10.0
+"""And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
+
+TYPICAL_STRIBECK = 1.5
+"""Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
+
+TYPICAL_VELOCITY = 0.047
+"""[rad/s] Stribeck velocity to try it at."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, and the verdict in words."""
+
+    candidate: Candidate
+    excess: float
+    error: float
+    equal: bool
+    why: str
+
+
+def rivals(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> list[Rival]:
+    """The best trial of every other effect in the place of one, by effect and joint, the strongest first."""
+    now = judge.verdict(always + hypothesis)
+    own, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
+    without = judge.verdict(always + others)
+    whole = float(np.sum(without.blocks - now.blocks))
+    best: dict[tuple[str, int | None], tuple[float, Candidate]] = {}
+    for c in pool:
+        if c.key == own.key or any(c.key == e.key or clash(e, c) for e in others):
+            continue
+        value, _ = judge.quick((*always, *others, c))
+        value -= judge.price((c,)) - PRICE_OF_COEFFICIENT * judge.freedom(c)
+        if c.key not in best or value < best[c.key][0]:
+            best[c.key] = value, c
+    made = []
+    for _, c in sorted(best.values(), key=lambda x: x[0])[:12]:
+        other = judge.verdict((*always, *others, c))
+        step = other.blocks - now.blocks
+        excess = float(step.sum() + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
+        error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
+        refused = judge.refused((*always, *others, c), other.theta)
+        equal = excess < LEAST_DIFFERENCE or _chance(step, excess - float(step.sum())) > DOUBT
+        share = 1 - float(step.sum()) / whole if whole > 0 else 0.0
+        why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} does on held-out data"
+        if refused:
+            why, equal = f"{refused} (it {why})", False
+        elif equal and clash(c, own):
+            why, equal = f"is the general case, and the data ask for no more than {own.effect.title}", False
+        elif not equal:
+            why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
+        made.append(Rival(c, excess, error, equal, why))
+    return made
+
+
+def _chance(step: np.ndarray, extra: float) -> float:
+    """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws)."""
+    draws = np.random.default_rng(0).integers(len(step), size=(4000, len(step)))
+    return float(np.mean(step[draws].sum(1) + extra < LEAST_DIFFERENCE))
+
+
+def blind_to_stribeck(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> bool:
+    """Whether an ordinary drop of friction with speed could hide behind a Coulomb friction on this log."""
+    own = hypothesis[place]
+    if own.effect.name != "coulomb_friction":
+        return False
+    trials = [c for c in pool if c.key == ("stribeck_friction", own.joint) and c.shape["velocity"] == TYPICAL_VELOCITY]
+    if not trials:
+        return False
+    with_it = (*always, *hypothesis[:place], *hypothesis[place + 1 :], trials[0])
+    s, r, normal = judge.sums(with_it)
+    k = len(trials[0].precision)
+    total = normal.sum(0) + 1e-9 * np.diag(np.diag(normal.sum(0)))
+    theta = np.linalg.lstsq(total, r.sum(0), rcond=None)[0]
+    variance = np.linalg.pinv(total)
+    coulomb, drop = theta[-k], theta[-k + 1]
+    error = np.sqrt(max(variance[-k + 1, -k + 1], 0))
+    return bool(drop + 2 * error > (TYPICAL_STRIBECK - 1) * coulomb)
+
+
+def structure(residual: np.ndarray, valid: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """Variance (n,) of what is not noise in a residual (R, n): its autocovariance two and three rows on, beyond the
+    filter's own memory; white noise has none there."""
+    out = np.zeros(residual.shape[1])
+    for j in range(len(out)):
+        x = np.where(valid[:, j], residual[:, j] - np.mean(residual[valid[:, j], j]) if valid[:, j].any() else 0.0, 0.0)
+        for lag in (2, 3):
+            both = valid[lag:, j] & valid[:-lag, j] & (piece[lag:] == piece[:-lag])
+            if both.sum() > 20:
+                out[j] = max(out[j], float(np.mean(x[lag:][both] * x[:-lag][both])))
+    return out

@@ -1,0 +1,280 @@
+"""From a log to a diagnosis: doctor, evidence, search, names, gains, and what is left."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.diagnosis import doctor, findings, hold, known, noise, repeats, unexplained
+from invdyn_cli.diagnosis.evidence import Evidence, Recording, gather, trial_at
+from invdyn_cli.diagnosis.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Window, prepare
+from invdyn_cli.diagnosis.search import Hypothesis, Judge, read_all, search
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting, rigid_torque
+from invdyn_cli.effects.description import ExtendedModel
+from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
+from invdyn_cli.logfile import Log
+from invdyn_cli.maths import metrics
+from invdyn_cli.types import Diagnosis, Examination, Finding, Motion, Robot, Signals
+
+ROUNDS = 3
+"""Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose.
+
+    Attributes:
+        known: causes that are known already: {"effect", "joint", parameters …}, taken as they are; without parameters,
+            "effect" or "effect@joint", allowed for and not reported.
+        most: effects that a diagnosis names at most.
+        conditioning: rates and filters.
+    """
+
+    known: Sequence[Any] = ()
+    most: int = 12
+    conditioning: Conditioning = field(default_factory=Conditioning)
+
+
+def diagnose(
+    log: Log,
+    robot: Robot,
+    *,
+    windows: Mapping[str, Sequence[Window]] | None = None,
+    reference: Log | None = None,
+    options: Options | None = None,
+    effects: Mapping[str, AbstractEffect] = EFFECTS,
+    learner: AbstractModel | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Diagnosis:
+    """What the nominal model of a robot gets wrong on a log, why, and what mending it is worth.
+
+    Args:
+        log: one robot's trajectories, as read (`logfile.read_log(path, check=False)`), defects and all.
+        robot: its nominal model, from a URDF.
+        windows: role -> stretches (trajectory, start, end [s]): "train" chooses, "test" judges, "reference" is compared
+            with; None: the first 70 % of each trajectory's time chooses.
+        reference: an earlier log of the same robot: what has changed since is looked for, and nothing else.
+        options: what is known, how many causes, rates and filters.
+        effects: the causes to look for.
+        learner: a model that measures what is left unexplained; None: small nets.
+
+    Raises:
+        UsageError: for options that make no sense.
+        RobotError: if the robot has other joints than the log.
+    """
+    options = options or Options()
+    examination = doctor.examine(log, robot)
+    if not examination.usable:
+        return _unusable(examination, ())
+    log, notes = doctor.mend(log, examination, robot)
+    progress(0.1, "checked")
+    if reference is not None:
+        log, windows, more = _beside(log, reference, robot, windows, options)
+        notes += more
+    side = log.torque_side
+    try:
+        pool = {name: e for name, e in effects.items() if name not in log.compensated}
+        inertia = _typical_inertia(robot)
+        recording = prepare(in_newton_metres(log), inertia, windows, options.conditioning)
+    except LogError as error:
+        return _unusable(examination, (*notes, str(error)))
+    facts, allowed = known.read(options.known, effects, robot)
+    recording = known.taken_out(recording, robot, facts, gravity="gravity" in log.compensated)
+    nominal, robot = robot, known.changed(robot, facts)
+    recording, common = hold.taken_out(robot, recording, side)
+    progress(0.25, "columns")
+    evidence = gather(robot, recording, list(pool.values()), side)
+    progress(0.5, "search")
+    inquiry = _inquire(evidence, allowed, options, reference is not None)
+    progress(0.75, "names")
+    made = findings.report(inquiry, pool, examination, side)
+    learned = unexplained.shares(evidence, made.residual, learner, seed)
+    progress(0.95, "model")
+    everything = (*facts, *made.acting)
+    model = ExtendedModel(
+        robot=nominal,
+        acting=everything,
+        intervals=({},) * len(facts) + made.intervals,
+        filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": recording.filter.cutoff},
+        provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
+    )
+    baseline, extended, score = _scores(evidence, inquiry, made)
+    floor = repeats.noise_floor(recording)
+    diagnosis = Diagnosis(
+        verdict=findings.verdict(made, learned, floor, score),
+        examination=examination,
+        findings=made.findings,
+        baseline=baseline,
+        extended=extended,
+        noise_floor=None if floor is None else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
+        unexplained={j: float(x) for j, x in zip(robot.joints, learned, strict=True)},
+        model=model,
+        signals=_signals(evidence, made),
+        notes=(*notes, *recording.notes, *made.notes),
+        details={
+            **recording.details,
+            "time_taken_out_s": common,
+            "samples": int(len(evidence.role)),
+            "blocks": int(evidence.block.max() + 1),
+            "hypotheses_tried": inquiry.judge.tried,
+            "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
+        },
+    )
+    return replace(diagnosis, summary=findings.summary(diagnosis))
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
+    and on all data (`whole`), and all that rivals are judged with."""
+
+    evidence: Evidence
+    judge: Judge
+    model: Model
+    noise: noise.Noise
+    always: Hypothesis
+    hypothesis: Hypothesis
+    pool: Sequence[Any]
+    chosen: Refined
+    whole: Refined
+
+
+def _inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], options: Options, compares: bool) -> Inquiry:
+    """Search, refine, search again."""
+    choosing = (evidence.role == ROLES.index("train")) | (evidence.role == ROLES.index("reference"))
+    pool = [c for c in evidence.candidates if c.effect.name != "asymmetric_coulomb_friction"]
+    always: Hypothesis = tuple(c for c in pool if known.is_allowed(c, allowed))
+    measured = noise.measure(evidence, choosing)
+    pool += noise.ripples(evidence, measured, choosing, TorqueRipple())
+    if compares:
+        always, pool = known.compared(evidence, pool, ROLES.index("reference"))
+    pool = [c for c in pool if c.key not in {a.key for a in always} or compares]
+    last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
+    pool = [c for c in pool if c.key != ("link_inertia_error", last)]
+    judge = Judge(evidence, choosing, measured.weights, measured.deviation)
+    judge.refresh()
+    model = Model(evidence)
+    hypothesis = search(judge, pool, always, (), options.most)
+    for _ in range(ROUNDS):
+        before = {c.key for c in hypothesis}
+        refined = refine(evidence, model, _acting(judge, always, hypothesis), choosing, measured.weights, always)
+        trials = tuple(trial_at(evidence, a) for a in refined.acting)
+        pool = [*pool, *(c for c in trials if not any(c is p for p in pool))]
+        judge.refresh()
+        hypothesis = search(judge, pool, always, trials, options.most)
+        if {c.key for c in hypothesis} == before:
+            break
+    acting = _acting(judge, always, hypothesis)
+    chosen = refine(evidence, model, acting, choosing, measured.weights, always)
+    whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
+    return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole)
+
+
+def _acting(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
+    theta = judge.verdict((*hypothesis, *always)).theta
+    return [Acting(c.effect, c.joint, p) for c, p in read_all(judge.evidence, hypothesis, theta)]
+
+
+def _scores(evidence: Evidence, inquiry: Inquiry, made: "findings.Made"):
+    """Held-out error of every joint with the nominal and the extended model."""
+    rows = findings.judged(evidence)
+    tables = []
+    for residual in (made.before, made.residual):
+        row = {}
+        for j, name in enumerate(evidence.robot.joints):
+            tau, left = evidence.tau[rows, j], residual[rows, j]
+            row[name] = {
+                "rmse": float(metrics.rmse(tau[:, None], (tau - left)[:, None])[0]),
+                "nmse": float(metrics.nmse(tau[:, None], (tau - left)[:, None])[0]),
+            }
+        tables.append(row)
+    return tables[0], tables[1], tables[1]
+
+
+def _signals(evidence: Evidence, made: "findings.Made") -> Signals:
+    recording = evidence.recording
+    kept = [recording.filter.rows(len(p.t)) for p in recording.pieces]
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(p, name)[..., r].T for p, r in zip(recording.pieces, kept, strict=True)])
+
+    return Signals(
+        trajectory=np.concatenate([[p.trajectory] * len(r) for p, r in zip(recording.pieces, kept, strict=True)]),
+        t=joined("t"),
+        q=joined("q"),
+        qd=joined("qd"),
+        qdd=joined("qdd"),
+        tau=evidence.tau,
+        nominal=evidence.tau - made.before,
+        extended=evidence.tau - made.residual,
+        terms=made.terms,
+        valid=evidence.valid,
+        held_out=evidence.role == ROLES.index("test"),
+    )
+
+
+def _typical_inertia(robot: Robot) -> np.ndarray:
+    """Inertia (n,) that each joint carries in a typical posture [kg m^2; kg]: its torque for unit acceleration."""
+    draw = np.random.default_rng(0)
+    low = np.where(np.isfinite(robot.lower), robot.lower, -1.0)
+    high = np.where(np.isfinite(robot.upper), robot.upper, 1.0)
+    q = draw.uniform(low[:, None], high[:, None], (robot.dofs, 32))
+    weightless = replace(robot, gravity=np.zeros(3))
+    inertia = np.zeros(robot.dofs)
+    for j in range(robot.dofs):
+        unit = np.zeros_like(q)
+        unit[j] = 1.0
+        inertia[j] = np.median(rigid_torque(weightless, Motion(q, 0 * q, unit))[j])
+    return inertia
+
+
+def in_newton_metres(log: Log) -> Log:
+    """The log with torques in N m, where its drive gains are known."""
+    if log.torque_unit != "A" or log.drive_gain is None:
+        return log
+    gain = np.asarray(log.drive_gain)
+    trajectories = tuple(replace(x, tau=x.tau * gain) for x in log.trajectories)
+    return replace(log, torque_unit="N m", trajectories=trajectories)
+
+
+def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
+    """The log with the reference's trajectories beside its own, in a role of their own."""
+    examination = doctor.examine(reference, robot)
+    if not examination.usable:
+        failed = [c.seen for c in examination.checks if c.severity == "fail"]
+        raise LogError(f"the reference cannot be used: {listed(failed)}", advice="another data.reference")
+    reference, notes = doctor.mend(reference, examination, robot)
+    reference, log = in_newton_metres(reference), in_newton_metres(log)
+    if windows is None:
+        share = options.conditioning.train_share
+        cuts = {x.name: x.t[0] + share * (x.t[-1] - x.t[0]) for x in log.trajectories}
+        windows = {
+            "train": [(name, -np.inf, cut) for name, cut in cuts.items()],
+            "test": [(name, cut, np.inf) for name, cut in cuts.items()],
+        }
+    renamed = tuple(replace(x, name=f"reference/{x.name}") for x in reference.trajectories)
+    windows = {**windows, "reference": [(x.name, -np.inf, np.inf) for x in renamed]}
+    return replace(log, trajectories=(*log.trajectories, *renamed)), windows, notes
+
+
+def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:
+    failed = [c for c in examination.checks if c.severity == "fail"]
+    why = failed[0].seen if failed else (notes[-1] if notes else "no trajectory is left")
+    return Diagnosis(
+        verdict="log_unusable",
+        examination=examination,
+        findings=(),
+        baseline={},
+        extended={},
+        noise_floor=None,
+        unexplained={},
+        summary=f"This log cannot be diagnosed: {why.rstrip('.')}. {failed[0].advice if failed else ''}".strip(),
+        notes=tuple(notes),
+    )

@@ -1,0 +1,188 @@
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from invdyn_cli.report.diagnosis_figures import draw_all
+from invdyn_cli.report.diagnosis_page import page, write_report
+from invdyn_cli.report.quantities import gain_text, quantity_text
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import EFFECTS, claims, joints_of, picture, words
+from invdyn_cli.types import Check, Gain, Quantity
+from tests.diagnoses import EVERY_EFFECT, log_unusable, make_diagnosis, nothing_found, quantities
+
+VOID = {"meta", "img", "br"}
+
+
+class Reader(HTMLParser):
+    """Checks that tags close in order, and keeps tags, attributes and text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open, self.tags, self.attributes, self.pieces = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open
+        self.text = " ".join(" ".join(self.pieces).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.pieces.append(data)
+
+
+def placeholders(diagnosis, folder):
+    """Files named as the figures of a diagnosis."""
+    names = ["overview", *(picture(k + 1, x) for k, x in enumerate(claims(diagnosis)))]
+    for name in names:
+        (folder / f"{name}.png").write_bytes(b"PNG")
+    return [folder / f"{name}.png" for name in names]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    diagnosis = make_diagnosis()
+    return diagnosis, write_report(diagnosis, "lbr", placeholders(diagnosis, folder), folder / "report.html")
+
+
+def test_report_is_one_file(written):
+    """The page parses, holds a picture per cause and the overview, and refers to nothing outside of itself."""
+    _, path = written
+    text = path.read_text("utf-8")
+    reader = Reader(text)
+    assert reader.tags.count("img") == 6 and not {"script", "link", "iframe"} & set(reader.tags)
+    assert all(x.startswith("data:image/png;base64,") for name, x in reader.attributes if name == "src")
+    assert not re.search(r"https?:|//[a-z]|url\(|@import", re.sub(r"base64,[^\"]*", "", text))
+
+
+def test_links_lead_somewhere(written):
+    """Every cause in the table leads to its evidence on the page."""
+    attributes = Reader(written[1].read_text("utf-8")).attributes
+    targets = {f"#{x}" for name, x in attributes if name == "id"}
+    assert {x for name, x in attributes if name == "href"} == targets and len(targets) == 5
+
+
+def test_report_says_everything(written):
+    """Summary, notes, every cause in words and by name, estimates, gains, alternatives, advice, rivals, what could not
+    be seen, errors, shares, checks that were not in order, excitation and details are on the page."""
+    diagnosis, path = written
+    text = Reader(path.read_text("utf-8")).text
+    said = [diagnosis.summary, *diagnosis.notes, "4 causes named, 1 ambiguous", "all joints", "71 %", "joint spring"]
+    for x in diagnosis.findings:
+        said += [x.effect, x.advice, words(x.effect)[1:], *(why for _, why in x.rejected)]
+        said += [quantity_text(q) for q in x.parameters.values()] + [gain_text(g) for g in x.gain.values()]
+    for joint in joints_of(diagnosis):
+        said += [significant(diagnosis.baseline[joint]["rmse"]), significant(diagnosis.noise_floor[joint]["rmse"])]
+    said += ["clock jitter", "Stamp the samples", "qdd max rad s2", "Butterworth", "extended_model.json"]
+    assert [x for x in said if x not in text] == []
+    assert "unit error" not in text
+
+
+def test_long_lists_of_rivals_are_folded(written):
+    """Five rivals are folded, two are shown."""
+    text = written[1].read_text("utf-8")
+    assert "<details><summary>5 rivals" in text and "<details open><summary>2 rivals" in text
+
+
+@pytest.mark.parametrize("effect", EVERY_EFFECT)
+def test_every_effect_has_its_law(effect):
+    """The page of any effect of the vocabulary shows its equation, with its own parameters, and parses."""
+    diagnosis = make_diagnosis()
+    finding = replace(claims(diagnosis)[1], effect=effect, parameters=quantities(effect))
+    text = page(replace(diagnosis, findings=(finding,)), "lbr", [])
+    Reader(text)
+    if effect in EFFECTS:
+        assert f'<p class="law">{EFFECTS[effect].law}</p>' in text
+
+
+def test_everything_is_escaped(tmp_path):
+    """Names, reasons, notes and numbers' names that look like HTML are shown and not obeyed."""
+    bad = "<b>x</b>&\"'"
+    diagnosis = make_diagnosis(joints=(bad, "j2", "j3", "j4", "j5", "<i>", "j7"))
+    finding = replace(
+        diagnosis.findings[0],
+        effect=bad,
+        joint=bad,
+        status="ambiguous",
+        alternatives=((bad,),),
+        parameters={bad: Quantity(bad, bad, None)},
+        gain={bad: Gain(1.0, 0.5, 0.1, 0.05, (0.4, 0.6))},
+        trajectory=bad,
+        window=(1.0, 2.0),
+        evidence={bad: bad},
+        rejected=((bad, bad),),
+        advice=bad,
+    )
+    hidden = replace(finding, status="not_excited")
+    checks = (Check(bad, "warn", bad, bad, bad, bad, bad, bad, bad, bad),)
+    examination = replace(diagnosis.examination, checks=checks, excitation={bad: {bad: bad}})
+    diagnosis = replace(
+        diagnosis,
+        findings=(finding, *diagnosis.findings[1:], hidden),
+        summary=bad,
+        notes=(bad,),
+        details={bad: bad},
+        examination=examination,
+    )
+    figures = placeholders(diagnosis, tmp_path)
+    text = write_report(diagnosis, bad, figures, tmp_path / "report.html").read_text("utf-8")
+    reader = Reader(text)
+    assert len(figures) == 6 and "<b>x" not in text and "<td><i></td>" not in text
+    assert reader.tags.count("img") == 6 and reader.text.count(bad) > 15
+
+
+def test_nan_is_a_dash():
+    """Errors, gains, estimates and shares that do not exist leave dashes, and a page that parses."""
+    diagnosis = make_diagnosis()
+    nan = {"rmse": math.nan, "nmse": math.nan}
+    finding = replace(
+        diagnosis.findings[0],
+        parameters={"mass": Quantity(math.nan, "kg", (math.nan, math.nan)), "com": Quantity([math.nan] * 3, "m")},
+        gain={"joint1": Gain(math.nan, math.nan, math.nan, math.nan, (math.nan, math.nan))},
+    )
+    every = joints_of(diagnosis)
+    diagnosis = replace(
+        diagnosis,
+        findings=(finding,),
+        baseline=dict.fromkeys(every, nan),
+        extended=dict.fromkeys(every, nan),
+        unexplained=dict.fromkeys(every, math.nan),
+    )
+    text = Reader(page(diagnosis, "lbr", [])).text
+    assert "nan" not in text.replace("named", "") and "(-, -, -) m" in text
+
+
+def test_an_unusable_log_says_what_to_do(tmp_path):
+    """A log that cannot be used has a page with what fails first, what to do about it, and no causes or usage."""
+    diagnosis = log_unusable()
+    path = write_report(diagnosis, "lbr", draw_all(diagnosis, tmp_path), tmp_path / "report.html")
+    text = Reader(path.read_text("utf-8")).text
+    assert "The log of lbr cannot be diagnosed" in text and "Divide qd by 57.2958" in text and "invdyn check" in text
+    assert text.index("unit error") < text.index("clock jitter")
+    assert not any(x in text for x in ("Causes", "What is gained", "extended_model.json"))
+
+
+def test_nothing_found_is_said(tmp_path):
+    """A diagnosis without causes says so, and that there is no noise floor; there is no model to use."""
+    diagnosis = nothing_found()
+    text = Reader(page(diagnosis, "lbr", draw_all(diagnosis, tmp_path))).text
+    assert "None was found." in text and "no noise floor" in text and "extended_model.json" not in text
+
+
+def test_write_is_all_or_nothing(tmp_path):
+    """A page that cannot be made leaves the old one as it was."""
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    with pytest.raises(FileNotFoundError):
+        write_report(nothing_found(), "lbr", [tmp_path / "overview.png"], path)
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,122 @@
+import io
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from invdyn_cli.report.diagnosis_tables import error_table, finding_table, verdict_line
+from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import claims, joints_of, place
+from invdyn_cli.types import Gain, Quantity
+from tests.diagnoses import JOINTS, log_unusable, make_diagnosis, nothing_found
+
+
+def printed(*things, width: int = 100) -> str:
+    console = Console(width=width, record=True, file=io.StringIO())
+    for x in things:
+        console.print(x)
+    return console.export_text()
+
+
+def test_terminal_says_every_cause():
+    """Every claim is in the table with its joint and its gain, in 100 columns, and no word is cut."""
+    diagnosis = make_diagnosis()
+    text = printed(finding_table(diagnosis))
+    assert max(map(len, text.splitlines())) <= 100 and "…" not in text
+    for x in claims(diagnosis):
+        assert place(x) in text and gain_text(x.gain[best_gain(x.gain)]) in text
+    assert "2.00 N m [1.98, 2.02]" in text and "joint2, of 7 joints" in text
+
+
+def test_ambiguous_causes_say_or():
+    """What the log leaves open is said as 'X or Y', and marked."""
+    cause, joint, *_ = finding_table(make_diagnosis()).columns
+    said = "Torque offset or asymmetric Coulomb friction or joint spring + Coulomb friction"
+    assert str(list(cause.cells)[-1]) == said and str(list(joint.cells)[-1]) == "joint6\nambiguous"
+
+
+def test_blind_spots_are_below_the_table():
+    """What the log could not have shown is named below the table, all joints in two words."""
+    text = " ".join(printed(finding_table(make_diagnosis())).split())
+    assert "Not to be seen in this log: Stribeck friction (joint3" in text and "rotor inertia (all joints)" in text
+
+
+def test_error_table_has_every_number():
+    """Errors before and after, noise floor and unexplained share of every joint are in the table."""
+    diagnosis = make_diagnosis()
+    text = printed(error_table(diagnosis))
+    for joint in joints_of(diagnosis):
+        row = next(line for line in text.splitlines() if line.split()[:1] == [joint])
+        one, other, floor = diagnosis.baseline[joint], diagnosis.extended[joint], diagnosis.noise_floor[joint]
+        shown = [significant(x) for x in (one["rmse"], other["rmse"], floor["rmse"], one["nmse"], other["nmse"])]
+        assert row.split()[1:] == [*shown, f"{100 * diagnosis.unexplained[joint]:.0f}", "%"]
+
+
+def test_names_are_no_markup():
+    """Joints and effects that look like rich's markup are shown as they are, and odd ones still fit."""
+    joints = ("[red]", "[/]", "right_shoulder_pitch_joint_of_the_left_arm", "d", "e", "f", "g")
+    text = printed(finding_table(make_diagnosis(joints=joints)), error_table(make_diagnosis(joints=joints)))
+    assert "[red]" in text and "[/]" in text and max(map(len, text.splitlines())) <= 100
+
+
+def test_verdicts():
+    """The verdict comes in words, then the summary; tables of diagnoses without causes or joints can be printed."""
+    assert printed(verdict_line(make_diagnosis())).startswith("Partly explained. Five causes explain")
+    for diagnosis in (nothing_found(), log_unusable()):
+        text = printed(verdict_line(diagnosis), finding_table(diagnosis), error_table(diagnosis))
+        assert text.startswith(("Nothing found. ", "Log unusable. ")) and "none" in text
+    assert printed(verdict_line(replace(log_unusable(), summary=""))).strip() == "Log unusable."
+
+
+@pytest.mark.parametrize(
+    ("quantity", "text"),
+    [
+        (Quantity(2.0034, "N m", (1.981, 2.021)), "2.00 N m [1.98, 2.02]"),
+        (Quantity(2.0034, "N m", (1.991, 2.015)), "2.003 N m [1.991, 2.015]"),
+        (Quantity(2.0034, "N m", (1.0, 3.0)), "2.0 N m [1.0, 3.0]"),
+        (Quantity(1234.5, "N m/rad", (1100.0, 1400.0)), "1234 N m/rad [1100, 1400]"),
+        (Quantity(2.0034, "N m"), "2.00 N m"),
+        (Quantity(2.0034, "N m", (None, None)), "2.00 N m"),
+        (Quantity(0.006, "s", (0.0057, 0.0063)), "6.0 ms [5.7, 6.3]"),
+        (Quantity(0.3, "kg m^2", (0.25, 0.35)), "0.30 kg m² [0.25, 0.35]"),
+        (Quantity(-0.4, "-", (-0.5, -0.3)), "−0.40 [−0.50, −0.30]"),
+        (Quantity(np.array([0.1, 0.02]), "m", ((0.08, 0.12), (-0.01, 0.05))), "(0.10 ± 0.02, 0.02 ± 0.03) m"),
+        (
+            Quantity([0.1, 0.02, 0.3], "m", ((0, -0.01, 0.2), (0.2, 0.05, 0.4))),
+            "(0.10 ± 0.10, 0.02 ± 0.03, 0.30 ± 0.10) m",
+        ),
+        (Quantity([0.1, 2.0], "m"), "(0.10, 2.00) m"),
+        (Quantity("link4", "-"), "link4"),
+        (Quantity(None, "-"), "-"),
+        (Quantity(math.nan, "N m", (math.nan, math.nan)), "- N m"),
+        (Quantity(1.0, "N m", (0.5, math.inf)), "1.00 N m [0.500, ∞]"),
+        (Quantity(3e-7, "N m", (2e-7, 4e-7)), "3.00e−07 N m [2.00e−07, 4.00e−07]"),
+        (Quantity(0.0, "N m", (-0.1, 0.1)), "0.00 N m [−0.10, 0.10]"),
+    ],
+)
+def test_quantities_are_rounded_by_their_interval(quantity, text):
+    """A value ends where half of its interval has its first digit, or its second after a one; lists likewise."""
+    assert quantity_text(quantity) == text
+
+
+def test_angles_in_degrees():
+    """Angles are said in degrees too, other quantities are not."""
+    assert in_degrees(Quantity(math.pi / 180, "rad", (0.5 * math.pi / 180, 1.5 * math.pi / 180))) == "1.0° [0.5, 1.5]"
+    assert (
+        in_degrees(Quantity(1.0, "N m")) == in_degrees(Quantity([1.0], "rad")) == in_degrees(Quantity("x", "rad")) == ""
+    )
+
+
+def test_units_in_type():
+    """Powers are set high, a pure number has no unit."""
+    assert unit_text("N m s^2/rad^2") == "N m s²/rad²" and unit_text("-") == "" and unit_text("s^-1") == "s⁻¹"
+
+
+def test_best_gain_passes_over_nan():
+    """The joint that gains most is found among those with a number."""
+    some = Gain(1.0, 0.5, 0.0, 0.0, (0.4, 0.6))
+    gains = {JOINTS[0]: replace(some, rmse_before=math.nan), JOINTS[1]: some, JOINTS[2]: replace(some, rmse_after=0.9)}
+    assert best_gain(gains) == JOINTS[1] and best_gain({}) is None
