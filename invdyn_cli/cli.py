@@ -7,6 +7,7 @@ from importlib import import_module
 VERBS = {
     "run": "one experiment, or a sweep with -m: data, model, adaptation",
     "check": "is a measured log sane, what can be mended in it, what does it excite",
+    "diagnose": "what the simulation gets wrong on a log, why, and what mending it is worth",
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
     "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
     "report": "draw the figures and the page of a run.h5 anew",
@@ -21,6 +22,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run model=ffnn data=sim_noisy                one experiment
   invdyn run -m model=pest,ffnn seed=0,1,2            a sweep
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
+  invdyn diagnose data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf
   invdyn run --help                                   all options of a verb
   invdyn --version
 

@@ -1,4 +1,5 @@
-"""RunRecord <-> run.h5 (schema invdyn-run/1), metrics.json (schema invdyn-metrics/1), diagnosis.json. No pickle.
+"""RunRecord <-> run.h5 (schema invdyn-run/1), metrics.json (schema invdyn-metrics/1), diagnosis.json and
+extended_model.json. No pickle.
 
 A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects
 (models, adaptations) are stored as the import path of their class and their fields, and built again by calling it.
@@ -16,8 +17,10 @@ from typing import Any
 import h5py
 import numpy as np
 
+from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
+from invdyn_cli.models import extended
 from invdyn_cli.types import (
     Dataset,
     Diagnosis,
@@ -123,12 +126,15 @@ def _record(tree: dict[str, Any]) -> RunRecord:
     )
 
 
-def load_model(path: str | Path) -> FittedModel:
-    """The fitted model of a run.h5, ready to predict.
+def load_model(path: str | Path) -> FittedModel | ExtendedModel:
+    """The fitted model of a run.h5, or the extended model of an extended_model.json, ready to `predict(q, qd, qdd)`.
 
     Raises:
         RunFileError: as `load_run`; also if the model's class cannot be imported.
+        UsageError: for a .json that is no extended model.
     """
+    if Path(path).suffix == ".json":
+        return extended.load_model(path)
     record = load_run(path)
     return FittedModel(record.model, record.fit)
 
@@ -175,6 +181,12 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "details": diagnosis.details,
     }
     text = json.dumps(plain(tree), indent=1, ensure_ascii=False, allow_nan=False)
+    write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
+
+
+def write_model(model: ExtendedModel, path: Path) -> None:
+    """Write extended_model.json (schema invdyn-model/1), aside and renamed."""
+    text = json.dumps(plain(as_dict(model)), indent=1, ensure_ascii=False, allow_nan=False)
     write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
 
 

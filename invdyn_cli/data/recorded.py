@@ -25,6 +25,7 @@ class RealLog(AbstractSource):
     Attributes:
         path: the log, or several.
         train, validation, test: selections, or None.
+        reference: what `invdyn diagnose` compares with, selections of trajectories or another log; a run ignores it.
         train_share, validation_share: shares of time, where nothing was selected.
         derivatives: "logged"; "positions": central differences of filtered positions; "auto": logged where possible.
         filter_cutoff: [Hz] of the zero-phase low-pass on all channels, None for no filter.
@@ -40,6 +41,7 @@ class RealLog(AbstractSource):
     train: Sequence[str] | None = None
     validation: Sequence[str] | None = None
     test: Sequence[str] | None = None
+    reference: Sequence[str] | str | None = None
     train_share: float = 0.7
     validation_share: float = 0.1
     derivatives: str = "auto"
@@ -54,7 +56,7 @@ class RealLog(AbstractSource):
     needs_robot = False
 
     def __post_init__(self) -> None:
-        for name in ("path", *SETS, "drive_gain"):
+        for name in ("path", *SETS, "reference", "drive_gain"):
             value = getattr(self, name)
             if value is not None:
                 single = isinstance(value, str | int | float | Path)

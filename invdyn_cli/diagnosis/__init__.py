@@ -1,0 +1,5 @@
+"""From a measured log to what its simulation lacks: `diagnose(log, robot)`."""
+
+from invdyn_cli.diagnosis.pipeline import Options, diagnose
+
+__all__ = ["Options", "diagnose"]

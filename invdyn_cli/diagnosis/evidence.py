@@ -131,8 +131,8 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
         block = of[-1] + 1
         rows.append((of, np.full(len(kept), roles.index(piece.role)), np.full(len(kept), number)))
     blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
-    tau = _filtered(recording, [p.tau for p in recording.pieces])
-    torque = _filtered(recording, nominal)
+    tau = filtered(recording, [p.tau for p in recording.pieces])
+    torque = filtered(recording, nominal)
     moving = np.concatenate([_moving(p, recording) for p in recording.pieces], axis=1)
     evidence = Evidence(
         robot, recording, [np.array((tau[j] - torque[j])[:, None]) for j in range(n)], moving.T, blocks, role, piece_of,
@@ -165,7 +165,7 @@ def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: in
         if effect.name in DRY:
             columns.append(np.gradient(columns[0]) * evidence.recording.filter.rate)
         parts.append(np.stack(columns))
-    numbers = evidence.append(joint, list(_filtered(evidence.recording, parts)))
+    numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
     if len(numbers) > len(precision):
         level = np.sqrt(np.mean(evidence.tables[joint][:, 0] ** 2))
         unit = np.sqrt(np.mean(np.concatenate([p[0] for p in parts], axis=-1) ** 2))
@@ -182,14 +182,12 @@ def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: 
         if made:
             return made[0]
         parts = [s[joint].transmitted[None] for s in evidence.states]
-        (column,) = evidence.append(joint, list(_filtered(evidence.recording, parts)))
+        (column,) = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
         return Candidate(effect, joint, shape, {joint: ((), (column,))}, np.zeros(1))
 
     def changed(parameters: Parameters) -> np.ndarray:
-        return _filtered(
-            evidence.recording,
-            [(p.tau[joint] - effect.delivered(parameters, p.tau[joint], rate))[None] for p in evidence.recording.pieces],
-        )[0]
+        parts = [p.tau[joint] - effect.delivered(parameters, p.tau[joint], rate) for p in evidence.recording.pieces]
+        return filtered(evidence.recording, parts, joint)
 
     fixed = changed(shape)
     # its correction may take it farther than the trial
@@ -215,8 +213,8 @@ def _quiet(evidence: Evidence, effect: AbstractChannelEffect, joint: int, shape:
         change = effect.delivered(shape, p.tau[joint] + e, rate) - effect.delivered(shape, p.tau[joint], rate)
         before.append(e)
         after.append(change)
-    ratio = np.var(_filtered(evidence.recording, after)) / max(np.var(_filtered(evidence.recording, before)), 1e-300)
-    return float(max(0.0, 1 - ratio))
+    spread = [np.var(filtered(evidence.recording, x, joint)) for x in (after, before)]
+    return float(max(0.0, 1 - spread[0] / max(spread[1], 1e-300)))
 
 
 def body_candidate(evidence: Evidence, effect: AbstractBodyEffect | AbstractMotionEffect, joint: int | None, at: Parameters) -> Candidate:
@@ -231,7 +229,7 @@ def body_candidate(evidence: Evidence, effect: AbstractBodyEffect | AbstractMoti
         else:
             robot = effect.changed(at, robot, joint)
         changes.append(rigid_torque(robot, motion) - rigid_torque(evidence.robot, Motion(piece.q, piece.qd, piece.qdd)))
-    change = _filtered(evidence.recording, changes)
+    change = filtered(evidence.recording, changes)
     columns = {j: (evidence.append(j, [change[j]]), free) for j, (_, free) in base.columns.items()}
     return replace(base, shape=at, columns=columns)
 
@@ -254,7 +252,7 @@ def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
         columns[own] = chunked(linear, *motion)
         columns[~own] = chunked(gravity, *motion)
         parts.append(columns)
-    columns = _filtered(recording, parts)  # (directions, n, rows)
+    columns = filtered(recording, parts)  # (directions, n, rows)
     k = 0
     for (effect, joint), direction in zip(places, directions, strict=True):
         precision = np.array([1 / scale**2 for *_, scale in direction])
@@ -269,7 +267,7 @@ def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
                     motion = Motion(piece.q, piece.qd, piece.qdd)
                     ends = [rigid_torque(robot, effect.true({"offset": x}, motion, joint)) for x in (STEP, -STEP)]
                     change.append((ends[0] - ends[1]) / (2 * STEP))
-                columns = _filtered(recording, change)
+                columns = filtered(recording, change)
                 where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}
                 evidence.candidates.append(Candidate(effect, joint, {}, where, np.array([1 / 0.3**2])))
 
@@ -311,9 +309,11 @@ def _moving(piece: Piece, recording: Recording) -> np.ndarray:
     return ~recording.filter.spread(rest)
 
 
-def _filtered(recording: Recording, parts: Sequence[np.ndarray]) -> np.ndarray:
-    """(..., T) of every piece, filtered, one behind the other: (..., R)."""
-    return np.concatenate([recording.filter(np.asarray(x)) for x in parts], axis=-1)
+def filtered(recording: Recording, parts: Sequence[np.ndarray], joint: int | None = None) -> np.ndarray:
+    """(..., T) of every piece, filtered as a joint's torque is, one behind the other: (..., R); without a joint
+    (..., n, T) -> (..., n, R)."""
+    each = [recording.filter(x) if joint is None else recording.filter.of(joint, x) for x in parts]
+    return np.concatenate(each, axis=-1)
 
 
 def _last_block(t: np.ndarray) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, _filtered
+from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
 from invdyn_cli.effects.composition import Acting, joint_terms, rigid_torque
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractChannelEffect, AbstractMotionEffect, AbstractTorqueEffect, Parameter
 from invdyn_cli.types import Motion
@@ -95,8 +95,8 @@ class Model:
                         logged = a.effect.delivered(a.parameters, logged, self.rate)
                     else:
                         tau = np.asarray(a.effect.logged(a.parameters, tau, self.rate))
-                parts.append((logged - tau)[None])
-            self._rows[key] = _filtered(self.evidence.recording, parts)[0]
+                parts.append(logged - tau)
+            self._rows[key] = filtered(self.evidence.recording, parts, j)
         return self._rows[key]
 
 
@@ -231,11 +231,11 @@ def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, n
             continue
         assert isinstance(a.effect, AbstractTorqueEffect)
         parts = [
-            np.gradient(np.asarray(a.effect.term(a.parameters, s[a.joint])))[None] * evidence.recording.filter.rate
+            np.gradient(np.asarray(a.effect.term(a.parameters, s[a.joint]))) * evidence.recording.filter.rate
             for s in evidence.states
         ]
         column = np.zeros(evidence.tau.shape)
-        column[:, a.joint] = _filtered(evidence.recording, parts)[0]
+        column[:, a.joint] = filtered(evidence.recording, parts, a.joint)
         columns.append(column)
         precision.append(1 / STICK_TIME**2)
     return np.array(columns).reshape(len(columns), *evidence.tau.shape), np.array(precision)

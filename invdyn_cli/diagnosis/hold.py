@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.evidence import _filtered, _linear, _states
+from invdyn_cli.diagnosis.evidence import _linear, _states, filtered
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
@@ -35,8 +35,8 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
         bodies.append(chunked(linear, piece.q, piece.qd, piece.qdd))
         slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))
         extras.append(np.stack([[s.sign, s.qd, np.ones_like(s.qd), s.qd * abs(s.qd)] for s in states], axis=1))
-    bodies, slopes, extras = (_filtered(recording, x) for x in (bodies, slopes, extras))
-    tau = _filtered(recording, [p.tau for p in recording.pieces])
+    bodies, slopes, extras = (filtered(recording, x) for x in (bodies, slopes, extras))
+    tau = filtered(recording, [p.tau for p in recording.pieces])
     lead, error = np.zeros(n), np.full(n, np.inf)
     for j in range(n):
         x = np.column_stack([slopes[j], *bodies[:, j], *extras[:, j]])
@@ -44,14 +44,14 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
         if not scale[0] > 0:
             continue
         used = scale > 1e-9 * scale.max()
-        left, values, right = linalg.svd(x[:, used] / scale[used], full_matrices=False)
-        kept = values > 1e-6 * values[0]
-        inverse = right[kept].T / values[kept]
-        theta = inverse @ (left[:, kept].T @ tau[j])
-        residual = tau[j] - (x[:, used] / scale[used]) @ theta
+        x = x[:, used] / scale[used]
+        values, vectors = linalg.eigh(x.T @ x)
+        kept = values > 1e-11 * values[-1]
+        inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+        theta = inverse @ (x.T @ tau[j])
+        variance = np.sum((tau[j] - x @ theta) ** 2) / max(len(x) - kept.sum(), 1)
         lead[j] = theta[0] / scale[0]
-        variance = np.sum(residual**2) / max(len(residual) - kept.sum(), 1)
-        error[j] = np.sqrt(variance * np.sum(inverse[0] ** 2)) / scale[0]
+        error[j] = np.sqrt(variance * inverse[0, 0]) / scale[0]
     return lead, error
 
 

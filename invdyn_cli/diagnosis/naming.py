@@ -36,6 +36,18 @@ class Rival:
     why: str
 
 
+def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+    """The hypothesis with the special case in the place of every effect that the data do not ask for in full."""
+    for i, general in enumerate(hypothesis):
+        for c in pool:
+            if clash(general, c) and not any(c.key == e.key for e in hypothesis):
+                simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
+                step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
+                if _chance(step, 0.0) > DOUBT:
+                    return simplified(judge, always, simpler, pool)
+    return hypothesis
+
+
 def rivals(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> list[Rival]:
     """The best trial of every other effect in the place of one, by effect and joint, the strongest first."""
     now = judge.verdict(always + hypothesis)

@@ -93,14 +93,14 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
         if not reach > 0.05:
             continue
         grid = np.arange(4 * np.pi / reach, effect.most, 0.5 * np.pi / reach)
-        power = _power(noise.residual[used, j], q, qd, grid, evidence.recording.filter.cutoff)
+        power = _power(noise.residual[used, j], q, qd, grid, evidence.recording.filter.cutoffs[j])
         power = power / (noise.deviation[j] ** 2 * noise.time[j])
         for _ in range(PEAKS):
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
                 break
             fine = grid[best] + np.linspace(-1, 1, 21) * (grid[1] - grid[0] if len(grid) > 1 else 0.1)
-            sharp = _power(noise.residual[used, j], q, qd, fine, evidence.recording.filter.cutoff)
+            sharp = _power(noise.residual[used, j], q, qd, fine, evidence.recording.filter.cutoffs[j])
             made.append(torque_candidate(evidence, effect, j, {"cycles": float(fine[np.argmax(sharp)])}))
             power[np.abs(grid - grid[best]) < 2 * np.pi / reach] = 0
     return made

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, findings, hold, known, noise, repeats, unexplained
-from invdyn_cli.diagnosis.evidence import Evidence, Recording, gather, trial_at
+from invdyn_cli.diagnosis import doctor, findings, hold, known, naming, noise, repeats, unexplained
+from invdyn_cli.diagnosis.evidence import Evidence, gather, trial_at
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Window, prepare
 from invdyn_cli.diagnosis.search import Hypothesis, Judge, read_all, search
@@ -15,11 +15,11 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, rigid_torque
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.effects.transmission import TorqueRipple
-from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths import metrics
-from invdyn_cli.types import Diagnosis, Examination, Finding, Motion, Robot, Signals
+from invdyn_cli.types import Diagnosis, Examination, Motion, Robot, Signals
 
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
@@ -102,7 +102,7 @@ def diagnose(
         robot=nominal,
         acting=everything,
         intervals=({},) * len(facts) + made.intervals,
-        filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": recording.filter.cutoff},
+        filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
     )
     baseline, extended, score = _scores(evidence, inquiry, made)
@@ -169,6 +169,7 @@ def _inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], opti
         pool = [*pool, *(c for c in trials if not any(c is p for p in pool))]
         judge.refresh()
         hypothesis = search(judge, pool, always, trials, options.most)
+        hypothesis = naming.simplified(judge, always, hypothesis, pool)
         if {c.key for c in hypothesis} == before:
             break
     acting = _acting(judge, always, hypothesis)

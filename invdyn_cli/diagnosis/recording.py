@@ -6,6 +6,7 @@ nothing of the one reaches the other.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from scipy import signal
@@ -16,6 +17,12 @@ from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.maths.signals import lowpass, settling
 
 ROLES = ("train", "test", "reference")
+
+SMALL, NEGLIGIBLE = 0.3, 0.0001
+"""Share of the torque's noise, and of a joint's RMS torque, that the noise of the positions may cost."""
+
+ANSWER = 5
+"""Samples of positions to which a controller's torque is taken to answer at once."""
 
 Window = tuple[str, float, float]
 """A stretch of a trajectory: its name, start and end [s]."""
@@ -28,8 +35,10 @@ class Conditioning:
     Attributes:
         rate: [Hz] of the working clock; slower logs keep their own. Columns are made at this rate and only then
             filtered, so that a reversal is placed within 2 ms.
-        cutoffs: [Hz] of the common low-pass to choose from: the highest at which the noise of the positions, twice
-            differentiated, costs no more torque than the noise of the torque itself.
+        cutoffs: [Hz] of a joint's low-pass to choose from: the highest at which the noise of the positions, twice
+            differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE). Beyond, it would not only
+            drown the torque: a controller answers to the noise of its encoders, and what it then asks for goes
+            with the noise of the regressor.
         smoothing: the motion keeps so many times the bandwidth of the columns.
         max_gap: [s] a longer step parts a trajectory.
         train_share: first share of each trajectory's time that chooses; the rest judges.
@@ -37,7 +46,7 @@ class Conditioning:
     """
 
     rate: float = 250.0
-    cutoffs: tuple[float, ...] = (40.0, 30.0, 22.0, 16.0, 12.0, 9.0, 7.0, 5.0)
+    cutoffs: tuple[float, ...] = (40.0, 30.0, 22.0, 16.0, 12.0, 9.0, 7.0, 5.5, 4.0, 3.0)
     smoothing: float = 4.0
     max_gap: float = 0.1
     train_share: float = 0.7
@@ -62,32 +71,49 @@ class Piece:
 
 @dataclass(frozen=True)
 class Filter:
-    """The zero-phase low-pass that torque and columns pass alike, then every `keep`-th sample, ends cut off."""
+    """The zero-phase low-passes, one for each joint, that its torque and all its columns pass alike; then every `keep`-th
+    sample, the ends cut off.
+
+    Attributes:
+        rate: [Hz] of the working clock.
+        cutoffs: (n,) [Hz].
+        keep: samples of which one is kept.
+    """
 
     rate: float
-    cutoff: float
+    cutoffs: tuple[float, ...]
     keep: int
 
     @property
     def inset(self) -> int:
         """Samples that are cut off at either end."""
-        return settling(self.rate, self.cutoff)
+        return settling(self.rate, min(self.cutoffs))
 
     def rows(self, samples: int) -> np.ndarray:
         """Which samples are kept."""
         return np.arange(self.inset, max(self.inset, samples - self.inset), self.keep)
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """(..., T) -> (..., rows)."""
-        sections = signal.butter(4, self.cutoff, fs=self.rate, output="sos")
-        out = signal.sosfiltfilt(sections, x, axis=-1, padlen=self.inset)
+    def of(self, joint: int, x: np.ndarray) -> np.ndarray:
+        """A joint's columns (..., T) -> (..., rows)."""
+        out = signal.sosfiltfilt(_sections(self.rate, self.cutoffs[joint]), x, axis=-1, padlen=self.inset)
         return out[..., self.rows(x.shape[-1])]
 
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Columns of all joints (..., n, T) -> (..., n, rows)."""
+        return np.stack([self.of(j, x[..., j, :]) for j in range(len(self.cutoffs))], axis=-2)
+
     def spread(self, mask: np.ndarray) -> np.ndarray:
-        """Rows (..., rows) that any True of a mask (..., T) reaches through the filter."""
-        reach = max(1, round(0.5 * self.rate / self.cutoff))
-        wide = signal.convolve(mask.astype(float), np.ones((1,) * (mask.ndim - 1) + (2 * reach + 1,)), mode="same") > 0.5
-        return wide[..., self.rows(mask.shape[-1])]
+        """Rows (n, rows) that any True of a mask (n, T) reaches through the filters."""
+        out = []
+        for row, cutoff in zip(mask, self.cutoffs, strict=True):
+            reach = max(1, round(0.5 * self.rate / cutoff))
+            out.append(signal.convolve(row.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5)
+        return np.array(out)[:, self.rows(mask.shape[-1])]
+
+
+@lru_cache(maxsize=64)
+def _sections(rate: float, cutoff: float) -> np.ndarray:
+    return signal.butter(4, cutoff, fs=rate, output="sos")
 
 
 @dataclass(frozen=True)
@@ -143,14 +169,18 @@ def prepare(
             f"The log is {total:.0f} s long; stretches of {options.stretch:g} s spread evenly over it, "
             f"{options.longest:g} s in all, are looked at."
         )
-    cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 12]
-    position_noise, torque_noise = _noise([q for *_, q, _ in cut]), _noise([tau for *_, tau in cut])
+    cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
+    position_noise = _noise([np.diff(q, 4, axis=1) for *_, q, _ in cut])
+    torque_noise = _noise([_unanswered(q, tau) for *_, q, tau in cut])
     step = max(1, round(1 / (period * options.rate)))
     rate = 1 / (period * step)
     strongest = np.sqrt(np.mean(np.concatenate([tau for *_, tau in cut], axis=1) ** 2, axis=1))
-    cutoff = _cutoff(position_noise, torque_noise, strongest, inertia, period, rate, options)
-    common = Filter(rate, cutoff, max(1, int(rate / (2.5 * cutoff))))
-    smooth = options.smoothing * cutoff
+    cutoffs = [
+        _cutoff(*numbers, period, rate, options)
+        for numbers in zip(position_noise, torque_noise, strongest, inertia, strict=True)
+    ]
+    common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))))
+    smooth = options.smoothing * max(cutoffs)
     pieces = []
     for name, role, t, q, tau in cut:
         if len(t) // step > 3 * common.inset + 8:
@@ -160,7 +190,7 @@ def prepare(
         raise LogError(f"no uninterrupted stretch of the log is long enough; {needed:.2g} s are needed")
     if len(pieces) < len(cut):
         notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
-    details = {"working_rate_Hz": rate, "filter_cutoff_Hz": cutoff, "filter_order": 4, "motion_cutoff_Hz": smooth}
+    details = {"working_rate_Hz": rate, "filter_cutoff_Hz": dict(zip(log.joints, cutoffs, strict=True)), "filter_order": 4, "motion_cutoff_Hz": smooth}
     return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
 
 
@@ -198,22 +228,38 @@ def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float):
     return ticks, q, make_interp_spline(t, tau, k=1, axis=1)(ticks)
 
 
-def _noise(parts: list[np.ndarray]) -> np.ndarray:
-    """Standard deviation (n,) of white noise on smooth signals (n, T): from fourth differences, a median over each
-    tenth so that jumps do not count."""
-    fourth = np.concatenate([np.diff(x, 4, axis=1) for x in parts], axis=1)
-    spread = [np.sqrt(np.mean(part**2, axis=1)) for part in np.array_split(fourth, min(20, fourth.shape[1]), axis=1)]
-    return np.quantile(spread, 0.25, axis=0) / np.sqrt(70)
+def _noise(fourth: list[np.ndarray]) -> np.ndarray:
+    """Standard deviation (n,) of white noise on smooth signals from their fourth differences (n, T): the lower quartile
+    over stretches, so that jumps do not count."""
+    together = np.concatenate(fourth, axis=1)
+    parts = np.array_split(together, min(20, together.shape[1]), axis=1)
+    return np.quantile([np.sqrt(np.mean(part**2, axis=1)) for part in parts], 0.25, axis=0) / np.sqrt(70)
 
 
-def _cutoff(position_noise, torque_noise, strongest, inertia, period, rate, options: Conditioning) -> float:
-    """The highest cut-off at which differentiated position noise costs no more torque than the torque's own noise, or
-    0.2 % of the torque; for half of the joints."""
+def _unanswered(q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Fourth differences of torques (n, T) without what answers to the noise of the positions in the last samples: that
+    is torque which the controller asked for and the joint got."""
+    x, y = np.diff(q, 4, axis=1), np.diff(tau, 4, axis=1)
+    past = np.concatenate([x[:, ANSWER - k : x.shape[1] - k] for k in range(ANSWER + 1)])
+    gram = past @ past.T
+    factors = np.linalg.lstsq(gram, past @ y[:, ANSWER:].T, rcond=1e-12)[0]
+    return y[:, ANSWER:] - factors.T @ past
+
+
+def _cutoff(
+    position_noise: float,
+    torque_noise: float,
+    strongest: float,
+    inertia: float,
+    period: float,
+    rate: float,
+    options: Conditioning,
+) -> float:
+    """A joint's cut-off [Hz], as Conditioning says."""
     possible = [f for f in options.cutoffs if f <= 0.2 * rate] or [min(options.cutoffs[-1], 0.2 * rate)]
     for cutoff in possible:
         acceleration = position_noise * (2 * np.pi) ** 2 * cutoff**2.5 * np.sqrt(2 * period / 5)
-        allowed = np.maximum(torque_noise * np.sqrt(2 * cutoff * period), 0.002 * strongest)
-        if np.median(inertia * acceleration / np.maximum(allowed, 1e-300)) <= 1:
+        if inertia * acceleration <= max(SMALL * torque_noise * np.sqrt(2 * cutoff * period), NEGLIGIBLE * strongest):
             return cutoff
     return possible[-1]
 

@@ -109,7 +109,7 @@ class StribeckFriction(AbstractTorqueEffect):
     parameters = {
         "coulomb": Parameter("N m", 0.0),
         "static": Parameter("N m", 0.0),
-        "velocity": Parameter("rad/s", 1e-3, 1.0),
+        "velocity": Parameter("rad/s", 5e-3, 1.0),
     }
     confounders = (("coulomb_friction",), ("coulomb_friction", "viscous_friction"))
     contains = ("coulomb_friction",)

@@ -1,12 +1,10 @@
 """invdyn check: what the doctor says of a measured log, as a table and as check.json."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from omegaconf import DictConfig
 from rich import box
 from rich.console import Console, Group
@@ -15,15 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from invdyn_cli import store
-from invdyn_cli.data.conditioning import ordered
 from invdyn_cli.data.recorded import RealLog
-from invdyn_cli.data.selection import parse
+from invdyn_cli.data.selection import SETS
 from invdyn_cli.diagnosis import doctor
-from invdyn_cli.errors import LogError, UsageError, listed
-from invdyn_cli.logfile import Log, read_log, trajectory_names
+from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.logfile import Log
 from invdyn_cli.report.tables import significant
-from invdyn_cli.types import Check, Examination, Header, Robot
-from invdyn_cli.verbs import screen
+from invdyn_cli.types import Check, Examination, Header
+from invdyn_cli.verbs import raw, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
 
@@ -43,11 +40,11 @@ def task(config: DictConfig) -> None:
         raise UsageError(f"strict={config.strict}; allowed: true or false")
     folder, console = Path(job().runtime.output_dir), Console()
     screen.use_compilation_cache()
-    logs = read(instantiate(config.data))
+    logs = read(raw.refuse_other(instantiate(config.data)))
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
     robot = make_robot(config, header, optional=True, console=console)
     notes = list(robot.notes) if robot else ["no robot: what needs its kinematics was not looked at"]
-    log = merged(logs, robot, notes)
+    log = raw.merged(logs, robot, notes)
     with screen.stages() as stage:
         report = stage("check")
         report(0.0, f"{len(log.trajectories)} trajectories")
@@ -59,69 +56,23 @@ def task(config: DictConfig) -> None:
     for note in notes:
         console.print(f"[dim]{escape(note)}[/]", highlight=False)
     console.print(shown(examination, mended))
-    console.print(str(_relative(folder)), highlight=False, markup=False, soft_wrap=True)
+    console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)
     if config.strict and not in_sweep() and any(one.severity == "fail" for one in examination.checks):
         raise SystemExit(1)
 
 
-def read(source: Any) -> list[Log]:
-    """The logs that a `RealLog` names, defects and all, with its drive gains; of the trajectories those that its
-    selections name, all where there are none.
+def read(source: RealLog) -> list[Log]:
+    """Its logs, defects and all, with its drive gains; of the trajectories those that its selections name, all where
+    there are none.
 
     Raises:
         LogError: if a log cannot be read, or logs have different joints.
-        UsageError: if the source is no measured log, or a selection cannot be read.
+        UsageError: if a selection cannot be read.
     """
-    if not isinstance(source, RealLog):
-        got = f"data is a {type(source).__name__}"
-        raise UsageError(f"{got}; allowed: a measured log", advice="data=real_log data.path=…")
-    paths = [Path(path).expanduser() for path in source.path]
-    if not paths or len({path.stem for path in paths}) < len(paths):
-        raise UsageError(f"data.path={listed(map(str, paths))}; allowed: one log or more, with different names")
-    label = "{0.stem}/{1}" if len(paths) > 1 else "{1}"
-    keys = {label.format(path, name): (path, name) for path in paths for name in trajectory_names(path)}
-    options = ("train", "validation", "test", "adapt", "reference")
-    asked = {name: value for name in options if isinstance(value := getattr(source, name, None), Sequence)}
-    named = {parse(name, str(text), keys).key for name, texts in asked.items() for text in texts} or set(keys)
-    logs = []
-    for path in paths:
-        log = read_log(path, [name for key, (at, name) in keys.items() if at == path and key in named], check=False)
-        if source.drive_gain is not None and log.torque_unit == "A":
-            log = replace(log, drive_gain=np.asarray(source.drive_gain, float))
-        gain = log.drive_gain
-        if gain is not None and np.shape(gain) != (len(log.joints),):
-            got = f"{path}: drive gains {np.asarray(gain).tolist()}"
-            raise LogError(f"{got}; allowed: {len(log.joints)} numbers [N m/A], one for each joint")
-        names = {name: key for key, (at, name) in keys.items() if at == path}
-        log = replace(log, trajectories=tuple(replace(raw, name=names[raw.name]) for raw in log.trajectories))
-        if logs and log.joints != logs[0].joints:
-            got = f"{path} has joints {listed(log.joints)}, {paths[0]} has {listed(logs[0].joints)}"
-            raise LogError(f"{got}; allowed: logs of one robot")
-        logs.append(log)
-    return logs
-
-
-def merged(logs: Sequence[Log], robot: Robot | None, notes: list[str]) -> Log:
-    """One log of all trajectories, columns in the robot's order, torques in N m where gains are known."""
-    try:
-        logs = [in_newton_metres(ordered(log, robot, notes)) for log in logs]
-    except IndexError as error:
-        got = f"a channel has fewer columns than joint_names: {error}"
-        raise LogError(got, advice="a column for each joint") from error
-    if len({log.torque_unit for log in logs}) > 1:
-        raise LogError("some logs have torques in A without drive gains", advice="data.drive_gain=[…], N m per A")
-    return replace(logs[0], trajectories=tuple(raw for log in logs for raw in log.trajectories))
-
-
-def in_newton_metres(log: Log) -> Log:
-    """The log with currents times their drive gains; as it is where these are not known."""
-    if log.torque_unit != "A" or log.drive_gain is None:
-        return log
-    scaled = tuple(
-        replace(raw, tau=raw.tau * log.drive_gain) if raw.tau.shape[1:] == (len(log.joints),) else raw
-        for raw in log.trajectories
-    )
-    return replace(log, torque_unit="N m", drive_gain=None, trajectories=scaled)
+    keys = raw.keys_of(source.path)
+    options = SETS if raw.reference_files(source, keys) else (*SETS, "reference")
+    named = {block.key for blocks in raw.asked(source, keys, options).values() for block in blocks or ()}
+    return raw.read(keys, named or keys, source.drive_gain)
 
 
 def shown(examination: Examination, mended: Iterable[str]) -> Group:
@@ -179,5 +130,6 @@ def _where(one: Check) -> str:
     return " ".join(x for x in (one.trajectory, one.joint) if x) or "whole log"
 
 
-def _relative(folder: Path) -> Path:
+def relative(folder: Path) -> Path:
+    """The folder as it is called from here."""
     return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder

@@ -2,6 +2,7 @@
 
 import difflib
 import functools
+import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -52,6 +53,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
         places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
         argv.append("hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]")
+    logging.getLogger("hydra").addHandler(logging.NullHandler())  # what cannot be imported is told in our own line
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
     overrides = [a for a in argv if "=" in a and not a.startswith("-")]
     sys.argv = [f"invdyn {verb}", *overrides, *(a for a in argv if a not in overrides)]  # argparse wants them together
@@ -163,8 +165,8 @@ def in_sweep() -> bool:
 
 
 def _cause(error: BaseException) -> BaseException:
-    """The failure that started it all."""
-    while error.__cause__ is not None:
+    """The failure that started it all, or the first that is told in our own words."""
+    while error.__cause__ is not None and not isinstance(error, InvdynError):
         error = error.__cause__
     return error
 

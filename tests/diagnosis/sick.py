@@ -47,11 +47,8 @@ def sound(
     size = tau.std(0)
     tau = tau + size * (coulomb * np.tanh(moved.qd / 0.01) + viscous * moved.qd + noise * rng.normal(size=tau.shape))
     q = moved.q + 1e-5 * rng.normal(size=tau.shape)
-    logged = {
-        "qd": moved.qd + 1e-3 * rng.normal(size=tau.shape),
-        "qdd": moved.qdd,
-        "q_ref": np.roll(moved.q, 2, axis=0),
-    }
+    qd = moved.qd + 1e-3 * rng.normal(size=tau.shape)
+    logged = {"qd": qd, "qdd": moved.qdd, "q_ref": delayed(moved.q, t, -0.02)}
     raw = RawTrajectory("run", t, q, tau, **{c: logged[c] for c in channels})
     return Log(robot.name, robot.joints, "link", "N m", rate, (raw,))
 

@@ -4,13 +4,12 @@ Positions are filtered and differentiated here, so that nothing rests on logged 
 the log (`rows.windows`), cut before they are filtered, and from a few thousand rows of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.rows import is_series, median_step, newton_metres, windows
-from invdyn_cli.interfaces import in_chunks
+from invdyn_cli.diagnosis.checks.rows import is_series, median_step, newton_metres, taken, windows
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.maths.signals import lowpass, resample, settling
@@ -21,6 +20,9 @@ CUTOFF = 6.0
 
 ROWS = 4096
 """Rows that regressions see, one shape to compile: 17 a second of a four-minute log, thinner where it is longer."""
+
+SIZE = 1024
+"""Rows that go through a compiled program at once: always as many, so that each is compiled once."""
 
 SLOW = 0.02
 """[rad/s; m/s] below which the sign of a velocity is noise: sign(qd) is a ramp there, as in `maths.regression`."""
@@ -76,10 +78,10 @@ def stretches(log: Log, cutoff: float = CUTOFF) -> tuple[Stretch, ...]:
         inset = settling(rate, at) if at > 0 else 0
         if raw.name not in series or len(rows) < 3 * inset + 8:
             continue
-        extra = {c: getattr(raw, c) for c in ("qd", "qdd", "q_ref") if getattr(raw, c) is not None}
-        extra = {c: x for c, x in extra.items() if np.isfinite(x[rows]).all()}
-        x = np.concatenate([raw.q, newton_metres(log, raw), *extra.values()], axis=1, dtype=float)[rows]
-        _, x = resample(raw.t[rows], x, rate)
+        window = taken(raw, rows)
+        extra = {c: x for c in ("qd", "qdd", "q_ref") if (x := getattr(window, c)) is not None and np.isfinite(x).all()}
+        x = np.concatenate([window.q, newton_metres(log, window), *extra.values()], axis=1, dtype=float)
+        _, x = resample(window.t, x, rate)
         if len(x) < 3 * inset + 8:
             continue
         q, tau, *others = np.split(lowpass(x, rate, at), 2 + len(extra), axis=1)
@@ -115,8 +117,16 @@ def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] 
 
 def nominal_torque(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """The URDF's torque (T, n) [N m; N] for a motion (T, n), and the part of it that holds the arm against gravity."""
-    still = Motion(motion.q, np.zeros_like(motion.q), np.zeros_like(motion.q))
-    return in_chunks(lambda x: _torque(robot, x), motion), in_chunks(lambda x: _torque(robot, x), still)
+    robot = _nameless(robot)
+    both = []
+    for at in range(0, len(motion), SIZE):
+        part = motion[slice(at, at + SIZE)]
+        padding = ((0, SIZE - len(part)), (0, 0))
+        q, qd, qdd = (np.pad(np.asarray(x), padding, mode="edge").T for x in (part.q, part.qd, part.qdd))
+        both.append([np.asarray(x)[: len(part)] for x in _torques(robot, q, qd, qdd)])
+    nothing = [np.zeros((0, robot.dofs))] * 2
+    nominal, gravity = (np.concatenate(x) for x in zip(*(both or [nothing]), strict=True))
+    return nominal, gravity
 
 
 def reach(robot: Robot, states: int = 256) -> np.ndarray:
@@ -126,6 +136,26 @@ def reach(robot: Robot, states: int = 256) -> np.ndarray:
     return np.sqrt(np.mean(nominal**2, axis=0))
 
 
+def regressor_rows(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """Which rows (SIZE,) of a motion (R, n) were taken, evenly, and their joint-torque regressor (n, SIZE, 10 n): all
+    inertial parameters of all links. Rows of a short motion repeat."""
+    rows = np.linspace(0, len(motion) - 1, SIZE).astype(int)
+    x = np.asarray(_regressor(_nameless(robot), *(np.asarray(x)[rows].T for x in (motion.q, motion.qd, motion.qdd))))
+    return rows, x.reshape(-1, *x.shape[2:]).transpose(1, 2, 0)
+
+
+def _nameless(robot: Robot) -> Robot:
+    """The robot without its words: programs compiled for one chain then serve all of its length."""
+    return replace(robot, name="", urdf="", notes=(), joints=tuple(map(str, range(robot.dofs))))
+
+
 @jax.jit
-def _torque(robot: Robot, motion: Motion):
-    return rigid_body.inverse_dynamics(robot, robot.inertial, motion.q.T, motion.qd.T, motion.qdd.T).T
+def _regressor(robot: Robot, q, qd, qdd):
+    return rigid_body.regressor(robot, q, qd, qdd)
+
+
+@jax.jit
+def _torques(robot: Robot, q, qd, qdd):
+    nominal = rigid_body.inverse_dynamics(robot, robot.inertial, q, qd, qdd)
+    still = jax.numpy.zeros_like(q)
+    return nominal.T, rigid_body.inverse_dynamics(robot, robot.inertial, q, still, still).T

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Evidence, Stretch, gather, stretches
+from invdyn_cli.diagnosis.checks.evidence import SIZE, Evidence, Stretch, gather, regressor_rows, stretches
 from invdyn_cli.logfile import Log
-from invdyn_cli.maths import regression
-from invdyn_cli.types import Dataset, Robot, Trajectory
+from invdyn_cli.maths import rigid_body
+from invdyn_cli.types import Motion, Robot
 
 
 @dataclass(frozen=True)
@@ -156,12 +156,14 @@ DIRECTED = ("coulomb_friction", "asymmetric_coulomb_friction", "backlash", "pres
 def condition_number(evidence: Evidence, robot: Robot) -> float:
     """Largest over smallest singular value of the regressor's identifiable part, columns in SI units (Gautier, Khalil
     1992: below 100 to 1000 parameters come out well); infinite where the motion leaves a direction out."""
-    motion = evidence.motion
-    one = Trajectory("all", np.arange(len(motion), dtype=float), motion, evidence.tau)
-    data = Dataset((one,), robot.joints, robot)
-    values = regression.solve(regression.Design(robot, (), np.ones(robot.dofs)), data, 0.0).singular_values
-    real = values[values > 1e-10 * values[0]]
-    return float(values[0] / real[-1]) if len(real) == len(values) and values[0] > 0 else float("inf")
+    q, qd, qdd = rigid_body.random_states(robot, SIZE, seed=0)
+    anywhere = regressor_rows(robot, Motion(q.T, qd.T, qdd.T))[1]
+    anywhere = anywhere[:, ::4].reshape(-1, anywhere.shape[2])
+    _, scale, directions = np.linalg.svd(np.linalg.qr(anywhere, mode="r"))
+    possible = directions[scale > 1e-10 * scale[0]].T
+    here = regressor_rows(robot, evidence.motion)[1]
+    values = np.linalg.svd(np.linalg.qr(here.reshape(-1, here.shape[2]) @ possible, mode="r"), compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 1e-10 * values[0] else float("inf")
 
 
 def _ends(x: np.ndarray) -> list[float]:

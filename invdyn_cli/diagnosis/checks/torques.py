@@ -182,7 +182,7 @@ class JointOrder(AbstractCheck):
         return kept, said
 
     def _whole(self, evidence: Evidence, robot: Robot) -> tuple[list[int] | None, str, float]:
-        """The order of all columns that fits best, None where it is no clear gain; how it was told, how well it fits."""
+        """The order of all columns that fits best, None where it gains little; in words, and how well it fits."""
         rows = slice(None, None, max(1, len(evidence.tau) // 1024))
         n = evidence.tau.shape[1]
 

@@ -1,0 +1,163 @@
+"""extended_model.json <-> a robot with effects on it, usable at once: `invdyn-model/1`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting, body_torque, channel, joint_terms, rigid_torque, sign_of
+from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractMotionEffect, JointState
+from invdyn_cli.types import Array, Motion, Robot
+
+SCHEMA = "invdyn-model/1"
+SHARP = 1e-3
+"""[rad/s] Within it sign(qd) runs straight through zero."""
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """A nominal robot, and what a diagnosis found beside it.
+
+    Attributes:
+        robot: the nominal robot.
+        acting: effects with their parameters, in any order: they are composed as `effects.composition` says.
+        intervals: per effect {parameter: (value, lower, upper)}, {} where it was declared.
+        filter: what the parameters were found behind.
+        provenance: of which log.
+    """
+
+    robot: Robot
+    acting: tuple[Acting, ...]
+    intervals: tuple[Mapping[str, tuple], ...] = ()
+    filter: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def apply(self, motion: Motion, t: Array | float = 0.0) -> Array:
+        """Torque (n,) of one sample, without what a single sample cannot show (delay and lag); pure jax."""
+        body = body_torque(self.robot, self.acting, motion)
+        out = []
+        for j in range(self.robot.dofs):
+            sign = sign_of(jnp.asarray(motion.qd[j]), SHARP)
+            state = JointState(jnp.asarray(t), motion.q[j], motion.qd[j], motion.qdd[j], sign, body[j])
+            tau = body[j] + sum(joint_terms(self.acting, j, state))
+            for one in self.acting:
+                if one.joint == j and one.effect.name in ("torque_gain_error", "torque_saturation"):
+                    tau = one.effect.logged(one.parameters, tau, 1.0)  # type: ignore[attr-defined]
+            out.append(tau)
+        return jnp.stack(out)
+
+    def predict(self, q: Array, qd: Array, qdd: Array, t: Array | None = None) -> np.ndarray:
+        """Logged torque (T, n) [N m; N] of one recording (T, n), delays and lags included.
+
+        Args:
+            t: (T,) [s]; None: the clock that makes qd the derivative of q.
+        """
+        q, qd, qdd = (np.asarray(x, float).T for x in (q, qd, qdd))
+        t = period_of(q, qd) * np.arange(q.shape[1]) if t is None else np.asarray(t, float)
+        rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
+        robot, motion = self.robot, Motion(q, qd, qdd)
+        for one in self.acting:
+            if isinstance(one.effect, AbstractMotionEffect):
+                assert one.joint is not None
+                motion = one.effect.true(one.parameters, motion, one.joint)
+            elif isinstance(one.effect, AbstractBodyEffect):
+                robot = one.effect.changed(one.parameters, robot, one.joint)
+        body = rigid_torque(robot, motion)
+        out = np.empty_like(body)
+        for j in range(len(body)):
+            state = JointState(t, q[j], qd[j], qdd[j], sign_of(qd[j], SHARP), body[j])
+            tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, state))
+            out[j] = channel(self.acting, j, tau, rate) if len(t) > 3 else tau
+        return out.T
+
+
+def period_of(q: np.ndarray, qd: np.ndarray) -> float:
+    """The sampling period [s] of a motion (n, T) that was sampled evenly: the factor from qd to the steps of q."""
+    if q.shape[1] < 3:
+        return 1e-3
+    steps, speed = (q[:, 2:] - q[:, :-2]).ravel() / 2, qd[:, 1:-1].ravel()
+    squares = float(speed @ speed)
+    return max(float(steps @ speed) / squares, 1e-6) if squares > 0 else 1e-3
+
+
+def as_dict(model: ExtendedModel) -> dict[str, Any]:
+    """What extended_model.json holds."""
+    robot = {f.name: _plain(getattr(model.robot, f.name)) for f in fields(Robot) if f.name != "urdf"}
+    rows = []
+    intervals = model.intervals or ({},) * len(model.acting)
+    for one, ends in zip(model.acting, intervals, strict=True):
+        rows.append(
+            {
+                "effect": one.effect.name,
+                "acts_on": one.effect.point,
+                "joint": None if one.joint is None else model.robot.joints[one.joint],
+                "parameters": {
+                    name: {
+                        "value": _plain(value),
+                        "unit": one.effect.parameters[name].unit,
+                        "interval95": [_plain(x) for x in ends[name][1:]] if name in ends else None,
+                    }
+                    for name, value in one.parameters.items()
+                },
+            }
+        )
+    return {
+        "schema": SCHEMA,
+        "robot": robot,
+        "urdf": model.robot.urdf,
+        "order": ["motion", "body", "torque", "channel"],
+        "effects": rows,
+        "filter": dict(model.filter),
+        "provenance": dict(model.provenance),
+    }
+
+
+def from_dict(stored: Mapping[str, Any], where: str = "the model") -> ExtendedModel:
+    """The model of an extended_model.json.
+
+    Raises:
+        UsageError: if it is none, or names an effect that there is not.
+    """
+    if not isinstance(stored, Mapping) or stored.get("schema") != SCHEMA:
+        got = stored.get("schema") if isinstance(stored, Mapping) else type(stored).__name__
+        raise UsageError(f"{where}: schema is {got!r}; allowed: {SCHEMA}", advice="an extended_model.json of diagnose")
+    try:
+        values = {k: _numbers(v) for k, v in stored["robot"].items()}
+        for name in ("joints", "parents", "prismatic", "notes"):
+            values[name] = tuple(stored["robot"][name])
+        robot = Robot(**values, urdf=stored.get("urdf", ""))
+        acting, intervals = [], []
+        for row in stored["effects"]:
+            name = row["effect"]
+            if name not in EFFECTS:
+                raise UsageError(f"{where}: no effect {name!r}{closest(name, EFFECTS)}; allowed: {listed(EFFECTS)}")
+            joint = None if row["joint"] is None else robot.joints.index(row["joint"])
+            parameters = {k: _numbers(v["value"]) for k, v in row["parameters"].items()}
+            acting.append(Acting(EFFECTS[name], joint, parameters))
+            ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
+            intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(f"{where} lacks {error}", advice="the file as invdyn diagnose wrote it") from error
+    return ExtendedModel(robot, tuple(acting), tuple(intervals), stored.get("filter", {}), stored.get("provenance", {}))
+
+
+def _plain(value: Any) -> Any:
+    """Numbers as JSON has them; infinite ones as text."""
+    if isinstance(value, str | bool | int) or value is None:
+        return value
+    if isinstance(value, tuple | list):
+        return [_plain(x) for x in value]
+    array = np.asarray(value, float)
+    return [_plain(x) for x in array] if array.ndim else (float(array) if np.isfinite(array) else str(float(array)))
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, list):
+        return np.asarray([_numbers(x) for x in value])
+    if value in ("inf", "-inf", "nan"):
+        return float(value)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else value

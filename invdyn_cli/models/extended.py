@@ -1,0 +1,132 @@
+"""model=extended: what a diagnosis found, as a model among others: tau of the extended_model.json, nothing learned.
+
+The text of the file is a field of the model, so that a run.h5 stays whole when the file is gone.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.description import ExtendedModel, from_dict
+from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+HINT = "the extended_model.json in the folder that `invdyn diagnose` printed last"
+
+
+@dataclass(frozen=True)
+class Extended(AbstractModel):
+    """A robot with the effects that were found on it. It brings its own robot; `read` makes it from a file.
+
+    Parameters are the effects': {"0_coulomb_friction": {"coulomb": (), …}, …}, so that an adaptation can go on from
+    them.
+
+    Attributes:
+        text: what the extended_model.json holds.
+        path: where it was read from, for the record.
+    """
+
+    text: str
+    path: str = ""
+
+    needs_robot = False
+
+    def __post_init__(self) -> None:
+        _parsed(self.text, self.path or "the model")
+
+    @property
+    def model(self) -> ExtendedModel:
+        """The robot with its effects, as the file has them."""
+        return _parsed(self.text, self.path or "the model")
+
+    def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
+        """The file's parameters: there is nothing to learn."""
+        return {
+            _name(i, one): {k: np.asarray(v, float) for k, v in one.parameters.items() if _is_number(v)}
+            for i, one in enumerate(self.model.acting)
+        }
+
+    def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
+        """Torque (n,) of one sample; delays and lags, which need a history, are left out."""
+        return self._with(params, jnp.asarray).apply(jax.tree.map(jnp.asarray, motion))
+
+    def fit(
+        self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
+    ) -> Fit:
+        """What the file says.
+
+        Raises:
+            UsageError: if the data are of other joints than the model.
+        """
+        joints = self.model.robot.joints
+        if dataset.joints != joints:
+            got = f"{self.path or 'the model'} has joints {listed(joints)}, the data have {listed(dataset.joints)}"
+            raise UsageError(f"{got}; allowed: the same, in one order", advice="the robot=… that diagnose was given")
+        params = self.init(dataset, key)
+        count = sum(np.size(x) for x in jax.tree.leaves(params))
+        return Fit(params=params, robot=self.model.robot, joints=joints, parameters=int(count))
+
+    def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
+        """Torques (T, n) of one recording, delays and lags included; the clock is the one that makes qd the derivative
+        of q, and starts with the motion."""
+        return self._with(fit.params, _plain).predict(motion.q, motion.qd, motion.qdd)
+
+    def _with(self, params: PyTree, as_array: Any) -> ExtendedModel:
+        """The model with these parameters in the place of the file's."""
+        acting = [
+            replace(one, parameters={**one.parameters, **{k: as_array(v) for k, v in params[_name(i, one)].items()}})
+            for i, one in enumerate(self.model.acting)
+        ]
+        return replace(self.model, acting=tuple(acting))
+
+
+def read(path: str) -> Extended:
+    """The model of an extended_model.json.
+
+    Raises:
+        UsageError: if there is no such file, or it holds no such model.
+    """
+    where = Path(str(path)).expanduser()
+    try:
+        text = where.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"model.path={path}: {error.strerror or error}", advice=HINT) from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"model.path={path} is no text", advice=HINT) from error
+    return Extended(text, str(where))
+
+
+def load_model(path: str | Path) -> ExtendedModel:
+    """The robot with its effects, ready to `predict(q, qd, qdd, t=None)`; UsageError as `read` gives."""
+    return read(str(path)).model
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str, where: str) -> ExtendedModel:
+    try:
+        stored = json.loads(text)
+    except ValueError as error:
+        raise UsageError(f"{where} is no JSON ({error})", advice=HINT) from error
+    return from_dict(stored, where)
+
+
+def _name(index: int, one: Acting) -> str:
+    return f"{index}_{one.effect.name}"
+
+
+def _is_number(value: Any) -> bool:
+    return np.asarray(value).dtype.kind in "fi"
+
+
+def _plain(value: Any) -> Any:
+    """A parameter as the file gives it: a float, or an array of numpy."""
+    array = np.asarray(value, float)
+    return array if array.ndim else float(array)

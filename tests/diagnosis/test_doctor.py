@@ -1,0 +1,291 @@
+"""The doctor finds every defect that was made, with its size, and takes no sound log or ordinary effect for one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.evidence import nominal_torque
+from invdyn_cli.errors import RobotError
+from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Motion
+from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
+
+NAMES = {
+    "unit_error", "sign_error", "joint_order", "time_offset", "clock_jitter", "gaps", "duplicates",
+    "derivative_consistency", "quantisation", "saturation", "outliers", "gravity_removed",
+    "command_copies_measurement", "not_moving", "too_short", "not_finite", "model_mismatch",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The built-in arm, all seven joints."""
+    return load_urdf("apollo_arm")
+
+
+@pytest.fixture(scope="module")
+def log(arm):
+    """A sound log of it, 30 s at 200 Hz."""
+    return sound(arm)
+
+
+def test_a_sound_log_is_sound(log, arm):
+    """Nothing to warn of; every name of DESIGN section 5 is there, so that a reader sees what was looked at."""
+    examination = doctor.examine(log, arm)
+    assert examination.usable
+    assert alarms(examination) == {}
+    assert {c.check for c in examination.checks} == NAMES
+    mended, notes = doctor.mend(log, examination, arm)
+    assert notes == ()
+    assert mended.trajectories == log.trajectories
+
+
+def one_delayed(log: Log) -> np.ndarray:
+    tau = log.trajectories[0].tau.copy()
+    tau[:, 1] = delayed(tau[:, 1], log.trajectories[0].t, 0.008)
+    return tau
+
+
+EFFECTS = {
+    "gain": lambda log: log.trajectories[0].tau * np.array([1, 1, 0.8, 1, 1, 1, 1]),
+    "offset": lambda log: log.trajectories[0].tau + 0.3 * log.trajectories[0].tau.std(0),
+    "delay of one joint": one_delayed,
+}
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_effects_are_no_defects(effect, log, arm):
+    """A gain of 0.8, offsets, 8 ms on one joint: to be found later, not by the doctor."""
+    assert alarms(doctor.examine(changed(log, tau=EFFECTS[effect](log)), arm)) == {}
+
+
+def test_strong_friction_is_no_defect(arm):
+    """Friction of half the torque's spread, Coulomb and viscous, raises nothing."""
+    assert alarms(doctor.examine(sound(arm, 3, coulomb=0.5, viscous=0.5), arm)) == {}
+
+
+def test_a_payload_is_no_defect(arm):
+    """A kilogram, a decimetre off the flange's axis, that the URDF does not know of raises nothing."""
+    inertial = np.array(arm.inertial)
+    inertial[-1] += [1, 0, 0, 0.1, 0.01, 0, 0.01, 0, 0, 0]
+    assert alarms(doctor.examine(sound(arm, 4, truth=replace(arm, inertial=inertial)), arm)) == {}
+
+
+def order(*pairs: tuple[int, int]) -> list[int]:
+    columns = list(range(7))
+    for a, b in pairs:
+        columns[a], columns[b] = columns[b], columns[a]
+    return columns
+
+
+def without_gravity(log: Log, arm) -> np.ndarray:
+    raw = log.trajectories[0]
+    still = np.zeros_like(raw.q)
+    return raw.tau - nominal_torque(arm, Motion(raw.q, still, still))[0]
+
+
+def spoiled(log: Log, arm, how: str) -> Log:
+    raw = log.trajectories[0]
+    q, qd, tau, t = raw.q, raw.qd, raw.tau, raw.t
+    assert qd is not None
+    swapped = order((1, 3))
+    return changed(log, **{
+        "q in degrees": {"q": np.rad2deg(q)},
+        "q converted twice": {"q": np.deg2rad(q)},
+        "qd in degrees": {"qd": np.rad2deg(qd)},
+        "qd in rpm": {"qd": qd * 30 / np.pi},
+        "t in ms": {"t": 1e3 * t},
+        "mN m": {"tau": 1e3 * tau},
+        "kN m": {"tau": 1e-3 * tau},
+        "all signs": {"tau": -tau},
+        "one sign": {"tau": tau * np.array([1, -1, 1, 1, 1, 1, 1])},
+        "torques swapped": {"tau": tau[:, swapped]},
+        "joints swapped": {"tau": tau[:, swapped], "q": q[:, swapped], "qd": qd[:, swapped]},
+        "no gravity": {"tau": without_gravity(log, arm)},
+    }[how])  # fmt: skip
+
+
+SPOILED = {
+    "q in degrees": ("unit_error", 57.29578),
+    "q converted twice": ("unit_error", 0.01745329),
+    "qd in degrees": ("unit_error", 57.29578),
+    "qd in rpm": ("unit_error", 9.549297),
+    "t in ms": ("unit_error", 1000),
+    "mN m": ("unit_error", 1000),
+    "kN m": ("unit_error", 0.001),
+    "all signs": ("sign_error", -1),
+    "one sign": ("sign_error", -1),
+    "torques swapped": ("joint_order", order((1, 3))),
+    "joints swapped": ("joint_order", order((1, 3))),
+}
+
+
+@pytest.mark.parametrize("how", SPOILED)
+def test_units_signs_and_orders_are_found_and_mended(how, log, arm):
+    """Each is found with its size, nothing else is made of it, and mending gives the sound log back, with one word."""
+    name, value = SPOILED[how]
+    bad = spoiled(log, arm, how)
+    examination = doctor.examine(bad, arm)
+    assert set(alarms(examination)) == {name}
+    (found,) = seen(examination, name)
+    assert found.value == pytest.approx(value, rel=0.05)
+    assert examination.usable
+    mended, notes = doctor.mend(bad, examination, arm)
+    assert len(notes) == 1
+    for channel in ("t", "q", "qd", "tau"):
+        now, before = getattr(mended.trajectories[0], channel), getattr(log.trajectories[0], channel)
+        np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12)
+
+
+def test_the_flipped_joint_is_named(log, arm):
+    """A single reversed torque is that joint's, all of them are nobody's."""
+    (one,) = seen(doctor.examine(spoiled(log, arm, "one sign"), arm), "sign_error")
+    (every,) = seen(doctor.examine(spoiled(log, arm, "all signs"), arm), "sign_error")
+    assert (one.joint, every.joint) == (arm.joints[1], None)
+
+
+def test_gravity_that_is_removed_is_declared(log, arm):
+    """Torques without gravity are found; mending leaves them, and says so in the log's `compensated`."""
+    bad = spoiled(log, arm, "no gravity")
+    examination = doctor.examine(bad, arm)
+    assert set(alarms(examination)) == {"gravity_removed"}
+    mended, _ = doctor.mend(bad, examination, arm)
+    assert mended.compensated == ("gravity",)
+    assert alarms(doctor.examine(mended, arm)) == {}
+
+
+@pytest.mark.parametrize("seconds", [0.03, -0.012])
+def test_an_offset_of_all_torques_is_found_and_mended(seconds, log, arm):
+    """30 ms late or 12 ms early: found within 1 ms, gone after mending."""
+    raw = log.trajectories[0]
+    bad = changed(log, tau=delayed(raw.tau, raw.t, seconds))
+    examination = doctor.examine(bad, arm)
+    (found,) = seen(examination, "time_offset", least="warn")
+    assert found.value == pytest.approx(seconds, abs=1e-3)
+    mended, _ = doctor.mend(bad, examination, arm)
+    assert seen(doctor.examine(mended, arm), "time_offset", least="warn") == []
+
+
+def test_currents_look_like_currents(log, arm):
+    """Torques over a gain of each joint's own are told as such, and left alone."""
+    bad = changed(log, tau=log.trajectories[0].tau / np.linspace(8, 40, 7))
+    examination = doctor.examine(bad, arm)
+    (found,) = seen(examination, "unit_error")
+    assert found.severity == "warn" and "currents" in found.meaning
+    assert doctor.mend(bad, examination, arm)[1] == ()
+
+
+def test_currents_without_gains_get_some_suggested(log, arm):
+    """torque_unit A without gains is not usable; the gains that the nominal torques suggest are those of the log."""
+    bad = replace(changed(log, tau=log.trajectories[0].tau / 20), torque_unit="A")
+    examination = doctor.examine(bad, arm)
+    assert not examination.usable
+    assert f"{arm.joints[1]} 20" in seen(examination, "unit_error")[0].seen
+
+
+def test_a_torque_that_is_noise_is_no_torque(log, arm):
+    """Noise of the right size fails as a mismatch: no inertials explain it."""
+    tau = np.random.default_rng(0).normal(size=log.trajectories[0].tau.shape) * log.trajectories[0].tau.std(0)
+    examination = doctor.examine(changed(log, tau=tau), arm)
+    assert not examination.usable
+    assert set(alarms(examination)) == {"model_mismatch"}
+
+
+def test_a_computed_torque_is_no_measurement(arm):
+    """Inverse dynamics logged as torque is recognised; so are positions that are their own command."""
+    examination = doctor.examine(sound(arm, coulomb=0, viscous=0, noise=0), arm)
+    assert set(alarms(examination)) == {"command_copies_measurement"}
+    log = sound(arm)
+    copied = changed(log, q_ref=log.trajectories[0].q.copy())
+    assert set(alarms(doctor.examine(copied, arm))) == {"command_copies_measurement"}
+
+
+def hopeless(raw: RawTrajectory) -> dict[str, dict]:
+    still = np.ones_like(raw.q)
+    nan = np.full_like(raw.q, np.nan)
+    few = slice(0, 100)
+    return {
+        "all zero": {"q": 0 * raw.q, "qd": 0 * raw.q, "tau": 0 * raw.q},
+        "constant": {"q": 0.3 * still, "qd": 0 * raw.q, "tau": still},
+        "torque zero": {"tau": 0 * raw.tau},
+        "torque NaN": {"tau": nan},
+        "everything NaN": {"t": np.full_like(raw.t, np.nan), "q": nan, "qd": nan, "tau": nan},
+        "clock stands": {"t": 0 * raw.t},
+        "half a second": {c: getattr(raw, c)[few] for c in ("t", "q", "qd", "tau")},
+        "one row": {c: getattr(raw, c)[:1] for c in ("t", "q", "qd", "tau")},
+        "rows missing": {"tau": raw.tau[:-1]},
+        "columns missing": {"tau": raw.tau[:, :-1]},
+        "huge": {"q": 1e300 * raw.q},
+    }
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["robot", "no robot"])
+@pytest.mark.parametrize(
+    "how", hopeless(RawTrajectory("", np.zeros(2), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1))))
+)
+def test_hopeless_logs_are_described(how, known, log, arm):
+    """No readable log makes the doctor raise or stumble; what cannot be computed with is not usable and says why."""
+    bad = changed(log, **hopeless(log.trajectories[0])[how])
+    robot = arm if known else None
+    examination = doctor.examine(bad, robot)
+    mended, _ = doctor.mend(bad, examination, robot)
+    assert [c for c in examination.checks if c.meaning == doctor.FAULT] == []
+    assert any(c.severity == "fail" for c in examination.checks) or how == "huge"
+    if how != "huge":
+        assert not examination.usable
+    if mended.trajectories:
+        refuse_defects(mended)
+
+
+def test_a_log_without_trajectories(log, arm):
+    """An empty log is described too."""
+    assert not doctor.examine(replace(log, trajectories=()), arm).usable
+
+
+def test_another_number_of_joints_is_refused(log, apollo4):
+    """A robot that cannot be the log's is a failure of use, in one line."""
+    with pytest.raises(RobotError, match="moves 4 joints, the log has 7"):
+        doctor.examine(log, apollo4)
+
+
+def test_one_joint_moving(log, arm):
+    """Joints that stand are noted, each; the log stays usable, and says what it cannot show on them."""
+    raw = log.trajectories[0]
+    assert raw.qd is not None
+    still = np.arange(7) != 1
+    q, qd = np.where(still, 0.3, raw.q), np.where(still, 0.0, raw.qd)
+    qdd = np.gradient(qd, 1 / log.rate, axis=0)
+    tau = nominal_torque(arm, Motion(q, qd, qdd))[0] + 0.01 * np.random.default_rng(0).normal(size=q.shape)
+    examination = doctor.examine(changed(log, q=q, qd=qd, tau=tau), arm)
+    assert examination.usable
+    assert {c.joint for c in seen(examination, "not_moving")} == set(np.array(arm.joints)[still])
+    assert "coulomb_friction" in examination.excitation[arm.joints[0]]["cannot_show"]
+    assert "coulomb_friction" not in examination.excitation[arm.joints[1]]["cannot_show"]
+
+
+def test_excitation_tells_what_the_motion_was(log, arm):
+    """Ranges and reversals per joint, and the condition of the whole arm's regressor."""
+    examination = doctor.examine(log, arm)
+    raw = log.trajectories[0]
+    assert list(examination.excitation) == list(arm.joints)
+    for j, joint in enumerate(arm.joints):
+        numbers = examination.excitation[joint]
+        np.testing.assert_allclose(numbers["q"], [raw.q[:, j].min(), raw.q[:, j].max()], atol=0.05)
+        assert raw.qd is not None
+        turns = np.sum(np.diff(np.sign(raw.qd[np.abs(raw.qd[:, j]) > 0.005, j])) != 0)
+        assert abs(numbers["reversals"] - turns) <= 2
+        assert 1 < numbers["condition"] < 1000
+
+
+def test_without_reversals_friction_is_an_offset(arm):
+    """A joint that only moves forward cannot tell Coulomb friction from an offset, and the excitation says why."""
+    base = sound(arm, seconds=20)
+    raw = base.trajectories[0]
+    q = raw.q.copy()
+    q[:, 0] = -1 + 0.1 * raw.t + 0.02 * np.sin(raw.t)
+    numbers = doctor.examine(changed(base, q=q, qd=None), None).excitation[arm.joints[0]]
+    assert numbers["reversals"] == 0
+    assert "offset" in numbers["cannot_show"]["coulomb_friction"]

@@ -1,0 +1,226 @@
+"""Defects of rows and clocks: found, counted, mended; each was put into a sound log by the test."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.rows import taken
+from invdyn_cli.logfile import refuse_defects
+from invdyn_cli.robots import load_urdf
+from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The built-in arm, all seven joints."""
+    return load_urdf("apollo_arm")
+
+
+@pytest.fixture(scope="module")
+def log(arm):
+    """A sound log of it, 30 s at 200 Hz."""
+    return sound(arm)
+
+
+def test_missing_values(log, arm):
+    """Rows with NaN are counted per channel; short holes are dropped, long ones part the trajectory."""
+    raw = log.trajectories[0]
+    tau = raw.tau.copy()
+    tau[100, 2] = np.nan
+    tau[3000:3400] = np.inf
+    bad = changed(log, tau=tau)
+    examination = doctor.examine(bad, arm)
+    assert [c.value for c in seen(examination, "not_finite")] == [401]
+    assert examination.usable
+    mended, _ = doctor.mend(bad, examination, arm)
+    refuse_defects(mended)
+    assert [(x.name, len(x.t)) for x in mended.trajectories] == [("run.1", 2999), ("run.2", 2600)]
+
+
+def test_an_empty_channel_is_left_out(log, arm):
+    """Velocities that are all NaN cost the channel, not the rows."""
+    bad = changed(log, qd=np.full_like(log.trajectories[0].q, np.nan))
+    mended, notes = doctor.mend(bad, doctor.examine(bad, arm), arm)
+    assert mended.trajectories[0].qd is None
+    assert len(mended.trajectories[0].t) == len(log.trajectories[0].t)
+    assert "without the channel qd" in notes[0]
+
+
+def test_repeated_rows(log, arm):
+    """Samples that were held while the arm moved are counted and dropped."""
+    raw = log.trajectories[0]
+    rows = np.arange(len(raw.t))
+    held = np.sort(np.random.default_rng(1).choice(rows[100:-100:3], 200, replace=False))
+    rows[held] = held - 1
+    bad = changed(log, q=raw.q[rows], qd=raw.qd[rows], tau=raw.tau[rows])
+    examination = doctor.examine(bad, arm)
+    (found,) = seen(examination, "duplicates", least="warn")
+    assert 150 <= found.value <= 200
+    mended, _ = doctor.mend(bad, examination, arm)
+    assert len(mended.trajectories[0].t) == len(raw.t) - found.value
+
+
+def test_a_clock_that_stands_and_runs_backwards(log, arm):
+    """Such rows are dropped, and nothing else."""
+    t = log.trajectories[0].t.copy()
+    t[1000:1003] = t[999]
+    t[2000] -= 0.02
+    bad = changed(log, t=t)
+    examination = doctor.examine(bad, arm)
+    (found,) = seen(examination, "duplicates")
+    assert (found.severity, found.value) == ("fail", 4)
+    assert examination.usable
+    mended, _ = doctor.mend(bad, examination, arm)
+    refuse_defects(mended)
+    assert len(mended.trajectories[0].t) == len(t) - 4
+
+
+def test_a_clock_that_starts_anew(log, arm):
+    """Two recordings in one become two trajectories, whole."""
+    t = log.trajectories[0].t.copy()
+    t[3000:] -= t[3000]
+    bad = changed(log, t=t)
+    mended, _ = doctor.mend(bad, doctor.examine(bad, arm), arm)
+    refuse_defects(mended)
+    assert [len(x.t) for x in mended.trajectories] == [3000, 3000]
+
+
+def test_gaps(log, arm):
+    """The longest gap's length is given; gaps alone are a note."""
+    raw = log.trajectories[0]
+    keep = np.ones(len(raw.t), bool)
+    keep[2000:2100] = keep[4000:4050] = False
+    (found,) = seen(doctor.examine(replace(log, trajectories=(taken(raw, keep),)), arm), "gaps")
+    assert found.value == pytest.approx(0.505, abs=1e-6)
+    assert found.severity == "note"
+
+
+def test_jitter_and_the_nominal_rate(log, arm):
+    """Stamps off by a fifth of a step are noted with that number; a wrong nominal rate is warned of."""
+    raw = log.trajectories[0]
+    t = raw.t + 0.001 * np.random.default_rng(2).uniform(-1, 1, len(raw.t))
+    (found,) = seen(doctor.examine(changed(log, t=t), arm), "clock_jitter")
+    assert (found.severity, found.value) == ("note", pytest.approx(0.2 * np.sqrt(2 / 3), rel=0.1))
+    (found,) = seen(doctor.examine(replace(log, rate=125.0), arm), "clock_jitter")
+    assert (found.severity, found.value) == ("warn", pytest.approx(200, rel=1e-3))
+
+
+def test_outliers(log, arm):
+    """Single wild samples of q and tau are counted where they are, and replaced to within the noise's reach."""
+    raw = log.trajectories[0]
+    rng = np.random.default_rng(3)
+    rows = np.sort(rng.choice(np.arange(50, 5900, 40), 12, replace=False))
+    tau, q = raw.tau.copy(), raw.q.copy()
+    tau[rows, 1] += rng.choice([-1, 1], 12) * 5 * np.ptp(raw.tau[:, 1])
+    q[rows[:4] + 9, 3] += 0.2
+    bad = changed(log, q=q, tau=tau)
+    examination = doctor.examine(bad, arm)
+    assert set(alarms(examination)) == {"outliers"}
+    assert {(c.threshold["channel"], c.joint, c.value) for c in seen(examination, "outliers")} == {
+        ("tau", arm.joints[1], 12),
+        ("q", arm.joints[3], 4),
+    }
+    mended, _ = doctor.mend(bad, examination, arm)
+    np.testing.assert_allclose(mended.trajectories[0].q, raw.q, atol=1e-3)
+    np.testing.assert_allclose(mended.trajectories[0].tau[:, 1], raw.tau[:, 1], atol=0.1 * raw.tau[:, 1].std())
+
+
+def test_noise_and_friction_have_no_outliers(arm):
+    """Heavy-tailed noise and Coulomb steps are no outliers."""
+    log = sound(arm, 5, coulomb=0.6, noise=0.02)
+    tau = log.trajectories[0].tau
+    heavy = tau + 0.005 * tau.std(0) * np.random.default_rng(4).standard_t(4, tau.shape)
+    assert seen(doctor.examine(changed(log, tau=heavy), arm), "outliers", least="warn") == []
+
+
+def test_quantisation(log, arm):
+    """An encoder of 12 bit on a turn: its step is measured, and found coarse for accelerations."""
+    step = 2 * np.pi / 4096
+    q = np.round(log.trajectories[0].q / step) * step
+    found = seen(doctor.examine(changed(log, q=q), arm), "quantisation")
+    assert {c.joint for c in found} == set(arm.joints)
+    assert [c.value for c in found] == pytest.approx([step] * 7, rel=1e-6)
+
+
+def test_coarse_torques(log, arm):
+    """A torque with twenty levels over its range is warned of."""
+    tau = log.trajectories[0].tau.copy()
+    step = np.ptp(tau[:, 1]) / 20
+    tau[:, 1] = np.round(tau[:, 1] / step) * step
+    (found,) = seen(doctor.examine(changed(log, tau=tau), arm), "quantisation", least="warn")
+    assert (found.joint, found.value) == (arm.joints[1], pytest.approx(step))
+
+
+def test_saturation(log, arm):
+    """Torques cut at a level are warned of with the level, on that joint alone."""
+    tau = log.trajectories[0].tau.copy()
+    level = float(np.quantile(tau[:, 3], 0.9))
+    tau[:, 3] = np.minimum(tau[:, 3], level)
+    found = seen(doctor.examine(changed(log, tau=tau), arm), "saturation")
+    assert [(c.joint, c.value) for c in found] == [(arm.joints[3], pytest.approx(level))]
+
+
+def test_the_effort_limit(log, arm):
+    """Torques that reach the URDF's effort limit, and stay, are warned of even with noise on top."""
+    tau = log.trajectories[0].tau
+    bound = float(np.quantile(np.abs(tau[:, 3]), 0.9))
+    cut = tau.copy()
+    noise = np.random.default_rng(5).normal(size=len(tau))
+    cut[:, 3] = np.clip(tau[:, 3], -bound, bound) * (1 - 0.001 * np.abs(noise))
+    limits = np.array(arm.effort_limit)
+    limits[3] = bound
+    found = seen(doctor.examine(changed(log, tau=cut), replace(arm, effort_limit=limits)), "saturation")
+    assert [c.joint for c in found] == [arm.joints[3]]
+
+
+def test_derivatives_that_are_none(log, arm):
+    """Velocities of another joint are no derivative: they fail and are left out; slow filters are a warning."""
+    raw = log.trajectories[0]
+    bad = changed(log, qd=raw.qd[:, ::-1].copy())
+    examination = doctor.examine(bad, arm)
+    assert set(alarms(examination)) == {"derivative_consistency"}
+    assert examination.usable
+    mended, _ = doctor.mend(bad, examination, arm)
+    assert mended.trajectories[0].qd is None
+    (found,) = seen(doctor.examine(changed(log, qd=1.2 * raw.qd), arm), "derivative_consistency")
+    assert (found.severity, found.value) == ("warn", pytest.approx(1.2, rel=0.02))
+
+
+def test_a_lag_of_velocities(log, arm):
+    """Velocities that come 20 ms late are noted, with four samples."""
+    raw = log.trajectories[0]
+    (found,) = seen(doctor.examine(changed(log, qd=delayed(raw.qd, raw.t, 0.02)), arm), "derivative_consistency")
+    assert found.severity == "note" and "4 samples later" in found.seen
+
+
+def test_poses_are_no_motion(arm):
+    """Rows in no order are told so and left out."""
+    log = sound(arm)
+    rows = np.random.default_rng(6).permutation(len(log.trajectories[0].t))
+    raw = replace(taken(log.trajectories[0], rows), t=log.trajectories[0].t, name="poses")
+    both = replace(log, trajectories=(*log.trajectories, raw))
+    examination = doctor.examine(both, arm)
+    assert examination.usable
+    assert [c.trajectory for c in seen(examination, "derivative_consistency", least="warn")] == ["poses"]
+    assert [x.name for x in doctor.mend(both, examination, arm)[0].trajectories] == ["run"]
+
+
+def test_short_trajectories_are_left_out(log, arm):
+    """0.3 s beside 30 s: left out with a word; alone: not usable."""
+    short = replace(taken(log.trajectories[0], slice(0, 60)), name="short")
+    both = replace(log, trajectories=(*log.trajectories, short))
+    examination = doctor.examine(both, arm)
+    assert examination.usable
+    mended, notes = doctor.mend(both, examination, arm)
+    assert [x.name for x in mended.trajectories] == ["run"]
+    assert notes == ("short: left out, 0.295 s without a break",)
+    assert not doctor.examine(replace(log, trajectories=(short,)), arm).usable
+
+
+def test_tracking_lag_is_noted(arm):
+    """Positions that follow their command 20 ms late are a note with that number."""
+    log = sound(arm, channels=("q_ref",))
+    (found,) = seen(doctor.examine(log, arm), "time_offset")
+    assert (found.severity, found.value) == ("note", pytest.approx(0.02, abs=2e-3))

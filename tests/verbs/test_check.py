@@ -1,0 +1,137 @@
+"""invdyn check: what it prints and writes, and its exit codes."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from invdyn_cli.logfile import write_log
+from invdyn_cli.robots import load_urdf
+from tests.diagnosis.sick import changed, sound
+from tests.logs import make_log, motion
+
+KEYS = {
+    "check", "severity", "trajectory", "joint", "value", "threshold", "seen", "meaning", "advice", "source",
+}  # fmt: skip
+LOG = ("data=real_log", "data.path=log.h5")
+
+
+def report(said) -> dict:
+    """check.json in the folder that was printed last; refuses NaN, which is no JSON."""
+
+    def refuse(name: str):
+        raise ValueError(name)
+
+    return json.loads(Path(said.out[-1], "check.json").read_text(), parse_constant=refuse)
+
+
+@pytest.fixture
+def arm():
+    """Four joints of the built-in arm, the others locked."""
+    return load_urdf("apollo_arm", joints=[f"arm_joint_{i}" for i in (1, 2, 3, 4)])
+
+
+ARM = ("robot=apollo_arm",)
+
+
+def test_a_sound_log(command, arm):
+    """Exit 0, the fixed schema, every name, a table of what is excited; the folder comes last."""
+    write_log(sound(arm, seconds=15), Path("log.h5"))
+    said = command("check", *LOG, *ARM)
+    assert said.code == 0, said.err
+    found = report(said)
+    assert found["schema"] == "invdyn-check/1"
+    assert set(found) == {"schema", "usable", "checks", "excitation"}
+    assert found["usable"] is True
+    assert all(set(one) == KEYS for one in found["checks"])
+    assert len({one["check"] for one in found["checks"]}) == 17
+    assert list(found["excitation"]) == list(arm.joints)
+    assert Path(said.out[-1]).parts[:2] == ("outputs", "checks")
+    text = "\n".join(said.out)
+    assert "The log is usable" in text and "cannot show" in text and "ok (17)" in text
+
+
+def test_strict_fails_where_a_check_fails(command, arm):
+    """Degrees can be mended: exit 0; with strict=true exit 1. The words are on the screen either way."""
+    log = sound(arm, seconds=15)
+    write_log(changed(log, q=np.rad2deg(log.trajectories[0].q)), Path("log.h5"))
+    for strict, code in (("strict=false", 0), ("strict=true", 1)):
+        said = command("check", *LOG, *ARM, strict)
+        assert said.code == code
+        text = "\n".join(said.out)
+        assert "fail" in text and "unit_error" in text and "can be mended" in text
+        assert report(said)["usable"] is True
+    write_log(log, Path("log.h5"))
+    assert command("check", *LOG, *ARM, "strict=true").code == 0
+
+
+def test_a_broken_log_is_described(command):
+    """What stops `run` with exit 2 is described here: NaN, a clock that repeats, currents without gains."""
+    channels = motion()
+    channels["tau"][7] = np.nan
+    channels["t"][50] = channels["t"][49]
+    make_log(Path("log.h5"), {"run": channels}, urdf="", torque_unit="A")
+    said = command("check", *LOG)
+    assert said.code == 0, said.err
+    found = {one["check"]: one["severity"] for one in report(said)["checks"]}
+    assert found["not_finite"] == found["duplicates"] == found["unit_error"] == "fail"
+    assert report(said)["usable"] is False
+
+
+def test_drive_gains_and_selections(command):
+    """data.drive_gain makes torques of currents; selections say which trajectories are looked at."""
+    make_log(Path("log.h5"), {"a": motion(), "b": motion(seconds=0.2)}, urdf="", torque_unit="A")
+    said = command("check", *LOG, "data.drive_gain=[2,3]", "data.train=[a]")
+    found = report(said)
+    assert said.code == 0 and found["usable"] is True
+    assert [one for one in found["checks"] if one["trajectory"] == "b"] == []
+    np.testing.assert_allclose(found["excitation"]["elbow"]["torque"], [-9, 9], rtol=0.02)
+
+
+def test_several_logs(command):
+    """Trajectories of several logs are called LOG/NAME."""
+    for name in ("one", "two"):
+        make_log(Path(f"{name}.h5"), {"run": motion(seconds=0.2 if name == "two" else 10)}, urdf="")
+    said = command("check", "data=real_log", "data.path=[one.h5,two.h5]")
+    assert said.code == 0, said.err
+    short = [one["trajectory"] for one in report(said)["checks"] if one["check"] == "too_short"]
+    assert short == ["two/run"]
+
+
+def cut_off():
+    make_log(Path("log.h5"))
+    Path("log.h5").write_bytes(Path("log.h5").read_bytes()[:3000])
+
+
+def without_urdf():
+    make_log(Path("log.h5"), urdf="")
+
+
+def other_gains():
+    make_log(Path("log.h5"), urdf="", torque_unit="A")
+    with h5py.File("log.h5", "a") as file:
+        file.attrs["drive_gain_N_m_per_A"] = [1.0, 2.0, 3.0]
+
+
+MISUSE = {
+    "no log": (lambda: None, LOG, "no log log.h5"),
+    "cut off": (cut_off, LOG, "cut off or corrupt"),
+    "no measured log": (lambda: None, ("data=sim_clean",), "allowed: a measured log"),
+    "another robot": (without_urdf, (*LOG, "robot=apollo_arm"), "no moving joint 'shoulder'"),
+    "no trajectory": (without_urdf, (*LOG, "data.train=[walk]"), "no trajectory 'walk'"),
+    "gains": (other_gains, LOG, "allowed: 2 numbers"),
+    "strict": (lambda: None, (*LOG, "strict=maybe"), "strict=maybe; allowed: true or false"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MISUSE)
+def test_misuse_is_one_line(case, command, tmp_path):
+    """Wrong use: exit code 2, one line on stderr, no check.json."""
+    prepare, argv, word = MISUSE[case]
+    prepare()
+    said = command("check", *argv)
+    assert said.code == 2
+    assert len(said.err) == 1 and word in said.err[0], said.err
+    assert list(tmp_path.rglob("check.json")) == []
