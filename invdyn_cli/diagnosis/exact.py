@@ -193,9 +193,19 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
 
 def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual) -> np.ndarray:
     """(k, R, n): change of the modelled torque with each parameter."""
-    out = np.empty((len(theta), *residual.shape))
-    for i, (number, name, _) in enumerate(labels):
-        step = _step(acting[number], name, theta[i])
+    out = np.zeros((len(theta), *residual.shape))
+    gains = np.ones(evidence.dofs)
+    for a in acting:
+        if a.effect.name == "torque_gain_error":
+            gains[a.joint] /= a.parameters["gain"]
+    for i, (number, name, index) in enumerate(labels):
+        a = acting[number]
+        if not name:  # torque is linear in a body's coordinates, and its columns are there already
+            columns = next(c.columns for c in evidence.candidates if c.key == (a.effect.name, a.joint))
+            for j, (_, free) in columns.items():
+                out[i, :, j] = gains[j] * evidence.tables[j][:, free[index]]
+            continue
+        step = _step(a, name, theta[i])
         moved = theta.copy()
         moved[i] += step
         out[i] = (residual - model.residual(_with(evidence, acting, labels, moved))) / step

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from invdyn_cli.diagnosis import naming
-from invdyn_cli.diagnosis.evidence import Evidence
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Refined, intervals, refine
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import Hypothesis, _solve
@@ -34,6 +34,9 @@ LIGHTER = 0.5
 PREDICTABLE, SMALL = 0.15, 0.15
 """What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
 than this share of the nominal model's error, in N m."""
+
+RARE = 0.1
+"""Of its mean square, what an effect must have on the held-out rows to be judged there."""
 
 DRAWS = 1000
 
@@ -149,12 +152,49 @@ def _fails(inquiry: "Inquiry", hypothesis: Hypothesis, i: int) -> tuple[float, s
     rows = judged(evidence)
     squares, unknown = _squares(inquiry, hypothesis, (i,))
     gain = float(np.sum(weights * squares))
-    if gain <= 0:
+    if gain <= 0 and not _is_rare(inquiry, hypothesis, i):
         return gain, "it does not hold on data that did not choose it"
     rest = float(np.sum(weights * unknown * rows.sum() * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
-    if gain < OUTWEIGHED * rest:
+    if 0 < gain < OUTWEIGHED * rest:
         return gain / rest, "most of what it would explain is something else that this catalogue does not know"
+    if hypothesis[i].effect.name == "torque_saturation" and not _hugs_its_limit(inquiry, hypothesis[i]):
+        return gain, "the arm moved as if it had got torques beyond that limit"
+    place = next(k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i])
+    if not _is_exact(inquiry, place):
+        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
     return None
+
+
+def _is_rare(inquiry: "Inquiry", hypothesis: Hypothesis, i: int) -> bool:
+    """Whether a candidate hardly comes up on the held-out rows."""
+    after, before = _left(inquiry, hypothesis, (i,))
+    change = ((after - before) * inquiry.evidence.valid) ** 2 @ inquiry.noise.weights
+    return bool(np.mean(change[judged(inquiry.evidence)]) < RARE * np.mean(change))
+
+
+def _hugs_its_limit(inquiry: "Inquiry", candidate: Candidate) -> bool:
+    """Whether the torque that moved a joint stays within the limit of its saturation."""
+    evidence, j = inquiry.evidence, candidate.joint
+    moved = np.abs(evidence.tau[:, j] - inquiry.chosen.residual[:, j])
+    limit = next(a.parameters["limit"] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == candidate.key)
+    nominal = np.abs(evidence.nominal[:, j])
+    reach = min(float(np.quantile(moved, 0.99)), float(np.quantile(nominal, 0.99)))
+    return limit > 0.75 * reach and limit > 3 * inquiry.noise.deviation[j]
+
+
+def _is_exact(inquiry: "Inquiry", place: int) -> bool:
+    """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
+    as they are. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not. An
+    effect that hardly comes up on the held-out rows is judged on all."""
+    evidence, acting = inquiry.evidence, inquiry.chosen.acting
+    others = [a for k, a in enumerate(acting) if k != place]
+    change = (inquiry.model.residual(others) - inquiry.model.residual(acting)) * evidence.valid
+    rows = judged(evidence)
+    if np.mean(change[rows] ** 2 @ inquiry.noise.weights) < RARE * np.mean(change**2 @ inquiry.noise.weights):
+        rows = np.ones_like(rows)
+    saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
+    per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
+    return bool(per_block.sum() > 0) and naming.chance(per_block, 0.0) < naming.DOUBT
 
 
 def _squares(inquiry: "Inquiry", hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -43,7 +43,7 @@ def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
                 simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
                 step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
-                if _chance(step, 0.0) > DOUBT:
+                if chance(step, PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))) > DOUBT:
                     return simplified(judge, always, simpler, pool)
     return hypothesis
 
@@ -69,7 +69,7 @@ def rivals(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int,
         excess = float(step.sum() + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
-        equal = excess < LEAST_DIFFERENCE or _chance(step, excess - float(step.sum())) > DOUBT
+        equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
         share = 1 - float(step.sum()) / whole if whole > 0 else 0.0
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} does on held-out data"
         if refused:
@@ -82,7 +82,7 @@ def rivals(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int,
     return made
 
 
-def _chance(step: np.ndarray, extra: float) -> float:
+def chance(step: np.ndarray, extra: float) -> float:
     """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws)."""
     draws = np.random.default_rng(0).integers(len(step), size=(4000, len(step)))
     return float(np.mean(step[draws].sum(1) + extra < LEAST_DIFFERENCE))

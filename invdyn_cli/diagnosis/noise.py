@@ -74,7 +74,7 @@ def _plain(candidate: Candidate, joint: int) -> bool:
         return 0.02 < shape["velocity"] < 0.1
     if name == "torque_delay":
         return shape["delay"] == 0
-    return name not in ("actuator_lag", "torque_saturation", "thermal_friction_drift")
+    return name not in ("actuator_lag", "torque_saturation")
 
 
 def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:

@@ -158,7 +158,7 @@ def _inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], opti
     pool = [c for c in pool if c.key not in {a.key for a in always} or compares]
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     pool = [c for c in pool if c.key != ("link_inertia_error", last)]
-    judge = Judge(evidence, choosing, measured.weights, measured.deviation)
+    judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
     judge.refresh()
     model = Model(evidence)
     hypothesis = search(judge, pool, always, (), options.most)

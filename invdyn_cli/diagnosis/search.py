@@ -50,19 +50,30 @@ class Judge:
     Args:
         rows: (R,) bool, which rows count.
         weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
+        deviation: (n,) standard deviation of the noise [N m; N].
+        always: candidates that are part of every hypothesis.
     """
 
-    def __init__(self, evidence: Evidence, rows: np.ndarray, weights: np.ndarray, deviation: np.ndarray) -> None:
+    def __init__(
+        self,
+        evidence: Evidence,
+        rows: np.ndarray,
+        weights: np.ndarray,
+        deviation: np.ndarray,
+        always: Hypothesis = (),
+    ) -> None:
         self.evidence, self.rows, self.weights = evidence, rows, weights
         numbers, self.block = np.unique(evidence.block[rows], return_inverse=True)
         self.count = len(numbers)
         self.folds = np.arange(self.count) % min(FOLDS, self.count)
         self.grams: list[np.ndarray] = [np.empty((self.count, 0, 0))] * evidence.dofs
+        self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
         used = evidence.valid[rows]
         worth = weights * np.sum((RELEVANT * evidence.tau[rows]) ** 2 * used, axis=0)
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
         self.rows_worth = weights * used.sum(0)
         self.deviation = deviation
+        self.always = always
         self._freedom: dict[int, float] = {}
         self.tried = 0
 
@@ -73,14 +84,20 @@ class Judge:
             if table.shape[1] != self.grams[j].shape[1]:
                 x = table[self.rows] * self.evidence.valid[self.rows, j : j + 1]
                 self.grams[j] = np.stack([x[a:b].T @ x[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+                self.totals[j] = self.grams[j].sum(0)
 
     def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
+        return self._assembled(hypothesis, self.grams)
+
+    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray]):
+        """`sums` from Gram matrices (..., columns, columns) of all rows of the arm."""
         starts = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
-        k = int(starts[-1])
-        s, r, normal = np.zeros(self.count), np.zeros((self.count, k)), np.zeros((self.count, k, k))
-        for j, gram in enumerate(self.grams):
-            if not self.weights[j]:
+        k, shape = int(starts[-1]), grams[0].shape[:-2]
+        s, r, normal = np.zeros(shape), np.zeros((*shape, k)), np.zeros((*shape, k, k))
+        for j, gram in enumerate(grams):
+            w = self.weights[j]
+            if not w:
                 continue
             fixed, free, place = [0], [], []
             for c, start in zip(hypothesis, starts[:-1], strict=True):
@@ -88,21 +105,23 @@ class Judge:
                     fixed += c.columns[j][0]
                     free += c.columns[j][1]
                     place += range(start, start + len(c.precision))
+            if len(fixed) == 1 and not free:
+                s += w * gram[..., 0, 0]
+                continue
             signs = np.array([1.0] + [-1.0] * (len(fixed) - 1))
-            w = self.weights[j]
-            if len(fixed) == 1:
-                s += w * gram[:, 0, 0]
-            else:
-                s += w * np.einsum("a,bac,c->b", signs, gram[:, fixed][:, :, fixed], signs)
+            columns = np.array([*fixed, *free])
+            own = gram[..., columns[:, None], columns]
+            m = len(fixed)
+            s += w * (own[..., :m, :m] @ signs @ signs)
             if free:
-                rows = gram[:, free]
-                r[:, place] += w * (rows[:, :, fixed] @ signs)
-                normal[:, np.array(place)[:, None], place] += w * rows[:, :, free]
+                at = np.array(place)
+                r[..., at] += w * (own[..., m:, :m] @ signs)
+                normal[..., at[:, None], at] += w * own[..., m:, m:]
         return s, r, normal
 
     def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
         """Loss with prices on the data that fits the hypothesis, and its coefficients."""
-        s, r, normal = (x.sum(0) for x in self.sums(hypothesis))
+        s, r, normal = self._assembled(hypothesis, self.totals)
         theta = _solve(normal, r, _precision(hypothesis))
         return float(s - theta @ r) + self.price(hypothesis), theta
 
@@ -132,9 +151,12 @@ class Judge:
         )
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
-        """Why the coefficients of a hypothesis are no physics, "" if they are."""
+        """Why the coefficients of a hypothesis are no physics, "" if they are; what is always part of it may be anything."""
         start = 0
         for candidate, parameters in read_all(self.evidence, hypothesis, theta):
+            if any(candidate is a for a in self.always):
+                start += len(candidate.precision)
+                continue
             own = theta[start : start + len(candidate.precision)]
             start += len(own)
             why = candidate.effect.refuse(parameters)
@@ -201,14 +223,19 @@ def _best(judge: Judge, always: Hypothesis, now: Hypothesis, moves: Iterable[Hyp
     for move in moves:
         judge.tried += 1
         value, theta = judge.quick(always + move)
-        if value < loss and not judge.refused(always + move, theta):
-            quick.append((value, move))
+        if value < loss:
+            quick.append((value, move, theta))
     quick.sort(key=lambda x: x[0])
-    found = None
-    for _, move in quick[:SHORTLIST]:
+    found, seen = None, 0
+    for _, move, theta in quick:
+        if judge.refused(always + move, theta):
+            continue
         verdict = judge.verdict(always + move)
         if verdict.loss < loss - 1e-6:
             found, loss = (move, verdict.loss), verdict.loss
+        seen += 1
+        if seen == SHORTLIST:
+            break
     return found
 
 

@@ -3,6 +3,7 @@
 Everything here is numpy and SciPy on whole trajectories, before learning starts; nothing is jitted.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ def differentiate(
     return np.concatenate([steps[:1], steps])
 
 
+@lru_cache(maxsize=256)
 def settling(rate: float, cutoff: float, order: int = 4) -> int:
     """Samples until the Butterworth low-pass has forgotten all but 1 %: how far into a block its ends reach.
 

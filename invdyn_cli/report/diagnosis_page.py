@@ -35,13 +35,16 @@ OVERVIEW_CAPTION = (
 )
 COMMAND = """\
 invdyn run data=real_log data.path=log.h5 model=extended model.path=extended_model.json"""
+COMMAND_NOTE = """\
+Run in the folder of this report, with the path of a log of this robot. It brings the robot of the diagnosis; give \
+robot=… as there only if the log calls its joints otherwise."""
 CHECK = """\
 invdyn check data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf"""
 PYTHON = """\
 from invdyn_cli import load_model
 
 model = load_model("extended_model.json")
-tau = model.predict(q, qd, qdd)   # (T, n) each: N m for rad, rad/s, rad/s²"""
+tau = model.predict(q, qd, qdd)   # one recording, (T, n) each, evenly sampled: N m for rad, rad/s, rad/s²"""
 FOLD_FROM = 4
 """Rejected rivals from which their list is folded."""
 
@@ -270,7 +273,8 @@ def _next_step() -> str:
 
 
 def _usage() -> str:
-    return f"<pre>{escape(COMMAND)}</pre><pre>{escape(PYTHON)}</pre>"
+    note = f'<p class="note">{escape(COMMAND_NOTE)}</p>'
+    return f"<pre>{escape(COMMAND)}</pre>{note}<pre>{escape(PYTHON)}</pre>"
 
 
 def _pill(kind: str, said: Mapping[str, str]) -> str:

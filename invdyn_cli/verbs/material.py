@@ -111,19 +111,19 @@ def windows(asked: Mapping[str, Sequence[Block] | None], log: Log, train_share: 
     clocks = {x.name: _clock(x) for x in log.trajectories}
     made = complete(blocks | {"validation": blocks["validation"] or []}, clocks, train_share, 0.0)
     roles = {"train": [*made["train"], *made["validation"]], "test": made["test"]}
-    for role, parts in roles.items():
-        if not parts:
+    for block in (x for parts in roles.values() for x in parts if x.asked):
+        t = clocks[block.key]
+        if not block.rows(t).any():
+            raise LogError(f"no samples in {block}; {block.key!r} runs from {t[0]:g} s to {t[-1]:g} s")
+    for role in roles:
+        if not roles[role]:
             got = f"data.{role} is empty: other sets name all trajectories"
             raise LogError(got, advice=f"data.{role}=[…] of {listed(clocks)}")
-        for block in parts:
-            t = clocks[block.key]
-            if block.asked and not block.rows(t).any():
-                raise LogError(f"no samples in {block}; {block.key!r} runs from {t[0]:g} s to {t[-1]:g} s")
     return {role: [(x.key, x.start, x.end) for x in parts] for role, parts in roles.items()}
 
 
 def _clock(trajectory: RawTrajectory) -> np.ndarray:
-    """What can be read of t [s], one second at least: the doctor has not seen it yet."""
+    """What can be read of t [s], at least one number: the doctor has not seen it yet."""
     t = np.ravel(trajectory.t)
     t = t[np.isfinite(t)]
     return t if len(t) else np.zeros(1)

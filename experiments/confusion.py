@@ -1,0 +1,276 @@
+"""What is hidden and what is named: logs with a cause hidden in them, diagnosed, and counted.
+
+    python experiments/confusion.py [seed=0] [logs=10] [clean=100] [only=effect,effect] [folder=outputs/confusion]
+
+Every log is drawn by `cases.py` from the seed: another arm, motion, size, joint and noise each time. Prints the confusion
+matrix and the table of effects, and writes both with every single log into the folder (confusion.json, confusion.md).
+"""
+
+import json
+import math
+import sys
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.cases import SIZES, Case, draw_case
+from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.effects.catalogue import EFFECTS, may_be_ambiguous
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.types import Diagnosis, Finding
+
+WHOLE_ARM = ("payload", "base_tilt")
+LOUD = 3.0
+"""Ratio of the hidden torque to the noise from which a log counts."""
+
+MAIN = {
+    "viscous_friction": ("damping",),
+    "coulomb_friction": ("coulomb",),
+    "asymmetric_coulomb_friction": ("positive", "negative"),
+    "stribeck_friction": ("coulomb", "static"),
+    "load_dependent_friction": ("mu",),
+    "quadratic_friction": ("drag",),
+    "thermal_friction_drift": ("cold", "warm"),
+    "torque_ripple": ("amplitude", "cycles"),
+    "joint_spring": ("stiffness",),
+    "rotor_inertia": ("armature",),
+    "torque_gain_error": ("gain",),
+    "torque_offset": ("offset",),
+    "torque_delay": ("delay",),
+    "actuator_lag": ("time_constant",),
+    "torque_saturation": ("limit",),
+    "payload": ("mass",),
+    "link_inertia_error": (),
+    "base_tilt": ("angle",),
+    "encoder_offset": ("offset",),
+}
+"""The parameters that make an effect's size. Those of a gain are judged by their distance from one; what of a link's
+inertials can be known differs from log to log, and is not judged."""
+
+SHOWN_SETS: Mapping[str, tuple[frozenset[str], ...]] = {
+    "asymmetric_coulomb_friction": (frozenset({"coulomb_friction", "torque_offset"}),),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One log: what was hidden, what was said, and how right it is ("named", "ambiguous", "wrong", "nothing")."""
+
+    seed: int
+    hidden: tuple[str, ...]
+    said: str
+    share: float
+    result: str
+    named: tuple[str, ...]
+    extra: tuple[str, ...]
+    size_errors: tuple[float, ...]
+    covered: tuple[bool, ...]
+    seconds: float
+    unexplained: float
+
+
+def claims(diagnosis: Diagnosis) -> list[Finding]:
+    """Findings that claim something."""
+    return [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
+
+
+def matches(hidden: Hidden, finding: Finding) -> str:
+    """How a finding speaks of a hidden effect: "named", "ambiguous" (within what theory allows), or ""."""
+    whole = hidden.effect in WHOLE_ARM
+    if finding.joint != hidden.joint and not (whole and finding.joint is None):
+        return _elsewhere(hidden, finding)
+    if finding.effect == hidden.effect and finding.status == "named":
+        return "named"
+    sets = [(finding.effect,), *finding.alternatives]
+    if finding.status == "ambiguous" and any(hidden.effect in one for one in sets):
+        others = [one for one in sets if hidden.effect not in one]
+        beyond = [one for one in others if not may_be_ambiguous(hidden.effect, tuple(one))]
+        return "" if beyond else "ambiguous"
+    return ""
+
+
+def _elsewhere(hidden: Hidden, finding: Finding) -> str:
+    """An ambiguous finding of another joint or the whole arm may hold the hidden effect among its alternatives: payloads
+    and links are told by bodies, which more than one joint feels."""
+    bodies = {"payload", "link_inertia_error", "base_tilt", "encoder_offset"}
+    sets = [(finding.effect,), *finding.alternatives]
+    inside = any(hidden.effect in one for one in sets)
+    allowed = all(may_be_ambiguous(hidden.effect, tuple(o)) for o in sets if hidden.effect not in o)
+    if finding.status == "ambiguous" and inside and allowed and (finding.effect in bodies or hidden.effect in bodies):
+        return "ambiguous"
+    return ""
+
+
+def judge(case: Case, diagnosis: Diagnosis, seed: int, seconds: float) -> Outcome:
+    """What a diagnosis of a case is worth."""
+    found = claims(diagnosis)
+    left = list(found)
+    results, errors, covered = [], [], []
+    for hidden in case.hidden:
+        best = next((f for f in left if matches(hidden, f) == "named"), None)
+        best = best or next((f for f in left if matches(hidden, f) == "ambiguous"), None)
+        results.append(matches(hidden, best) if best else "")
+        if best:
+            left.remove(best)
+            if best.effect == hidden.effect:
+                more = _sizes(hidden, best)
+                errors += [e for e, _ in more]
+                covered += [c for _, c in more]
+            partner = [f for f in left if f.effect == "torque_offset" and f.joint == hidden.joint]
+            if hidden.effect == "asymmetric_coulomb_friction" and best.effect == "coulomb_friction" and partner:
+                left.remove(partner[0])
+    result = "nothing" if not found else "wrong"
+    if all(results) and case.hidden:
+        result = "ambiguous" if "ambiguous" in results else "named"
+    if result in ("named", "ambiguous") and left:
+        result = "wrong"
+    return Outcome(
+        seed=seed,
+        hidden=tuple(f"{h.effect}@{h.joint}" for h in case.hidden),
+        said=case.said,
+        share=case.share,
+        result=result,
+        named=tuple(_said(f) for f in found),
+        extra=tuple(_said(f) for f in left),
+        size_errors=tuple(errors),
+        covered=tuple(covered),
+        seconds=seconds,
+        unexplained=max(diagnosis.unexplained.values(), default=0.0),
+    )
+
+
+def _said(finding: Finding) -> str:
+    other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
+    return f"{finding.effect}{other}@{finding.joint}"
+
+
+def _sizes(hidden: Hidden, finding: Finding) -> list[tuple[float, bool]]:
+    """Relative error of each main parameter, and whether its interval holds the truth."""
+    out = []
+    for name in MAIN[hidden.effect]:
+        quantity, true = finding.parameters[name], float(hidden.parameters[name])
+        if quantity.value is None or quantity.interval95 is None:
+            continue
+        low, high = quantity.interval95
+        scale = abs(true - 1) if name == "gain" else abs(true)
+        out.append((abs(quantity.value - true) / scale, bool(low <= true <= high)))
+    return out
+
+
+def run(seed: int, names: Sequence[str], **options: Any) -> Outcome:
+    """Draw, diagnose, judge one log."""
+    case = draw_case(seed, names, **options)
+    started = time.perf_counter()
+    diagnosis = diagnose(case.log, case.robot)
+    return judge(case, diagnosis, seed, time.perf_counter() - started)
+
+
+def wilson(right: int, total: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    if not total:
+        return 0.0, 1.0
+    z, p = 1.96, right / total
+    middle, reach = p + z * z / (2 * total), z * math.sqrt(p * (1 - p) / total + z * z / (4 * total * total))
+    return (middle - reach) / (1 + z * z / total), (middle + reach) / (1 + z * z / total)
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """The confusion matrix and the table of effects, as Markdown."""
+    single = [o for o in outcomes if len(o.hidden) == 1]
+    clean = [o for o in outcomes if not o.hidden]
+    loud = [o for o in single if o.share >= LOUD]
+    names = [n for n in MAIN if any(o.hidden[0].startswith(n + "@") for o in loud)]
+    lines = ["| hidden | logs | named | ambiguous | nothing | wrong | recall | precision | size error, median | 90 % |"]
+    lines.append("|---|" + "---:|" * 9)
+    for name in names:
+        own = [o for o in loud if o.hidden[0].startswith(name + "@")]
+        count = {r: sum(o.result == r for o in own) for r in ("named", "ambiguous", "nothing", "wrong")}
+        right = count["named"] + count["ambiguous"]
+        claimed = [o for o in outcomes for said in o.named if said.split("|")[0].split("@")[0] == name]
+        true = sum(o in own and o.result in ("named", "ambiguous") for o in claimed)
+        errors = [e for o in own for e in o.size_errors]
+        size = f"{100 * np.median(errors):.2g} % | {100 * np.quantile(errors, 0.9):.2g} %" if errors else "- | -"
+        precision = f"{true / len(claimed):.2f}" if claimed else "-"
+        row = f"| {name} | {len(own)} | {count['named']} | {count['ambiguous']} | {count['nothing']} | {count['wrong']} "
+        lines.append(row + f"| {right / max(len(own), 1):.2f} | {precision} | {size} |")
+    right = sum(o.result in ("named", "ambiguous") for o in loud)
+    unsure = sum(o.result == "ambiguous" for o in loud)
+    errors = [e for o in loud for e in o.size_errors]
+    covered = [c for o in loud for c in o.covered]
+    false = sum(bool(o.named) for o in clean)
+    low, high = wilson(right, len(loud))
+    lines += [
+        "",
+        f"- Rightly named or rightly ambiguous: {right} of {len(loud)} loud logs "
+        f"({100 * right / max(len(loud), 1):.1f} %, Wilson {100 * low:.1f} to {100 * high:.1f} %); ambiguous "
+        f"{100 * unsure / max(len(loud), 1):.1f} %; {len(single) - len(loud)} logs below {LOUD:g} times the noise.",
+        f"- Logs with nothing hidden: {false} of {len(clean)} with a name.",
+    ]
+    if errors:
+        within = np.mean(np.array(errors) < 0.1)
+        lines.append(f"- Sizes within 10 %: {100 * within:.1f} %. Intervals that hold the truth: {100 * np.mean(covered):.1f} %.")
+    lines.append(f"- Seconds per diagnosis: median {np.median([o.seconds for o in outcomes]):.1f}.")
+    return "\n".join([*lines, "", *matrix(loud, clean)])
+
+
+def matrix(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
+    """Hidden effect by named effect."""
+    columns = [n for n in MAIN if n in EFFECTS]
+    short = {n: str(i + 1) for i, n in enumerate(columns)}
+    lines = ["| hidden \\ named | " + " | ".join(short[n] for n in columns) + " | ambiguous | nothing |"]
+    lines.append("|---|" + "---:|" * (len(columns) + 2))
+    for name in [*columns, "(nothing)"]:
+        own = list(clean) if name == "(nothing)" else [o for o in loud if o.hidden[0].startswith(name + "@")]
+        if not own:
+            continue
+        row = dict.fromkeys([*columns, "ambiguous", "nothing"], 0)
+        for o in own:
+            for said in o.named or ("nothing",):
+                row["ambiguous" if "|" in said else said.split("@")[0]] += 1
+        label = f"{short.get(name, '')} {name}".strip()
+        lines.append(f"| {label} | " + " | ".join(str(x or "") for x in row.values()) + " |")
+    return lines
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run as the docstring says."""
+    options = dict(a.split("=", 1) for a in argv)
+    seed, logs, clean = (int(options.pop(k, d)) for k, d in (("seed", 0), ("logs", 10), ("clean", 100)))
+    only = options.pop("only", ",".join(SIZES)).split(",")
+    folder = Path(options.pop("folder", "outputs/confusion"))
+    if options:
+        print(f"confusion: there is no option {next(iter(options))}; allowed: seed, logs, clean, only, folder")
+        return 2
+    folder.mkdir(parents=True, exist_ok=True)
+    plan = [(name.split("+"), 1000 * seed + k) for k in range(logs) for name in only if name]
+    plan += [([], 1000 * seed + 500 + k) for k in range(clean)]
+    outcomes, started = [], time.time()
+    for number, (names, one) in enumerate(plan):
+        try:
+            outcomes.append(run(one, names))
+        except Exception:
+            print(f"seed {one}, {names}: {traceback.format_exc()}", flush=True)
+            continue
+        last = outcomes[-1]
+        if last.result in ("wrong", "nothing") and (last.hidden or last.named):
+            print(f"{last.result}: seed {one} {last.hidden} -> {last.named} share {last.share:.1f} ({last.said})", flush=True)
+        if number % 20 == 19:
+            left = (time.time() - started) / (number + 1) * (len(plan) - number - 1)
+            print(f"{number + 1} of {len(plan)} logs, {left / 60:.0f} min left", file=sys.stderr, flush=True)
+    text = table(outcomes)
+    print(text)
+    (folder / "confusion.md").write_text(f"seed {seed}\n\n{text}\n")
+    (folder / "confusion.json").write_text(json.dumps([vars(o) for o in outcomes], indent=1, default=float))
+    return 0
+
+
+if __name__ == "__main__":
+    from invdyn_cli.verbs.screen import use_compilation_cache
+
+    use_compilation_cache()
+    sys.exit(main(sys.argv[1:]))
