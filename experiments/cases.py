@@ -5,6 +5,7 @@ the torque that the joint has anyway, so that they suit every arm.
 """
 
 import tempfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -106,7 +107,7 @@ def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> C
 def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_joint: bool | None = None) -> Case:
     """A case with these effects hidden, all from one seed; `same_joint`: all on one, or all on different joints."""
     for attempt in range(20):  # an arm that loses control is no log
-        draw = np.random.default_rng([seed, attempt])
+        draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode())])
         scene = draw_scene(draw, joints)
         strong = np.flatnonzero(scene.torque > 0.02 * scene.torque.max())
         chosen: list[int | None] = [None] * len(names)

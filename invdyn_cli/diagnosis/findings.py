@@ -28,8 +28,14 @@ OUTWEIGHED = 0.25
 """Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
 a column that is nearly orthogonal to an unknown cause still picks up a few percent of it."""
 
+PICKED_UP = 0.1
+"""And so much more for every further coefficient, each of which picks up as much."""
+
 LIGHTER = 0.5
 """Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
+
+MANY_LINKS = 3
+"""Links with wrong inertials from which the model as a whole is in doubt."""
 
 PREDICTABLE, SMALL = 0.15, 0.15
 """What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
@@ -106,6 +112,8 @@ def report(inquiry: "Inquiry", effects: Mapping[str, AbstractEffect], examinatio
             finding = replace(finding, status="ambiguous")
         claims.append(finding)
         shown.append(terms[i])
+    claims, doubt = _other_robot(claims)
+    dropped += doubt
     order = sorted(range(len(claims)), key=lambda k: -_worth(claims[k]))
     ordered = tuple(claims[k] for k in order)
     by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
@@ -155,8 +163,16 @@ def _fails(inquiry: "Inquiry", hypothesis: Hypothesis, i: int) -> tuple[float, s
     if gain <= 0 and not _is_rare(inquiry, hypothesis, i):
         return gain, "it does not hold on data that did not choose it"
     rest = float(np.sum(weights * unknown * rows.sum() * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
-    if 0 < gain < OUTWEIGHED * rest:
+    needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
+    if 0 < gain < needed * rest:
         return gain / rest, "most of what it would explain is something else that this catalogue does not know"
+    late = {"torque_delay": "delay", "actuator_lag": "time_constant"}.get(hypothesis[i].effect.name)
+    if late is not None:
+        value = next(
+            a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key
+        )
+        if value < evidence.recording.period:
+            return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
     if hypothesis[i].effect.name == "torque_saturation" and not _hugs_its_limit(inquiry, hypothesis[i]):
         return gain, "the arm moved as if it had got torques beyond that limit"
     place = next(k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i])
@@ -225,7 +241,11 @@ def _gains(inquiry: "Inquiry", hypothesis: Hypothesis, without: Sequence[int]) -
     numbers, of = np.unique(evidence.block[rows], return_inverse=True)
     draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
     gains = {}
+    own = [hypothesis[k] for k in without]
+    local = all(c.effect.point in ("torque", "channel") for c in own)
     for j, name in enumerate(evidence.robot.joints):
+        if local and j not in {c.joint for c in own}:
+            continue
         a, b, tau = after[rows, j], before[rows, j], evidence.tau[rows, j]
         rms = [float(np.sqrt(np.mean(x**2))) for x in (b, a)]
         if abs(rms[0] - rms[1]) < 1e-3 * max(rms[0], 1e-12):
@@ -364,6 +384,19 @@ def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, 
         known = {name: q or replace(finding.parameters[name], value=None, interval95=None) for name, q in shown.items()}
         finding = replace(finding, parameters={"link": Quantity(link_names(robot)[joint], ""), **known})
     return finding
+
+
+def _other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
+    """Where many links seem wrong, none of them is named: the whole model may be another robot's."""
+    links = [f for f in claims if f.effect == "link_inertia_error"]
+    if len(links) < MANY_LINKS:
+        return claims, ()
+    said = f"The inertials of {len(links)} links seem wrong at once: this URDF may be of another robot or another tool."
+    unsure = [
+        replace(f, status="ambiguous", alternatives=(*f.alternatives, ("link_inertia_error",))) if f in links else f
+        for f in claims
+    ]
+    return unsure, (said,)
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.evidence import _linear, _states, filtered
+from invdyn_cli.diagnosis.evidence import _falling, _linear, _states, filtered
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
@@ -24,15 +24,17 @@ MOST = 1.05
 
 def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) [s] by which each joint's logged torque leads its motion, and its standard error: the factor of the
-    nominal torque's slope beside all inertials, friction and offset."""
+    nominal torque's slope beside all inertials, gravity, friction and offset."""
     n = robot.dofs
     moves = np.eye(10 * n)
     linear = partial(_linear, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
+    falling = partial(_falling, kinematics_of(robot), jnp.asarray(robot.inertial), jnp.eye(3))
     bodies, slopes, extras = [], [], []
     for piece in recording.pieces:
         torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
         states = _states(piece, torque, recording)
-        bodies.append(chunked(linear, piece.q, piece.qd, piece.qdd))
+        motion = piece.q, piece.qd, piece.qdd
+        bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion)]))
         slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))
         extras.append(np.stack([[s.sign, s.qd, np.ones_like(s.qd), s.qd * abs(s.qd)] for s in states], axis=1))
     bodies, slopes, extras = (filtered(recording, x) for x in (bodies, slopes, extras))

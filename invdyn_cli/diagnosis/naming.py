@@ -18,6 +18,9 @@ DOUBT = 0.005
 LEAST_DIFFERENCE = 10.0
 """And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
 
+UNDENIED, CONTRADICTED = 100.0, 0.03
+"""Noise variances of a difference that needs no draws, where the blocks that speak against it make less than this share."""
+
 TYPICAL_STRIBECK = 1.5
 """Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
 
@@ -83,7 +86,11 @@ def rivals(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int,
 
 
 def chance(step: np.ndarray, extra: float) -> float:
-    """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws)."""
+    """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws). What
+    comes up in few blocks, and is contradicted by none, would be missed by many draws, and is sure all the same."""
+    against = -np.minimum(step, 0).sum()
+    if step.sum() + extra > UNDENIED and against < CONTRADICTED * np.maximum(step, 0).sum():
+        return 0.0
     draws = np.random.default_rng(0).integers(len(step), size=(4000, len(step)))
     return float(np.mean(step[draws].sum(1) + extra < LEAST_DIFFERENCE))
 

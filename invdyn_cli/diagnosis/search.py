@@ -173,7 +173,7 @@ class Judge:
         if id(candidate) not in self._freedom:
             normal = self.sums((candidate,))[2].sum(0)
             prior = np.diag(candidate.precision)
-            self._freedom[id(candidate)] = float(np.trace(np.linalg.solve(normal + prior, normal)))
+            self._freedom[id(candidate)] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
         return self._freedom[id(candidate)]
 
 

@@ -15,6 +15,9 @@ from invdyn_cli.types import Dataset, Motion, Trajectory
 ROWS = 4096
 """Rows that the built-in nets learn from: one shape for all logs (one compilation)."""
 
+FLOOR = 1e-3
+"""Share of the torque's RMS that is nothing: what is predictable below it explains no robot."""
+
 STRETCH = 0.5
 """[s] of stretches that are learned from and judged in turn."""
 
@@ -50,7 +53,9 @@ def shares(evidence: Evidence, residual: np.ndarray, learner: AbstractModel | No
         own = evidence.valid[judge, j]
         left = residual[judge][own, j]
         if own.sum() > 20 and np.var(left) > 0:
-            out[j] = max(0.0, 1 - np.mean((left - predicted[own, j]) ** 2) / np.var(left))
+            nothing = (FLOOR * np.sqrt(np.mean(evidence.tau[judge][own, j] ** 2))) ** 2
+            saved = np.var(left) - np.mean((left - predicted[own, j]) ** 2)
+            out[j] = max(0.0, saved / (np.var(left) + nothing))
     return out
 
 
