@@ -8,10 +8,15 @@ SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') 
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables real bench wheel clean
+.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple detection bench wheel clean
+
+# What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
+OPTIONS = seed logs clean only effects noises workers folder data docs
+said = $(strip $(foreach name,$(OPTIONS),$(if $(filter command,$(firstword $(origin $(name)))),$(name)=$($(name)))))
+EXPERIMENT = PYTHONPATH=. $(BIN)/python experiments
 
 help:  ## what there is to make
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 venv: $(INSTALLED)  ## the environment: .venv with the package (editable) and what developing it takes
 
@@ -36,6 +41,21 @@ tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/table
 
 real: $(INSTALLED)  ## the same models on real robots' logs
 	$(BIN)/invdyn tables experiment=real_logs
+
+real-diagnosis: $(INSTALLED)  ## what the simulations of real robots get wrong, into outputs/real_diagnosis (only=, docs=true)
+	$(EXPERIMENT)/real_diagnosis.py $(said)
+
+confusion: $(INSTALLED)  ## what is hidden and what is named: the confusion matrix (seed=, logs=, clean=, only=)
+	$(EXPERIMENT)/confusion.py $(said)
+
+unknown: $(INSTALLED)  ## causes that the catalogue lacks: what is said of them (seed=, logs=, only=)
+	$(EXPERIMENT)/unknown.py $(said)
+
+multiple: $(INSTALLED)  ## several causes at once: F1 (seed=, logs=, only=)
+	$(EXPERIMENT)/multiple.py $(said)
+
+detection: $(INSTALLED)  ## the smallest sizes that are found, over noise, into docs/ (seed=, logs=, effects=)
+	$(EXPERIMENT)/detection.py docs=true $(said)
 
 bench: $(INSTALLED)  ## times against PyTorch (pip install torch; left out with a word without it) and Pinocchio
 	$(BIN)/python experiments/bench.py

@@ -196,7 +196,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
         errors = [e for o in own for e in o.size_errors]
         size = f"{100 * np.median(errors):.2g} % | {100 * np.quantile(errors, 0.9):.2g} %" if errors else "- | -"
         precision = f"{true / len(claimed):.2f}" if claimed else "-"
-        row = f"| {name} | {len(own)} | {count['named']} | {count['ambiguous']} | {count['nothing']} | {count['wrong']} "
+        row = (
+            f"| {name} | {len(own)} | {count['named']} | {count['ambiguous']} | {count['nothing']} | {count['wrong']} "
+        )
         lines.append(row + f"| {right / max(len(own), 1):.2f} | {precision} | {size} |")
     right = sum(o.result in ("named", "ambiguous") for o in loud)
     unsure = sum(o.result == "ambiguous" for o in loud)
@@ -213,7 +215,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
     ]
     if errors:
         within = np.mean(np.array(errors) < 0.1)
-        lines.append(f"- Sizes within 10 %: {100 * within:.1f} %. Intervals that hold the truth: {100 * np.mean(covered):.1f} %.")
+        lines.append(
+            f"- Sizes within 10 %: {100 * within:.1f} %. Intervals that hold the truth: {100 * np.mean(covered):.1f} %."
+        )
     lines.append(f"- Seconds per diagnosis: median {np.median([o.seconds for o in outcomes]):.1f}.")
     return "\n".join([*lines, "", *matrix(loud, clean)])
 
@@ -258,15 +262,24 @@ def main(argv: Sequence[str]) -> int:
             continue
         last = outcomes[-1]
         if last.result in ("wrong", "nothing") and (last.hidden or last.named):
-            print(f"{last.result}: seed {one} {last.hidden} -> {last.named} share {last.share:.1f} ({last.said})", flush=True)
+            print(
+                f"{last.result}: seed {one} {last.hidden} -> {last.named} share {last.share:.1f} ({last.said})",
+                flush=True,
+            )
         if number % 20 == 19:
             left = (time.time() - started) / (number + 1) * (len(plan) - number - 1)
             print(f"{number + 1} of {len(plan)} logs, {left / 60:.0f} min left", file=sys.stderr, flush=True)
+            write(outcomes, seed, folder)
+    print(write(outcomes, seed, folder))
+    return 0
+
+
+def write(outcomes: Sequence[Outcome], seed: int, folder: Path) -> str:
+    """All logs and their tables so far, into the folder; the tables' text."""
     text = table(outcomes)
-    print(text)
     (folder / "confusion.md").write_text(f"seed {seed}\n\n{text}\n")
     (folder / "confusion.json").write_text(json.dumps([vars(o) for o in outcomes], indent=1, default=float))
-    return 0
+    return text
 
 
 if __name__ == "__main__":

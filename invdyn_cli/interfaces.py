@@ -158,7 +158,9 @@ class AbstractEffect(abc.ABC):
         for name, bound in self.parameters.items():
             value = np.asarray(parameters[name])
             if value.dtype.kind in "fi" and (np.any(value < bound.lower) or np.any(value > bound.upper)):
-                return f"{name} would be {np.round(value, 4)} {bound.unit}; possible: {bound.lower:g} to {bound.upper:g}"
+                return (
+                    f"{name} would be {np.round(value, 4)} {bound.unit}; possible: {bound.lower:g} to {bound.upper:g}"
+                )
         return ""
 
 

@@ -25,7 +25,7 @@ from invdyn_cli.interfaces import (
     Parameters,
 )
 from invdyn_cli.maths import rigid_body
-from invdyn_cli.types import Motion, Robot
+from invdyn_cli.types import Array, Motion, Robot
 
 BLOCK = 2.0
 """Length of a block [s]: longer than what friction, control and filter remember of a residual."""
@@ -40,6 +40,9 @@ DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 STICK_TIME = 0.005
 """[s] A joint that turns back sticks for some milliseconds, in which its friction is anything in between: such a shift of
 the jump is allowed for, as a free column of its own."""
+
+ZEROS = (-0.04, 0.04)
+"""[rad] Encoder offsets at which the torque is taken anew: far from zero it is no straight line of the offset."""
 
 STEP = 1e-3
 """Relative step of finite differences in a channel's parameters, and the step [rad] in an encoder's zero."""
@@ -217,7 +220,9 @@ def _quiet(evidence: Evidence, effect: AbstractChannelEffect, joint: int, shape:
     return float(max(0.0, 1 - spread[0] / max(spread[1], 1e-300)))
 
 
-def body_candidate(evidence: Evidence, effect: AbstractBodyEffect | AbstractMotionEffect, joint: int | None, at: Parameters) -> Candidate:
+def body_candidate(
+    evidence: Evidence, effect: AbstractBodyEffect | AbstractMotionEffect, joint: int | None, at: Parameters
+) -> Candidate:
     """A body or motion effect linearised at parameters that were found already: the change so far is fixed."""
     base = next(c for c in evidence.candidates if c.key == (effect.name, joint) and not c.shape)
     changes = []
@@ -270,6 +275,8 @@ def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
                 columns = filtered(recording, change)
                 where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}
                 evidence.candidates.append(Candidate(effect, joint, {}, where, np.array([1 / 0.3**2])))
+                for offset in ZEROS:
+                    evidence.candidates.append(body_candidate(evidence, effect, joint, {"offset": offset}))
 
 
 @jax.jit
@@ -284,9 +291,9 @@ def _linear(kinematics, gravity, moves, q, qd, qdd):
 def _falling(kinematics, inertial, falls, q, qd, qdd):
     """Torque (k, n, T) at rest of unit moves (k, 3) of gravity."""
     still = jnp.zeros_like(q)
-    return jax.vmap(
-        lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still)
-    )(falls)
+    return jax.vmap(lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still))(
+        falls
+    )
 
 
 def _states(piece: Piece, torque: np.ndarray, recording: Recording) -> list[JointState]:
@@ -309,10 +316,11 @@ def _moving(piece: Piece, recording: Recording) -> np.ndarray:
     return ~recording.filter.spread(rest)
 
 
-def filtered(recording: Recording, parts: Sequence[np.ndarray], joint: int | None = None) -> np.ndarray:
+def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = None) -> np.ndarray:
     """(..., T) of every piece, filtered as a joint's torque is, one behind the other: (..., R); without a joint
     (..., n, T) -> (..., n, R)."""
-    each = [recording.filter(x) if joint is None else recording.filter.of(joint, x) for x in parts]
+    arrays = [np.asarray(x) for x in parts]
+    each = [recording.filter(x) if joint is None else recording.filter.of(joint, x) for x in arrays]
     return np.concatenate(each, axis=-1)
 
 

@@ -5,7 +5,7 @@ Linear columns chose the hypothesis; here a gain scales the friction behind it, 
 and nothing is straightened any more. Gauss and Newton's steps with numerical slopes, a few times.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,11 +13,27 @@ from scipy import stats
 
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
 from invdyn_cli.effects.composition import Acting, joint_terms, rigid_torque
-from invdyn_cli.interfaces import AbstractBodyEffect, AbstractChannelEffect, AbstractMotionEffect, AbstractTorqueEffect, Parameter
+from invdyn_cli.interfaces import (
+    AbstractBodyEffect,
+    AbstractChannelEffect,
+    AbstractMotionEffect,
+    AbstractTorqueEffect,
+    Parameter,
+)
 from invdyn_cli.types import Motion
 
 STEPS = 4
 """Newton steps at most: columns start within a few percent."""
+
+
+SYSTEMATIC, OWN_TIME = 1e-3, 0.1
+"""Share of a parameter, and of a log's sample, by which interpolation and holding mislead an honest log of the simulated
+arm (`make confusion`)."""
+
+
+STUCK = 0.04
+"""Share of a static friction, and of the speed at which it falls, that the milliseconds hide in which a joint that turns
+back sticks."""
 
 @dataclass(frozen=True)
 class Refined:
@@ -186,9 +202,21 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
             if name in ("azimuth", "phase"):
                 each = value + (each - value + np.pi) % (2 * np.pi) - np.pi
             error = reach * np.sqrt(np.sum((each - each.mean(0)) ** 2, axis=0))
+            error = np.hypot(error, 2 * _systematic(evidence, a, name, value))
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
     return out
+
+
+def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:
+    """Standard error that no spread of blocks shows: what clocks, holding and filters leave of every column."""
+    if name in ("delay", "time_constant") and acting.effect.point == "channel":
+        return OWN_TIME * evidence.recording.period
+    if name in ("static", "velocity"):
+        return STUCK * np.abs(value)
+    if name in ("phase", "azimuth", "rest", "cycles"):
+        return 0.0
+    return SYSTEMATIC * np.abs(np.asarray(value, float) - (1.0 if name == "gain" else 0.0))
 
 
 def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual) -> np.ndarray:
@@ -239,11 +267,10 @@ def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, n
     for a in acting:
         if a.effect.name not in (*DRY, "asymmetric_coulomb_friction"):
             continue
-        assert isinstance(a.effect, AbstractTorqueEffect)
-        parts = [
-            np.gradient(np.asarray(a.effect.term(a.parameters, s[a.joint]))) * evidence.recording.filter.rate
-            for s in evidence.states
-        ]
+        assert isinstance(a.effect, AbstractTorqueEffect) and a.joint is not None
+        states = [s[a.joint] for s in evidence.states]
+        terms = [np.asarray(a.effect.term(a.parameters, s)) for s in states]
+        parts = [np.gradient(x) * evidence.recording.filter.rate for x in terms]
         column = np.zeros(evidence.tau.shape)
         column[:, a.joint] = filtered(evidence.recording, parts, a.joint)
         columns.append(column)

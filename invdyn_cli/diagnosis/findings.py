@@ -7,42 +7,26 @@ its joint does not outweigh it.
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.exact import Refined, intervals, refine
-from invdyn_cli.diagnosis.recording import ROLES
-from invdyn_cli.diagnosis.search import Hypothesis, _solve
+from invdyn_cli.diagnosis.exact import Refined, intervals
+from invdyn_cli.diagnosis.inquiry import LATE, Inquiry
+from invdyn_cli.diagnosis.search import Hypothesis
+from invdyn_cli.diagnosis.support import judged, left, refitted, that_hold
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.interfaces import AbstractEffect
-from invdyn_cli.types import Diagnosis, Examination, Finding, Gain, Quantity, Robot
-
-if TYPE_CHECKING:
-    from invdyn_cli.diagnosis.pipeline import Inquiry
-
-OUTWEIGHED = 0.25
-"""Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
-a column that is nearly orthogonal to an unknown cause still picks up a few percent of it."""
-
-PICKED_UP = 0.1
-"""And so much more for every further coefficient, each of which picks up as much."""
+from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
 
 LIGHTER = 0.5
 """Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
 
 MANY_LINKS = 3
 """Links with wrong inertials from which the model as a whole is in doubt."""
-
-PREDICTABLE, SMALL = 0.15, 0.15
-"""What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
-than this share of the nominal model's error, in N m."""
-
-RARE = 0.1
-"""Of its mean square, what an effect must have on the held-out rows to be judged there."""
 
 DRAWS = 1000
 
@@ -61,22 +45,16 @@ class Made:
     notes: tuple[str, ...]
 
 
-def judged(evidence: Evidence) -> np.ndarray:
-    """Rows (R,) bool that chose nothing; all but the reference's where there are none."""
-    test = evidence.role == ROLES.index("test")
-    return test if test.any() else evidence.role != ROLES.index("reference")
-
-
-def report(inquiry: "Inquiry", effects: Mapping[str, AbstractEffect], examination: Examination, side: str) -> Made:
+def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination: Examination, side: str) -> Made:
     """Everything that can be claimed of a log."""
     evidence, judge = inquiry.evidence, inquiry.judge
-    hypothesis, dropped = _that_hold(inquiry)
+    hypothesis, dropped = that_hold(inquiry)
     chosen, whole = inquiry.chosen, inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
         kept = [i for i, c in enumerate(inquiry.hypothesis) if c in hypothesis]
-        chosen = _again(inquiry, [chosen.acting[i] for i in kept], judge.rows)
-        whole = _again(inquiry, [whole.acting[i] for i in kept], np.ones_like(judge.rows))
-    nothing = _again(inquiry, [], judge.rows)
+        chosen = refitted(inquiry, [chosen.acting[i] for i in kept], judge.rows)
+        whole = refitted(inquiry, [whole.acting[i] for i in kept], np.ones_like(judge.rows))
+    nothing = refitted(inquiry, [], judge.rows)
     ends = intervals(evidence, whole)
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
     claims, acting, shown, used = [], [], [], set()
@@ -84,6 +62,8 @@ def report(inquiry: "Inquiry", effects: Mapping[str, AbstractEffect], examinatio
         if i in used:
             continue
         rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
+        if candidate.key in inquiry.close:
+            rivals = [_late(r, candidate, inquiry.close[candidate.key]) for r in rivals]
         finding = Finding(
             effect=candidate.effect.name,
             joint=None if candidate.joint is None else evidence.robot.joints[candidate.joint],
@@ -131,113 +111,11 @@ def report(inquiry: "Inquiry", effects: Mapping[str, AbstractEffect], examinatio
 _OFFSET, _COULOMB = "offset", "coulomb"
 
 
-def _again(inquiry: "Inquiry", acting: Sequence[Acting], rows: np.ndarray) -> Refined:
-    return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.always)
-
-
-def _that_hold(inquiry: "Inquiry") -> tuple[Hypothesis, tuple[str, ...]]:
-    """The candidates that gain on data that did not choose them, and explain more than what stays unknown; and a
-    sentence for each of the others."""
-    hypothesis, said = inquiry.hypothesis, []
-    for _ in range(len(hypothesis)):
-        worst = None
-        for i in range(len(hypothesis)):
-            why = _fails(inquiry, hypothesis, i)
-            if why is not None and (worst is None or why[0] < worst[1][0]):
-                worst = i, why
-        if worst is None:
-            break
-        out = hypothesis[worst[0]]
-        where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
-        said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
-        hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
-    return hypothesis, tuple(said)
-
-
-def _fails(inquiry: "Inquiry", hypothesis: Hypothesis, i: int) -> tuple[float, str] | None:
-    """Why a candidate may not be claimed, with how much it explains; None if it may."""
-    evidence, weights = inquiry.evidence, inquiry.noise.weights
-    rows = judged(evidence)
-    squares, unknown = _squares(inquiry, hypothesis, (i,))
-    gain = float(np.sum(weights * squares))
-    if gain <= 0 and not _is_rare(inquiry, hypothesis, i):
-        return gain, "it does not hold on data that did not choose it"
-    rest = float(np.sum(weights * unknown * rows.sum() * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
-    needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
-    if 0 < gain < needed * rest:
-        return gain / rest, "most of what it would explain is something else that this catalogue does not know"
-    late = {"torque_delay": "delay", "actuator_lag": "time_constant"}.get(hypothesis[i].effect.name)
-    if late is not None:
-        value = next(
-            a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key
-        )
-        if value < evidence.recording.period:
-            return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
-    if hypothesis[i].effect.name == "torque_saturation" and not _hugs_its_limit(inquiry, hypothesis[i]):
-        return gain, "the arm moved as if it had got torques beyond that limit"
-    place = next(k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i])
-    if not _is_exact(inquiry, place):
-        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
-    return None
-
-
-def _is_rare(inquiry: "Inquiry", hypothesis: Hypothesis, i: int) -> bool:
-    """Whether a candidate hardly comes up on the held-out rows."""
-    after, before = _left(inquiry, hypothesis, (i,))
-    change = ((after - before) * inquiry.evidence.valid) ** 2 @ inquiry.noise.weights
-    return bool(np.mean(change[judged(inquiry.evidence)]) < RARE * np.mean(change))
-
-
-def _hugs_its_limit(inquiry: "Inquiry", candidate: Candidate) -> bool:
-    """Whether the torque that moved a joint stays within the limit of its saturation."""
-    evidence, j = inquiry.evidence, candidate.joint
-    moved = np.abs(evidence.tau[:, j] - inquiry.chosen.residual[:, j])
-    limit = next(a.parameters["limit"] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == candidate.key)
-    nominal = np.abs(evidence.nominal[:, j])
-    reach = min(float(np.quantile(moved, 0.99)), float(np.quantile(nominal, 0.99)))
-    return limit > 0.75 * reach and limit > 3 * inquiry.noise.deviation[j]
-
-
-def _is_exact(inquiry: "Inquiry", place: int) -> bool:
-    """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
-    as they are. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not. An
-    effect that hardly comes up on the held-out rows is judged on all."""
-    evidence, acting = inquiry.evidence, inquiry.chosen.acting
-    others = [a for k, a in enumerate(acting) if k != place]
-    change = (inquiry.model.residual(others) - inquiry.model.residual(acting)) * evidence.valid
-    rows = judged(evidence)
-    if np.mean(change[rows] ** 2 @ inquiry.noise.weights) < RARE * np.mean(change**2 @ inquiry.noise.weights):
-        rows = np.ones_like(rows)
-    saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
-    per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
-    return bool(per_block.sum() > 0) and naming.chance(per_block, 0.0) < naming.DOUBT
-
-
-def _squares(inquiry: "Inquiry", hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Per joint: sum of squares on held-out rows that some candidates of a hypothesis save, and the variance of what is
-    structured in what it leaves there."""
-    evidence = inquiry.evidence
-    rows = judged(evidence)
-    after, before = _left(inquiry, hypothesis, without)
-    valid = evidence.valid & rows[:, None]
-    return np.sum((before**2 - after**2) * valid, axis=0), naming.structure(after, valid, evidence.piece)
-
-
-def _left(inquiry: "Inquiry", hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (R, n) of a hypothesis, and of what remains of it, both fitted on the data that chose."""
-    judge = inquiry.judge
-    out = []
-    for kept in (hypothesis, tuple(c for k, c in enumerate(hypothesis) if k not in without)):
-        theta = judge.verdict((*inquiry.always, *kept)).theta
-        out.append(inquiry.evidence.left((*inquiry.always, *kept), theta))
-    return out[0], out[1]
-
-
-def _gains(inquiry: "Inquiry", hypothesis: Hypothesis, without: Sequence[int]) -> dict[str, Gain]:
+def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> dict[str, Gain]:
     """Held-out error of every joint that gains by these candidates, without and with them."""
     evidence = inquiry.evidence
     rows = judged(evidence)
-    after, before = _left(inquiry, hypothesis, without)
+    after, before = left(inquiry, hypothesis, without)
     numbers, of = np.unique(evidence.block[rows], return_inverse=True)
     draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
     gains = {}
@@ -259,6 +137,14 @@ def _gains(inquiry: "Inquiry", hypothesis: Hypothesis, without: Sequence[int]) -
     return gains
 
 
+def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
+    """A delay's lag, or a lag's delay, judged by their exact formulas."""
+    if rival.candidate.joint != own.joint or rival.candidate.effect.name not in LATE:
+        return rival
+    why = "does as well" if close else "does worse on the same rows, both taken exactly"
+    return replace(rival, equal=close, why=why)
+
+
 def _worth(finding: Finding) -> float:
     return max((g.nmse_before - g.nmse_after for g in finding.gain.values()), default=0.0)
 
@@ -274,7 +160,7 @@ def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _term(inquiry: "Inquiry", acting: Sequence[Acting], i: int) -> np.ndarray:
+def _term(inquiry: Inquiry, acting: Sequence[Acting], i: int) -> np.ndarray:
     """(R, n) what one effect adds to the torque, the others staying as they are."""
     others = [a for k, a in enumerate(acting) if k != i]
     return inquiry.model.residual(others) - inquiry.model.residual(acting)
@@ -433,45 +319,3 @@ def _blind(
                 advice = effects[name].advice
                 out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))
     return out
-
-
-def verdict(made: Made, learned: np.ndarray, floor: np.ndarray | None, extended: Mapping[str, Mapping[str, float]]) -> str:
-    """explained, partly_explained or nothing_found."""
-    if not any(f.status in ("named", "ambiguous") for f in made.findings):
-        return "nothing_found"
-    before = np.sqrt(np.mean(made.before**2, axis=0))
-    after = np.array([x["rmse"] for x in extended.values()])
-    left = np.sqrt(learned) * after
-    fine = (learned < PREDICTABLE) | (left < SMALL * before)
-    if floor is not None:
-        fine |= after < 1.2 * floor
-    return "explained" if np.all(fine) else "partly_explained"
-
-
-def summary(diagnosis: Diagnosis) -> str:
-    """The verdict in two sentences."""
-    claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
-    before, after = (
-        np.sqrt(np.mean([x["rmse"] ** 2 for x in table.values()])) for table in (diagnosis.baseline, diagnosis.extended)
-    )
-    rest = [j for j, s in diagnosis.unexplained.items() if s > PREDICTABLE]
-    most = 100 * max(diagnosis.unexplained.values())
-    unknown = f"something unknown remains on {', '.join(rest)}: a learner still predicts up to {most:.0f} % of the residual"
-    if not claims:
-        first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
-        return f"{first} {unknown[0].upper()}{unknown[1:]}." if rest else f"{first} What is left looks like noise."
-    said = [
-        f"{EFFECTS[f.effect].title}{' or its rivals' if f.status == 'ambiguous' else ''}"
-        + (f" on {f.joint}" if f.joint else "")
-        for f in claims[:4]
-    ]
-    more = f" and {len(claims) - 4} more" if len(claims) > 4 else ""
-    first = f"The simulation lacks {_listed(said)}{more}; with that its held-out error falls from {before:.3g} to "
-    first += f"{after:.3g} N m RMS over all joints."
-    if diagnosis.verdict == "partly_explained" and rest:
-        return f"{first} But {unknown}."
-    return f"{first} What is left looks like noise."
-
-
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

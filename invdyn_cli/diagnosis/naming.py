@@ -51,7 +51,9 @@ def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
     return hypothesis
 
 
-def rivals(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> list[Rival]:
+def rivals(
+    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
+) -> list[Rival]:
     """The best trial of every other effect in the place of one, by effect and joint, the strongest first."""
     now = judge.verdict(always + hypothesis)
     own, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
@@ -95,7 +97,9 @@ def chance(step: np.ndarray, extra: float) -> float:
     return float(np.mean(step[draws].sum(1) + extra < LEAST_DIFFERENCE))
 
 
-def blind_to_stribeck(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> bool:
+def blind_to_stribeck(
+    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
+) -> bool:
     """Whether an ordinary drop of friction with speed could hide behind a Coulomb friction on this log."""
     own = hypothesis[place]
     if own.effect.name != "coulomb_friction":

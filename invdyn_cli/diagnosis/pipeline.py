@@ -6,23 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, findings, hold, known, naming, noise, repeats, unexplained
-from invdyn_cli.diagnosis.evidence import Evidence, gather, trial_at
-from invdyn_cli.diagnosis.exact import Model, Refined, refine
+from invdyn_cli.diagnosis import doctor, findings, hold, known, repeats, unexplained, wording
+from invdyn_cli.diagnosis.evidence import Evidence, gather
+from invdyn_cli.diagnosis.inquiry import inquire
 from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Window, prepare
-from invdyn_cli.diagnosis.search import Hypothesis, Judge, read_all, search
+from invdyn_cli.diagnosis.support import judged
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, rigid_torque
+from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.effects.description import ExtendedModel
-from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths import metrics
 from invdyn_cli.types import Diagnosis, Examination, Motion, Robot, Signals
-
-ROUNDS = 3
-"""Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ def diagnose(
     progress(0.25, "columns")
     evidence = gather(robot, recording, list(pool.values()), side)
     progress(0.5, "search")
-    inquiry = _inquire(evidence, allowed, options, reference is not None)
+    inquiry = inquire(evidence, allowed, options.most, reference is not None)
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)
@@ -105,15 +101,17 @@ def diagnose(
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
     )
-    baseline, extended, score = _scores(evidence, inquiry, made)
+    baseline, extended = _scores(evidence, made)
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
-        verdict=findings.verdict(made, learned, floor, score),
+        verdict=wording.verdict(made, learned, floor, extended),
         examination=examination,
         findings=made.findings,
         baseline=baseline,
         extended=extended,
-        noise_floor=None if floor is None else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
+        noise_floor=None
+        if floor is None
+        else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
         unexplained={j: float(x) for j, x in zip(robot.joints, learned, strict=True)},
         model=model,
         signals=_signals(evidence, made),
@@ -121,71 +119,18 @@ def diagnose(
         details={
             **recording.details,
             "time_taken_out_s": common,
-            "samples": int(len(evidence.role)),
+            "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
         },
     )
-    return replace(diagnosis, summary=findings.summary(diagnosis))
+    return replace(diagnosis, summary=wording.summary(diagnosis))
 
 
-@dataclass(frozen=True)
-class Inquiry:
-    """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
-    and on all data (`whole`), and all that rivals are judged with."""
-
-    evidence: Evidence
-    judge: Judge
-    model: Model
-    noise: noise.Noise
-    always: Hypothesis
-    hypothesis: Hypothesis
-    pool: Sequence[Any]
-    chosen: Refined
-    whole: Refined
-
-
-def _inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], options: Options, compares: bool) -> Inquiry:
-    """Search, refine, search again."""
-    choosing = (evidence.role == ROLES.index("train")) | (evidence.role == ROLES.index("reference"))
-    pool = [c for c in evidence.candidates if c.effect.name != "asymmetric_coulomb_friction"]
-    always: Hypothesis = tuple(c for c in pool if known.is_allowed(c, allowed))
-    measured = noise.measure(evidence, choosing)
-    pool += noise.ripples(evidence, measured, choosing, TorqueRipple())
-    if compares:
-        always, pool = known.compared(evidence, pool, ROLES.index("reference"))
-    pool = [c for c in pool if c.key not in {a.key for a in always} or compares]
-    last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
-    pool = [c for c in pool if c.key != ("link_inertia_error", last)]
-    judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
-    judge.refresh()
-    model = Model(evidence)
-    hypothesis = search(judge, pool, always, (), options.most)
-    for _ in range(ROUNDS):
-        before = {c.key for c in hypothesis}
-        refined = refine(evidence, model, _acting(judge, always, hypothesis), choosing, measured.weights, always)
-        trials = tuple(trial_at(evidence, a) for a in refined.acting)
-        pool = [*pool, *(c for c in trials if not any(c is p for p in pool))]
-        judge.refresh()
-        hypothesis = search(judge, pool, always, trials, options.most)
-        hypothesis = naming.simplified(judge, always, hypothesis, pool)
-        if {c.key for c in hypothesis} == before:
-            break
-    acting = _acting(judge, always, hypothesis)
-    chosen = refine(evidence, model, acting, choosing, measured.weights, always)
-    whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
-    return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole)
-
-
-def _acting(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
-    theta = judge.verdict((*hypothesis, *always)).theta
-    return [Acting(c.effect, c.joint, p) for c, p in read_all(judge.evidence, hypothesis, theta)]
-
-
-def _scores(evidence: Evidence, inquiry: Inquiry, made: "findings.Made"):
+def _scores(evidence: Evidence, made: findings.Made) -> list[dict[str, dict[str, float]]]:
     """Held-out error of every joint with the nominal and the extended model."""
-    rows = findings.judged(evidence)
+    rows = judged(evidence)
     tables = []
     for residual in (made.before, made.residual):
         row = {}
@@ -196,10 +141,10 @@ def _scores(evidence: Evidence, inquiry: Inquiry, made: "findings.Made"):
                 "nmse": float(metrics.nmse(tau[:, None], (tau - left)[:, None])[0]),
             }
         tables.append(row)
-    return tables[0], tables[1], tables[1]
+    return tables
 
 
-def _signals(evidence: Evidence, made: "findings.Made") -> Signals:
+def _signals(evidence: Evidence, made: findings.Made) -> Signals:
     recording = evidence.recording
     kept = [recording.filter.rows(len(p.t)) for p in recording.pieces]
 

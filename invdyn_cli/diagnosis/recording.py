@@ -39,7 +39,8 @@ class Conditioning:
             differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE). Beyond, it would not only
             drown the torque: a controller answers to the noise of its encoders, and what it then asks for goes
             with the noise of the regressor.
-        smoothing: the motion keeps so many times the bandwidth of the columns.
+        smoothing: the motion keeps so many times the bandwidth of the columns, and at least `sharpness` [Hz]: what
+            friction does near a reversal takes 20 ms.
         max_gap: [s] a longer step parts a trajectory.
         train_share: first share of each trajectory's time that chooses; the rest judges.
         longest: [s] of log that is looked at; of a longer one, `stretch` [s] long stretches spread evenly over it.
@@ -48,6 +49,7 @@ class Conditioning:
     rate: float = 250.0
     cutoffs: tuple[float, ...] = (40.0, 30.0, 22.0, 16.0, 12.0, 9.0, 7.0, 5.5, 4.0, 3.0)
     smoothing: float = 4.0
+    sharpness: float = 60.0
     max_gap: float = 0.1
     train_share: float = 0.7
     longest: float = 900.0
@@ -95,7 +97,8 @@ class Filter:
 
     def of(self, joint: int, x: np.ndarray) -> np.ndarray:
         """A joint's columns (..., T) -> (..., rows)."""
-        out = signal.sosfiltfilt(_sections(self.rate, self.cutoffs[joint]), x, axis=-1, padlen=self.inset)
+        sections = _sections(self.rate, self.cutoffs[joint])
+        out = np.asarray(signal.sosfiltfilt(sections, np.asarray(x), axis=-1, padlen=self.inset))
         return out[..., self.rows(x.shape[-1])]
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -170,8 +173,8 @@ def prepare(
             f"{options.longest:g} s in all, are looked at."
         )
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
-    position_noise = _noise([np.diff(q, 4, axis=1) for *_, q, _ in cut])
-    torque_noise = _noise([_unanswered(q, tau) for *_, q, tau in cut])
+    position_noise = _noise([np.diff(q, 4, axis=1) for _, _, _, q, _ in cut])
+    torque_noise = _noise([_unanswered(q, tau) for _, _, _, q, tau in cut])
     step = max(1, round(1 / (period * options.rate)))
     rate = 1 / (period * step)
     strongest = np.sqrt(np.mean(np.concatenate([tau for *_, tau in cut], axis=1) ** 2, axis=1))
@@ -180,7 +183,7 @@ def prepare(
         for numbers in zip(position_noise, torque_noise, strongest, inertia, strict=True)
     ]
     common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))))
-    smooth = options.smoothing * max(cutoffs)
+    smooth = max(options.smoothing * max(cutoffs), options.sharpness)
     pieces = []
     for name, role, t, q, tau in cut:
         if len(t) // step > 3 * common.inset + 8:
@@ -190,7 +193,12 @@ def prepare(
         raise LogError(f"no uninterrupted stretch of the log is long enough; {needed:.2g} s are needed")
     if len(pieces) < len(cut):
         notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
-    details = {"working_rate_Hz": rate, "filter_cutoff_Hz": dict(zip(log.joints, cutoffs, strict=True)), "filter_order": 4, "motion_cutoff_Hz": smooth}
+    details = {
+        "working_rate_Hz": rate,
+        "filter_cutoff_Hz": dict(zip(log.joints, cutoffs, strict=True)),
+        "filter_order": 4,
+        "motion_cutoff_Hz": smooth,
+    }
     return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.evidence import DRY, Candidate, Evidence
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractChannelEffect, AbstractTorqueEffect
 
 FOLDS = 8
 """Parts of the blocks that are held out in turn."""
@@ -193,15 +194,18 @@ def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.nda
         return {"gain": float(1 / max(1 + coefficients[0], 1e-3))}
     if effect.name == "encoder_offset":
         return {"offset": float(shape.get("offset", 0.0) + coefficients[0])}
-    if effect.point == "channel":
+    if isinstance(effect, AbstractChannelEffect):
         return {name: float(value + c) for (name, value), c in zip(shape.items(), coefficients, strict=True)}
-    if effect.point == "body":
-        return effect.read(coefficients, evidence.robot, candidate.joint)
+    if isinstance(effect, AbstractBodyEffect):
+        return effect.read([float(c) for c in coefficients], evidence.robot, candidate.joint)
+    assert isinstance(effect, AbstractTorqueEffect)
     known = [float(c) for c in coefficients]
     return effect.read(known[:-1] if effect.name in DRY else known, shape)
 
 
-def search(judge: Judge, pool: Sequence[Candidate], always: Hypothesis = (), start: Hypothesis = (), most: int = 12) -> Hypothesis:
+def search(
+    judge: Judge, pool: Sequence[Candidate], always: Hypothesis = (), start: Hypothesis = (), most: int = 12
+) -> Hypothesis:
     """The hypothesis of least loss that steps from `start` lead to; `always` is part of it and not counted."""
     hypothesis, loss = start, judge.verdict(always + start).loss
     for _ in range(6 * most):

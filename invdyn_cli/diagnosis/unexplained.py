@@ -82,6 +82,8 @@ def _nets(motion, residual: np.ndarray, learn: np.ndarray, judge: np.ndarray, ke
     data = training.Data(np.asarray(x[rows], np.float32), np.asarray(y[rows], np.float32))
     (trained,) = training.train([group], NETS, data, None, jax.random.split(key, 1))
     nets = jax.tree.map(lambda leaf: np.asarray(leaf[0]), trained.params)
-    hidden = np.maximum(np.einsum("ri,niu->nru", x[judge], nets["Dense_0"]["kernel"]) + nets["Dense_0"]["bias"][:, None], 0)
+    hidden = np.maximum(
+        np.einsum("ri,niu->nru", x[judge], nets["Dense_0"]["kernel"]) + nets["Dense_0"]["bias"][:, None], 0
+    )
     out = np.einsum("nru,nuo->nr", hidden, nets["Dense_1"]["kernel"]) + nets["Dense_1"]["bias"]
     return middle + scale * out.T

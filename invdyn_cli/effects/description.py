@@ -1,6 +1,6 @@
 """extended_model.json <-> a robot with effects on it, usable at once: `invdyn-model/1`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 

@@ -34,7 +34,7 @@ from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_wi
 from invdyn_cli.report.overview import overview
 from invdyn_cli.report.quantities import best_gain
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import EFFECTS, headline_of, picture, place, set_words
+from invdyn_cli.report.wording import EFFECTS, headline_of, picture, place, rivals_of, shortened
 from invdyn_cli.types import Diagnosis
 
 OVERVIEW = "overview"
@@ -181,7 +181,7 @@ def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
     headline = f"{place(finding)}: {headline_of(finding)}"
     meaning = EFFECTS[finding.effect].meaning if finding.effect in EFFECTS else ""
     if finding.status == "ambiguous":
-        meaning = f"This log cannot tell it from {' or '.join(map(set_words, finding.alternatives)) or 'others'}."
+        meaning = f"This log cannot tell it from {' or '.join(shortened(rivals_of(finding))) or 'others'}."
     gain, joint = "", best_gain(finding.gain)
     if joint is not None:
         one, other = (significant(x) for x in (finding.gain[joint].rmse_before, finding.gain[joint].rmse_after))

@@ -13,6 +13,7 @@ from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quant
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     EFFECTS,
+    NO_BREAK,
     STATUS_WORDS,
     VERDICT_WORDS,
     capital,
@@ -21,7 +22,7 @@ from invdyn_cli.report.wording import (
     estimates,
     joints_of,
     place,
-    set_words,
+    rivals_of,
     units_of,
     words,
 )
@@ -46,7 +47,7 @@ from invdyn_cli import load_model
 model = load_model("extended_model.json")
 tau = model.predict(q, qd, qdd)   # one recording, (T, n) each, evenly sampled: N m for rad, rad/s, rad/s²"""
 FOLD_FROM = 4
-"""Rejected rivals from which their list is folded."""
+"""Rejected rivals, or notes, from which their list is folded."""
 
 STYLE = """
 .verdict { font-weight: 600; } .lead { margin-top: .6rem; }
@@ -58,7 +59,7 @@ STYLE = """
 @media (prefers-color-scheme: dark) { .pill { color: #6cc0f5; } .pill.ambiguous, .pill.warn { color: #f2a65a; }
   .pill.fail { color: #ff8a5c; } }
 table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
-table.causes { min-width: 58rem; }
+table.causes { min-width: 58rem; } table.causes td:nth-child(4) { min-width: 13.5rem; }
 table.words td.whole { white-space: nowrap; } td small.name, .name { font-family: ui-monospace, monospace;
   font-size: .78rem; color: var(--soft); } td a { color: inherit; }
 .law { font-size: 1.08rem; border-left: 4px solid #d55e00; padding: .25rem .9rem; margin: .7rem 0; }
@@ -83,7 +84,7 @@ def page(diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path]) -> str:
     found = claims(diagnosis)
     told = f'<p class="sub"><span class="verdict">{escape(_verdict(diagnosis))}</span></p>\n'
     told += f'<p class="lead">{escape(diagnosis.summary or _verdict(diagnosis) + ".")}</p>\n'
-    told += "".join(f'<p class="note-line">{escape(x)}</p>\n' for x in diagnosis.notes)
+    told += _notes(diagnosis.notes)
     picked = picture(drawn[OVERVIEW], OVERVIEW_CAPTION) if OVERVIEW in drawn else ""
     evidence = "".join(_cause(diagnosis, k + 1, x, drawn) for k, x in enumerate(found))
     usable = diagnosis.verdict != "log_unusable"
@@ -98,6 +99,14 @@ def page(diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path]) -> str:
         ("How it was done", folded("filter, rates, tries", pairs(diagnosis.details)) if diagnosis.details else ""),
     ]
     return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), STYLE)
+
+
+def _notes(notes: Sequence[str]) -> str:
+    """What the user should know; from FOLD_FROM notes on all but the first are folded."""
+    lines = [f'<p class="note-line">{escape(x)}</p>\n' for x in notes]
+    open_ones = len(lines) if len(lines) < FOLD_FROM else 1
+    rest = "".join(lines[open_ones:])
+    return "".join(lines[:open_ones]) + (folded(f"{len(lines) - open_ones} more notes", rest) if rest else "")
 
 
 def _title(diagnosis: Diagnosis, robot_name: str) -> str:
@@ -119,7 +128,7 @@ def _causes(diagnosis: Diagnosis) -> str:
     """A row per claim: effect, joint, status, parameters with 95 % intervals, what it gains most, alternatives."""
     body = ""
     for k, finding in enumerate(claims(diagnosis)):
-        rivals = "<br>".join(escape(set_words(x)) for x in finding.alternatives) or "-"
+        rivals = escape("; ".join(rivals_of(finding))) or "-"
         values = "<br>".join(escape(x) for x in estimates(finding)) or "-"
         joint = best_gain(finding.gain)
         gain = "-" if joint is None else f"{escape(gain_text(finding.gain[joint]))}{_at(joint, finding)}"
@@ -131,7 +140,14 @@ def _causes(diagnosis: Diagnosis) -> str:
     if not body:
         return "" if diagnosis.verdict == "log_unusable" else "<p>None was found.</p>"
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values()))
-    heads = ("effect", "joint", "status", "estimate [95 %]", f"held-out RMSE falls by [{unit}]", "or else")
+    heads = (
+        "effect",
+        "joint",
+        "status",
+        "estimate [95 %]",
+        f"held-out RMSE falls by [{unit}]".replace("N m", f"N{NO_BREAK}m"),
+        "or else",
+    )
     return _table(heads, body, "words causes")
 
 
@@ -157,7 +173,7 @@ def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[s
         out += f"<p>It acts from {finding.window[0]:.4g} s to {finding.window[1]:.4g} s{escape(where)}.</p>"
     out += f'<div class="side"><div>{_parameters(finding)}</div><div>{_gains(diagnosis, finding.gain)}</div></div>'
     if finding.alternatives:
-        sets = "; or by ".join(f"<b>{escape(set_words(x))}</b>" for x in finding.alternatives)
+        sets = "; or by ".join(f"<b>{escape(x)}</b>" for x in rivals_of(finding))
         out += f'<p class="warning">On this log it could be replaced by {sets}, within the noise.</p>'
     if finding.advice:
         out += f"<p><b>To be surer:</b> {escape(finding.advice)}</p>"
@@ -170,7 +186,8 @@ def _parameters(finding: Finding) -> str:
     for name, quantity in finding.parameters.items():
         degrees = in_degrees(quantity)
         small = f"<small>{escape(degrees)}</small>" if degrees else ""
-        body += f"<tr><td>{escape(name)}</td><td>{escape(quantity_text(quantity))}{small}</td></tr>"
+        shown = "not to be known from this log" if quantity.value is None else quantity_text(quantity)
+        body += f"<tr><td>{escape(name)}</td><td>{escape(shown)}{small}</td></tr>"
     return _table(("parameter", "estimate [95 %]"), body, "") if body else ""
 
 

@@ -80,8 +80,13 @@ def component_intervals(value: Any, interval: Any) -> np.ndarray | None:
 
 
 def gain_text(gain: Gain) -> str:
-    """'0.51 [0.45, 0.57]': by how much an effect lowers the held-out RMSE of a joint."""
-    return quantity_text(Quantity(gain.rmse_before - gain.rmse_after, "-", gain.interval95))
+    """'0.51 [0.45, 0.57]': by how much an effect lowers the held-out RMSE of a joint.
+
+    An interval without width is none: a single held-out block tells nothing of how gains scatter.
+    """
+    low, high = gain.interval95
+    interval = gain.interval95 if high > low else None
+    return quantity_text(Quantity(gain.rmse_before - gain.rmse_after, "-", interval))
 
 
 def best_gain(gains: Mapping[str, Gain]) -> str | None:

@@ -135,6 +135,9 @@ STATUS_WORDS = {
     "not_observable": "not observable",
 }
 NO_BREAK = "\N{NO-BREAK SPACE}"
+SHOWN_RIVALS = 2
+"""Alternatives that a headline names, one more if it is the last; the list has them all."""
+
 CLAIMS = ("named", "ambiguous")
 """Statuses of findings that say something is there; the others say what could not be seen."""
 
@@ -161,10 +164,21 @@ def set_words(effects: Sequence[str]) -> str:
     return " + ".join(map(words, effects))
 
 
+def rivals_of(finding: Finding) -> list[str]:
+    """What could replace it on this log, each once, in words; its own name among them is that of another joint."""
+    said = ("the same on another joint" if x == (finding.effect,) else set_words(x) for x in finding.alternatives)
+    return list(dict.fromkeys(said))
+
+
+def shortened(names: Sequence[str], most: int = SHOWN_RIVALS) -> list[str]:
+    """The names, and instead of those beyond `most` their number: 'payload', 'base tilt', '3 others'."""
+    return list(names) if len(names) <= most + 1 else [*names[:most], f"{len(names) - most} others"]
+
+
 def cause(finding: Finding) -> str:
     """The effect in words; where data leave it open with its alternatives: 'payload or base tilt'."""
-    rivals = finding.alternatives if finding.status == "ambiguous" else ()
-    return " or ".join([words(finding.effect), *map(set_words, rivals)])
+    rivals = rivals_of(finding) if finding.status == "ambiguous" else []
+    return " or ".join([words(finding.effect), *shortened(rivals)])
 
 
 def place(finding: Finding) -> str:
@@ -173,9 +187,10 @@ def place(finding: Finding) -> str:
 
 
 def estimates(finding: Finding) -> list[str]:
-    """Every parameter with its name, as 'coulomb 2.00 N m [1.98, 2.02]'; one that stands alone is known by its unit."""
-    shown = {name: quantity_text(x) for name, x in finding.parameters.items()}
-    alone = len(shown) == 1 and next(iter(finding.parameters.values())).unit != "-"
+    """Every parameter that could be known with its name, as 'coulomb 2.00 N m [1.98, 2.02]'; one that stands alone is
+    known by its unit."""
+    shown = {name: quantity_text(x) for name, x in finding.parameters.items() if x.value is not None}
+    alone = len(shown) == len(finding.parameters) == 1 and next(iter(finding.parameters.values())).unit != "-"
     return list(shown.values()) if alone else [f"{name.replace('_', ' ')} {text}" for name, text in shown.items()]
 
 

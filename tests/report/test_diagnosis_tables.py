@@ -9,8 +9,8 @@ from rich.console import Console
 from invdyn_cli.report.diagnosis_tables import error_table, finding_table, verdict_line
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import claims, joints_of, place
-from invdyn_cli.types import Gain, Quantity
+from invdyn_cli.report.wording import cause, claims, estimates, joints_of, place, rivals_of
+from invdyn_cli.types import Finding, Gain, Quantity
 from tests.diagnoses import JOINTS, log_unusable, make_diagnosis, nothing_found
 
 
@@ -36,6 +36,26 @@ def test_ambiguous_causes_say_or():
     cause, joint, *_ = finding_table(make_diagnosis()).columns
     said = "Torque offset or asymmetric Coulomb friction or joint spring + Coulomb friction"
     assert str(list(cause.cells)[-1]) == said and str(list(joint.cells)[-1]) == "joint6\nambiguous"
+
+
+def test_many_rivals_are_counted():
+    """A headline names two rivals and counts the others; each comes once, its own name is another joint's."""
+    names = ("stribeck_friction", "coulomb_friction", "payload", "base_tilt", "stribeck_friction")
+    finding = Finding("coulomb_friction", "joint1", "ambiguous", alternatives=tuple((x,) for x in names))
+    assert rivals_of(finding) == ["Stribeck friction", "the same on another joint", "payload", "base tilt"]
+    assert cause(finding) == "Coulomb friction or Stribeck friction or the same on another joint or 2 others"
+
+
+def test_what_cannot_be_known_is_no_estimate():
+    """A parameter without a value is left out of the estimates, and the others keep their names."""
+    parameters = {"mass": Quantity(1.0, "kg", (0.9, 1.1)), "inertia": Quantity(None, "kg m²", None)}
+    finding = Finding("link_inertia_error", "joint1", "named", parameters=parameters)
+    assert estimates(finding) == ["mass 1.00 kg [0.90, 1.10]"]
+
+
+def test_a_single_block_has_no_interval():
+    """A gain of one held-out block is shown without an interval, not with one of no width."""
+    assert gain_text(Gain(1.0, 0.5, 0.0, 0.0, (0.5, 0.5))) == "0.500"
 
 
 def test_blind_spots_are_below_the_table():

@@ -1,0 +1,175 @@
+"""Causes that the catalogue lacks: nothing must be named, and that something is unknown should be said.
+
+    python experiments/unknown.py [seed=0] [logs=10] [only=bump,cogging] [folder=outputs/unknown]
+
+Every invention acts on one joint of an arm of its own, drawn as in `cases.py`, with an RMS torque of 4 to 25 % of the
+joint's. Logs where that is less than three times the noise are drawn again.
+"""
+
+import json
+import sys
+import time
+import zlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments.cases import Case, Scene, draw_scene, play
+from experiments.confusion import LOUD, claims
+from experiments.options import only_of, options_of
+from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.errors import UsageError
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.types import Diagnosis
+
+TOLD = 0.15
+"""Share of what is left on a joint above which `unexplained` says that something is unknown there."""
+
+Force = Callable
+"""force(t, q, qd) [N m], of a joint's own angle and velocity, or of all joints' (n,)."""
+
+
+def bump(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple[Force, bool]:
+    """A torque at one posture alone: a worn tooth, a cable that catches."""
+    middle = float(np.quantile(scene.q[:, j], draw.uniform(0.25, 0.75)))
+    height = torque / max(float(np.sqrt(np.mean(_bell(scene.q[:, j] - middle) ** 2))), 0.1)
+    return lambda t, q, qd: height * _bell(q - middle), False
+
+
+def _bell(x):
+    return np.exp(-((x / 0.1) ** 2))
+
+
+def hum(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple[Force, bool]:
+    """A torque that swings in time, whatever the arm does: no model of q, qd and qdd can know it."""
+    rate, phase = 2 * np.pi * draw.uniform(2, 3), draw.uniform(-np.pi, np.pi)
+    return lambda t, q, qd: 1.4 * torque * np.sin(rate * t + phase), False
+
+
+def neighbour(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple[Force, bool]:
+    """A torque on one joint that another joint's angle makes: a hose across both, a coupled gear."""
+    n = scene.robot.dofs
+    other = int(draw.choice([k for k in range(n) if k != j]))
+    middle, phase = scene.q[:, other].mean(), draw.uniform(-np.pi, np.pi)
+    size = torque / np.sqrt(np.mean(np.sin(2 * (scene.q[:, other] - middle) + phase) ** 2))
+    own = np.eye(n)[j]
+    return lambda t, q, qd: own * size * np.sin(2 * (q[other] - middle) + phase), True
+
+
+def cogging(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple[Force, bool]:
+    """A ripple whose phase is another one in either direction of motion."""
+    cycles, phase, turn = draw.uniform(6, 20), draw.uniform(-np.pi, np.pi), draw.uniform(0.4, 0.8) * np.pi
+    return lambda t, q, qd: 1.4 * torque * np.sin(cycles * q + phase + turn * np.tanh(qd / 0.02)), False
+
+
+INVENTIONS: Mapping[str, Callable[[np.random.Generator, Scene, int, float], tuple[Force, bool]]] = {
+    "bump": bump,
+    "hum": hum,
+    "neighbour": neighbour,
+    "cogging": cogging,
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line may say."""
+
+    seed: int = 0
+    logs: int = 10
+    only: Sequence[str] = tuple(INVENTIONS)
+    folder: str = "outputs/unknown"
+
+
+@dataclass(frozen=True)
+class Said:
+    """What was said of one log: findings as effect@joint by status, and the share that is unexplained on its joint."""
+
+    invention: str
+    seed: int
+    joint: str
+    share: float
+    named: tuple[str, ...]
+    ambiguous: tuple[str, ...]
+    unexplained: float
+    verdict: str
+    seconds: float
+
+
+def draw(invention: str, seed: int) -> tuple[Case, str]:
+    """A log with an invention hidden in it, loud enough to count, and the joint that it acts on."""
+    for attempt in range(40):
+        dice = np.random.default_rng([seed, attempt, zlib.crc32(invention.encode())])
+        scene = draw_scene(dice)
+        j = int(dice.choice(np.flatnonzero(scene.torque > 0.02 * scene.torque.max())))
+        torque = float(np.exp(dice.uniform(np.log(0.04), np.log(0.25)))) * scene.torque[j]
+        force, everywhere = INVENTIONS[invention](dice, scene, j, torque)
+        joint = scene.robot.joints[j]
+        try:
+            case = play(dice, scene, [Hidden("custom", None if everywhere else joint, {"force": force})])
+        except UsageError:
+            continue
+        if case.share >= LOUD:
+            return case, joint
+    raise RuntimeError(f"no loud log from seed {seed} for {invention}")
+
+
+def judge(invention: str, seed: int, case: Case, joint: str, diagnosis: Diagnosis, seconds: float) -> Said:
+    """What a diagnosis says of it."""
+    found = {
+        status: tuple(f"{f.effect}@{f.joint}" for f in claims(diagnosis) if f.status == status)
+        for status in ("named", "ambiguous")
+    }
+    left = float(diagnosis.unexplained.get(joint, 0.0))
+    return Said(
+        invention, seed, joint, case.share, **found, unexplained=left, verdict=diagnosis.verdict, seconds=seconds
+    )
+
+
+def table(all_said: Sequence[Said]) -> str:
+    """A row per invention, as Markdown."""
+    lines = ["| hidden | logs | something named | only ambiguous | no claim | said to be unexplained | named most |"]
+    lines.append("|---|" + "---:|" * 5 + "---|")
+    for name in dict.fromkeys(x.invention for x in all_said):
+        own = [x for x in all_said if x.invention == name]
+        named = sum(bool(x.named) for x in own)
+        unsure = sum(bool(x.ambiguous) and not x.named for x in own)
+        told = sum(x.unexplained > TOLD for x in own)
+        often = Counter(effect for x in own for effect in {y.split("@")[0] for y in x.named})
+        most = ", ".join(f"{effect} {count}" for effect, count in often.most_common(3)) or "-"
+        none = len(own) - named - unsure
+        lines.append(f"| {name} | {len(own)} | {named} | {unsure} | {none} | {told} | {most} |")
+    named, told = sum(bool(x.named) for x in all_said), sum(x.unexplained > TOLD for x in all_said)
+    lines += ["", f"- Something named in {named} of {len(all_said)} logs; said to be unexplained in {told}."]
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run as the docstring says."""
+    options = options_of(argv, Options(), __doc__)
+    names, folder, all_said = only_of("only", options.only, INVENTIONS), Path(options.folder), []
+    folder.mkdir(parents=True, exist_ok=True)
+    for k in range(options.logs):
+        for name in names:
+            seed = 1000 * options.seed + k
+            case, joint = draw(name, seed)
+            started = time.perf_counter()
+            diagnosis = diagnose(case.log, case.robot)
+            said = judge(name, seed, case, joint, diagnosis, time.perf_counter() - started)
+            all_said.append(said)
+            told = f"{said.unexplained:.2f} unexplained, {said.share:.0f} times the noise, {said.seconds:.0f} s"
+            print(f"{name} {seed} on {joint}: named {said.named}, ambiguous {said.ambiguous}; {told}", flush=True)
+    text = table(all_said)
+    print(text)
+    (folder / "unknown.md").write_text(f"seed {options.seed}\n\n{text}\n")
+    (folder / "unknown.json").write_text(json.dumps([asdict(x) for x in all_said], indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    from invdyn_cli.verbs.screen import use_compilation_cache
+
+    use_compilation_cache()
+    sys.exit(main(sys.argv[1:]))

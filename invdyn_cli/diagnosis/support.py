@@ -1,0 +1,130 @@
+"""What supports a claim: data that did not choose it gain by it, its exact formula holds there, and what stays unexplained
+on its joint does not outweigh it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invdyn_cli.diagnosis import naming
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.exact import Refined, refine
+from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.recording import ROLES
+from invdyn_cli.diagnosis.search import Hypothesis
+from invdyn_cli.effects.composition import Acting
+
+OUTWEIGHED = 0.25
+"""Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
+a column that is nearly orthogonal to an unknown cause still picks up a few percent of it."""
+
+PICKED_UP = 0.1
+"""And so much more for every further coefficient, each of which picks up as much."""
+
+RARE = 0.1
+"""Of its mean square, what an effect must have on the held-out rows to be judged there."""
+
+
+def judged(evidence: Evidence) -> np.ndarray:
+    """Rows (R,) bool that chose nothing; all but the reference's where there are none."""
+    test = evidence.role == ROLES.index("test")
+    return test if test.any() else evidence.role != ROLES.index("reference")
+
+
+def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Refined:
+    return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.always)
+
+
+def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
+    """The candidates that gain on data that did not choose them, and explain more than what stays unknown; and a
+    sentence for each of the others."""
+    hypothesis, said = inquiry.hypothesis, []
+    for _ in range(len(hypothesis)):
+        worst = None
+        for i in range(len(hypothesis)):
+            why = _fails(inquiry, hypothesis, i)
+            if why is not None and (worst is None or why[0] < worst[1][0]):
+                worst = i, why
+        if worst is None:
+            break
+        out = hypothesis[worst[0]]
+        where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
+        said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
+        hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
+    return hypothesis, tuple(said)
+
+
+def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[float, str] | None:
+    """Why a candidate may not be claimed, with how much it explains; None if it may."""
+    evidence, weights = inquiry.evidence, inquiry.noise.weights
+    rows = judged(evidence)
+    squares, unknown = _squares(inquiry, hypothesis, (i,))
+    gain = float(np.sum(weights * squares))
+    if gain <= 0 and not _is_rare(inquiry, hypothesis, i):
+        return gain, "it does not hold on data that did not choose it"
+    rest = float(np.sum(weights * unknown * rows.sum() * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
+    needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
+    if 0 < gain < needed * rest:
+        return gain / rest, "most of what it would explain is something else that this catalogue does not know"
+    late = {"torque_delay": "delay", "actuator_lag": "time_constant"}.get(hypothesis[i].effect.name)
+    if late is not None:
+        value = next(a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key)
+        if value < evidence.recording.period:
+            return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
+    if hypothesis[i].effect.name == "torque_saturation" and not _hugs_its_limit(inquiry, hypothesis[i]):
+        return gain, "the arm moved as if it had got torques beyond that limit"
+    place = next(k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i])
+    if not _is_exact(inquiry, place):
+        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
+    return None
+
+
+def _is_rare(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
+    """Whether a candidate hardly comes up on the held-out rows."""
+    after, before = left(inquiry, hypothesis, (i,))
+    change = ((after - before) * inquiry.evidence.valid) ** 2 @ inquiry.noise.weights
+    return bool(np.mean(change[judged(inquiry.evidence)]) < RARE * np.mean(change))
+
+
+def _hugs_its_limit(inquiry: Inquiry, candidate: Candidate) -> bool:
+    """Whether the torque that moved a joint stays within the limit of its saturation."""
+    evidence, j = inquiry.evidence, candidate.joint
+    moved = np.abs(evidence.tau[:, j] - inquiry.chosen.residual[:, j])
+    limit = next(a.parameters["limit"] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == candidate.key)
+    nominal = np.abs(evidence.nominal[:, j])
+    reach = min(float(np.quantile(moved, 0.99)), float(np.quantile(nominal, 0.99)))
+    return limit > 0.75 * reach and limit > 3 * inquiry.noise.deviation[j]
+
+
+def _is_exact(inquiry: Inquiry, place: int) -> bool:
+    """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
+    as they are. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not. An
+    effect that hardly comes up on the held-out rows is judged on all."""
+    evidence, acting = inquiry.evidence, inquiry.chosen.acting
+    others = [a for k, a in enumerate(acting) if k != place]
+    change = (inquiry.model.residual(others) - inquiry.model.residual(acting)) * evidence.valid
+    rows = judged(evidence)
+    if np.mean(change[rows] ** 2 @ inquiry.noise.weights) < RARE * np.mean(change**2 @ inquiry.noise.weights):
+        rows = np.ones_like(rows)
+    saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
+    per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
+    return bool(per_block.sum() > 0) and naming.chance(per_block, 0.0) < naming.DOUBT
+
+
+def _squares(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Per joint: sum of squares on held-out rows that some candidates of a hypothesis save, and the variance of what is
+    structured in what it leaves there."""
+    evidence = inquiry.evidence
+    rows = judged(evidence)
+    after, before = left(inquiry, hypothesis, without)
+    valid = evidence.valid & rows[:, None]
+    return np.sum((before**2 - after**2) * valid, axis=0), naming.structure(after, valid, evidence.piece)
+
+
+def left(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (R, n) of a hypothesis, and of what remains of it, both fitted on the data that chose."""
+    judge = inquiry.judge
+    out = []
+    for kept in (hypothesis, tuple(c for k, c in enumerate(hypothesis) if k not in without)):
+        theta = judge.verdict((*inquiry.always, *kept)).theta
+        out.append(inquiry.evidence.left((*inquiry.always, *kept), theta))
+    return out[0], out[1]

@@ -1,0 +1,59 @@
+"""The verdict, in one word and in two sentences."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from invdyn_cli.diagnosis.findings import Made
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.types import Diagnosis
+
+PREDICTABLE, SMALL = 0.15, 0.15
+"""What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
+than this share of the nominal model's error, in N m."""
+
+
+def verdict(
+    made: Made, learned: np.ndarray, floor: np.ndarray | None, extended: Mapping[str, Mapping[str, float]]
+) -> str:
+    """explained, partly_explained or nothing_found."""
+    if not any(f.status in ("named", "ambiguous") for f in made.findings):
+        return "nothing_found"
+    before = np.sqrt(np.mean(made.before**2, axis=0))
+    after = np.array([x["rmse"] for x in extended.values()])
+    left = np.sqrt(learned) * after
+    fine = (learned < PREDICTABLE) | (left < SMALL * before)
+    if floor is not None:
+        fine |= after < 1.2 * floor
+    return "explained" if np.all(fine) else "partly_explained"
+
+
+def summary(diagnosis: Diagnosis) -> str:
+    """The verdict in two sentences."""
+    claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
+    before, after = (
+        np.sqrt(np.mean([x["rmse"] ** 2 for x in table.values()])) for table in (diagnosis.baseline, diagnosis.extended)
+    )
+    rest = [j for j, s in diagnosis.unexplained.items() if s > PREDICTABLE]
+    most = 100 * max(diagnosis.unexplained.values())
+    unknown = (
+        f"something unknown remains on {', '.join(rest)}: a learner still predicts up to {most:.0f} % of the residual"
+    )
+    if not claims:
+        first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
+        return f"{first} {unknown[0].upper()}{unknown[1:]}." if rest else f"{first} What is left looks like noise."
+    said = [
+        f"{EFFECTS[f.effect].title}{' or its rivals' if f.status == 'ambiguous' else ''}"
+        + (f" on {f.joint}" if f.joint else "")
+        for f in claims[:4]
+    ]
+    more = f" and {len(claims) - 4} more" if len(claims) > 4 else ""
+    first = f"The simulation lacks {_listed(said)}{more}; with that its held-out error falls from {before:.3g} to "
+    first += f"{after:.3g} N m RMS over all joints."
+    if diagnosis.verdict == "partly_explained" and rest:
+        return f"{first} But {unknown}."
+    return f"{first} What is left looks like noise."
+
+
+def _listed(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -1,0 +1,90 @@
+"""Logs of a motion that is known exactly, with torques written down by the test: no simulator, no controller."""
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from experiments.arms import random_arm
+from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence, gather
+from invdyn_cli.diagnosis.recording import Conditioning, Recording, prepare
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Motion, Robot
+from tests.diagnosis.sick import motion
+
+Term = Callable[[np.ndarray, Motion], np.ndarray]
+"""(t (T,), motion (T, n)) -> torque (T, n) beside the nominal one."""
+
+
+@lru_cache
+def arm() -> Robot:
+    """A three-joint arm."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(random_arm(np.random.default_rng(0), 3))
+        return load_urdf(path)
+
+
+def on(joint: int, term: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]) -> Term:
+    """A term of one joint's t, q, qd, qdd (T,)."""
+
+    def whole(t: np.ndarray, m: Motion) -> np.ndarray:
+        out = np.zeros_like(m.q)
+        out[:, joint] = term(t, m.q[:, joint], m.qd[:, joint], m.qdd[:, joint])
+        return out
+
+    return whole
+
+
+def nothing(t: np.ndarray, m: Motion) -> np.ndarray:
+    """No term."""
+    return np.zeros_like(m.q)
+
+
+def moved(seconds: float = 40.0, rate: float = 500.0, seed: int = 0, late: float = 0.0) -> tuple[np.ndarray, Motion]:
+    """t (T,) and sums of sines at t + `late`."""
+    t = np.arange(round(seconds * rate)) / rate
+    return t, motion(arm(), t + late, seed)
+
+
+def raw(
+    t: np.ndarray, m: Motion, term: Term = nothing, *, torque: float = 0.0, position: float = 0.0, seed: int = 0
+) -> RawTrajectory:
+    """A trajectory with white noise of these standard deviations [N m], [rad]."""
+    draw = np.random.default_rng([seed, 7])
+    tau = inverse_dynamics(arm(), m.q, m.qd, m.qdd) + term(t, m) + torque * draw.normal(size=m.q.shape)
+    return RawTrajectory("run", t, m.q + position * draw.normal(size=m.q.shape), tau)
+
+
+def log_of(*trajectories: RawTrajectory) -> Log:
+    """A log of the arm."""
+    rate = 1 / np.median(np.diff(trajectories[0].t))
+    return Log(arm().name, arm().joints, "unknown", "N m", rate, trajectories)
+
+
+def recording_of(log: Log, windows: Mapping | None = None, **options) -> Recording:
+    """Made ready, each joint as if it carried a kg m^2."""
+    return prepare(log, np.ones(arm().dofs), windows, Conditioning(**options))
+
+
+def evidence_of(log: Log, names: Sequence[str], windows: Mapping | None = None, **options) -> Evidence:
+    """Columns of these effects; a tilted base is always among them."""
+    effects = [EFFECTS[name] for name in dict.fromkeys((*names, "base_tilt"))]
+    return gather(arm(), recording_of(log, windows, **options), effects, "unknown")
+
+
+def candidate(evidence: Evidence, name: str, joint: int | None, **shape: float) -> Candidate:
+    """The first trial of an effect, or the one with this shape."""
+    return next(
+        c for c in evidence.candidates if c.key == (name, joint) and all(c.shape[k] == v for k, v in shape.items())
+    )
+
+
+def column(evidence: Evidence, name: str, joint: int) -> np.ndarray:
+    """(R,) first free column of a joint's effect."""
+    return evidence.tables[joint][:, candidate(evidence, name, joint).columns[joint][1][0]]

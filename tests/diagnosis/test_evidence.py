@@ -1,0 +1,85 @@
+"""Columns beside the logged torque: what enters, and in which blocks."""
+
+import numpy as np
+import pytest
+
+from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis.evidence import BLOCK
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
+from invdyn_cli.simulation.references import PickPlace
+from tests.diagnosis.analytic import arm, candidate, column, evidence_of, log_of, moved, on, raw
+
+
+def test_samples_at_rest_do_not_enter():
+    """A joint that stands may have any friction within its limits: rows within the filter's reach of a rest are not
+    valid, and without them 2 N m of Coulomb friction and no offset come out within 0.02 N m; with them an offset of
+    more than 0.1 N m would be invented."""
+    rate, draw = 500.0, np.random.default_rng(0)
+    m = PickPlace(dwell=0.8).motion(arm(), 40.0, rate, 0)
+    t = np.arange(len(m.q)) / rate
+    rests = np.abs(m.qd[:, 1]) < 1e-9
+    which = np.cumsum(np.diff(rests.astype(int), prepend=0) == 1)
+    stuck = draw.uniform(0.5, 2, which.max() + 1)[which]
+    term = on(1, lambda t, q, qd, qdd: np.where(rests, stuck, 2.0 * np.sign(qd)))
+    names = ["coulomb_friction", "torque_offset"]
+    evidence = evidence_of(log_of(raw(t, m, term)), names, cutoffs=(10.0,))
+    x, y = np.column_stack([column(evidence, name, 1) for name in names]), evidence.tables[1][:, 0]
+    valid = evidence.valid[:, 1]
+    assert 0.2 < valid.mean() < 0.9
+    np.testing.assert_allclose(np.linalg.lstsq(x[valid], y[valid])[0], [2.0, 0.0], atol=0.02)
+    assert np.linalg.lstsq(x, y)[0][1] > 0.1
+
+
+LINEAR = [name for name, e in EFFECTS.items() if isinstance(e, AbstractTorqueEffect) and not e.nonlinear]
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_columns_reproduce_a_term_without_noise(name):
+    """The torque of a known effect lies in its columns to 0.4 %, on the joint's own table alone; what is left is the
+    log's: a reversal between two of its samples is known to half a millisecond."""
+    parameters = {
+        "viscous_friction": {"damping": 0.7},
+        "coulomb_friction": {"coulomb": 1.0},
+        "asymmetric_coulomb_friction": {"positive": 1.0, "negative": 0.6},
+        "load_dependent_friction": {"mu": 0.1},
+        "quadratic_friction": {"drag": 0.4},
+        "joint_spring": {"stiffness": 3.0, "rest": 0.2},
+        "rotor_inertia": {"armature": 0.1},
+        "torque_offset": {"offset": 0.4},
+    }[name]
+
+    def term(t, m):
+        load = inverse_dynamics(arm(), m.q, m.qd, m.qdd)[:, 1]
+        state = JointState(t, m.q[:, 1], m.qd[:, 1], m.qdd[:, 1], np.sign(m.qd[:, 1]), load)
+        out = np.zeros_like(m.q)
+        out[:, 1] = EFFECTS[name].term(parameters, state)
+        return out
+
+    evidence = evidence_of(log_of(raw(*moved(seconds=20, rate=1000.0), term)), [name], cutoffs=(10.0,))
+    y, (_, free) = evidence.tables[1][:, 0], candidate(evidence, name, 1).columns[1]
+    x = evidence.tables[1][:, list(free)]
+    left = y - x @ np.linalg.lstsq(x, y)[0]
+    assert np.sqrt(np.mean(left**2)) < 4e-3 * np.sqrt(np.mean(y**2))
+    assert np.abs(evidence.tables[0][:, 0]).max() < 1e-3 * np.abs(y).max()
+
+
+def test_what_a_hypothesis_leaves():
+    """`left` is the logged torque less the nominal one less columns times coefficients, table by table."""
+    evidence = evidence_of(log_of(raw(*moved(seconds=20), torque=0.1)), ["viscous_friction"])
+    one, tilt = candidate(evidence, "viscous_friction", 1), candidate(evidence, "base_tilt", None)
+    left = evidence.left((one, tilt), np.array([0.3, 0.1, -0.2]))
+    for j, table in enumerate(evidence.tables):
+        wanted = table[:, 0] - table[:, list(tilt.columns[j][1])] @ [0.1, -0.2]
+        np.testing.assert_allclose(left[:, j], wanted - (j == 1) * 0.3 * column(evidence, "viscous_friction", 1))
+
+
+def test_blocks_are_long_and_of_one_piece():
+    """Every block is at least two seconds of one piece with one role; numbers count up without a gap."""
+    evidence = evidence_of(log_of(raw(*moved(seconds=33))), ["viscous_friction"])
+    assert np.array_equal(np.unique(evidence.block), np.arange(evidence.block.max() + 1))
+    times = np.concatenate([p.t[evidence.recording.filter.rows(len(p.t))] for p in evidence.recording.pieces])
+    for b in np.unique(evidence.block):
+        own = evidence.block == b
+        assert len({*zip(evidence.piece[own], evidence.role[own], strict=True)}) == 1
+        assert np.ptp(times[own]) > BLOCK - 0.05

@@ -1,0 +1,38 @@
+"""The noise floor of motions that were driven twice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis.repeats import noise_floor
+from tests.diagnosis.analytic import log_of, moved, on, raw, recording_of
+
+SIGMA = 0.2
+WHOLE = {"train": [(name, -np.inf, np.inf) for name in ("run", "again", "other")]}
+
+
+def named(name, *args, **options):
+    return replace(raw(*args, **options), name=name)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.12])
+def test_it_is_the_noise_whatever_the_model_lacks(late):
+    """Two recordings, one started later: RMS of half the difference is the filtered noise over the root of two, within
+    10 % (about 1,000 independent rows), and unknown torques that both have do not count."""
+    term = on(1, lambda t, q, qd, qdd: 5 * np.sin(7 * q))
+    t, m = moved()
+    log = log_of(
+        named("run", t, m, term, torque=SIGMA, seed=1),
+        named("again", *moved(late=late), term, torque=SIGMA, seed=2),
+    )
+    recording = recording_of(log, WHOLE, cutoffs=(10.0,))
+    white = SIGMA * np.sqrt(2 * 10.0 / 500.0) * 0.96  # the noise bandwidth of the low-pass, forth and back: 0.96^2
+    np.testing.assert_allclose(noise_floor(recording), white / np.sqrt(2), rtol=0.1)
+
+
+def test_other_motions_are_no_repeats():
+    """Without two recordings of one motion there is no floor; halves of one recording are none either."""
+    both = log_of(named("run", *moved(), torque=SIGMA), named("other", *moved(seed=5), torque=SIGMA))
+    assert noise_floor(recording_of(both, WHOLE)) is None
+    assert noise_floor(recording_of(log_of(raw(*moved(), torque=SIGMA)))) is None

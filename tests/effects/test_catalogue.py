@@ -1,0 +1,119 @@
+"""The library of causes says all that a search, a report and a reader need."""
+
+import re
+
+import numpy as np
+import pytest
+
+from invdyn_cli.effects.catalogue import EFFECTS, may_be_ambiguous
+from invdyn_cli.interfaces import (
+    AbstractBodyEffect,
+    AbstractChannelEffect,
+    AbstractMotionEffect,
+    AbstractTorqueEffect,
+)
+from tests.effects.drawn import parameters
+
+UNITS = re.compile(r"-|(?:1/rev|N m|rad|kg|m|s|kg m²?|N m/rad|N m s/rad|N m s²/rad²|rad/s)")
+"""Those of DESIGN, section 6."""
+
+NAMES = {
+    "viscous_friction": {"damping"},
+    "coulomb_friction": {"coulomb"},
+    "asymmetric_coulomb_friction": {"positive", "negative"},
+    "stribeck_friction": {"coulomb", "static", "velocity"},
+    "load_dependent_friction": {"mu"},
+    "quadratic_friction": {"drag"},
+    "thermal_friction_drift": {"cold", "warm", "time_constant"},
+    "torque_ripple": {"amplitude", "cycles", "phase"},
+    "joint_spring": {"stiffness", "rest"},
+    "rotor_inertia": {"armature"},
+    "torque_gain_error": {"gain"},
+    "torque_offset": {"offset"},
+    "torque_delay": {"delay"},
+    "actuator_lag": {"time_constant"},
+    "torque_saturation": {"limit"},
+    "payload": {"mass", "com"},
+    "base_tilt": {"angle", "azimuth"},
+    "encoder_offset": {"offset"},
+    "link_inertia_error": {"mass"},
+}
+"""Parameters of DESIGN, section 6; bodies have more, for what else of them shows."""
+
+
+def test_names_are_those_of_the_design():
+    """Every effect goes by its name and its parameters' names in DESIGN, section 6; a body may add its inertia."""
+    assert set(EFFECTS) == set(NAMES)
+    for name, effect in EFFECTS.items():
+        assert effect.name == name
+        assert NAMES[name] <= set(effect.parameters)
+        assert NAMES[name] == set(effect.parameters) or effect.point == "body"
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_says_what_it_is(name):
+    """A title, an equation that holds its parameters, a reference with a year, where it acts, where it shows, how it is
+    drawn, advice, and units with bounds that leave room."""
+    effect = EFFECTS[name]
+    assert effect.title and effect.equation and effect.advice
+    assert re.search(r"(19|20)\d\d", effect.reference) or "first" in effect.reference or "sheets" in effect.reference
+    assert effect.point in ("torque", "channel", "body", "motion")
+    kinds = AbstractTorqueEffect, AbstractChannelEffect, AbstractBodyEffect, AbstractMotionEffect
+    assert sum(isinstance(effect, kind) for kind in kinds) == 1
+    assert set(effect.sides) <= {"link", "motor", "command", "unknown"} and "unknown" in effect.sides
+    assert effect.picture in ("t", "q", "qd", "qdd", "load", "slope", "body")
+    for parameter, bound in effect.parameters.items():
+        assert UNITS.fullmatch(bound.unit), bound.unit
+        assert bound.lower < bound.upper
+        if effect.point in ("torque", "channel"):
+            assert parameter in effect.equation
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_bounds_refuse_what_is_no_physics(name):
+    """Ordinary values pass; a value a step outside of a bound is refused with a word that names it."""
+    effect = EFFECTS[name]
+    usual = parameters(name, np.random.default_rng(0))
+    assert effect.refuse(usual) == ""
+    for parameter, bound in effect.parameters.items():
+        for end, step in ((bound.lower, -0.01), (bound.upper, 0.01)):
+            if np.isfinite(end):
+                why = effect.refuse({**usual, parameter: end + step})
+                assert parameter in why or "friction would rise" in why
+
+
+def test_what_rises_is_refused():
+    """A static level below Coulomb's, and friction that grows as the gear warms up, are told as such."""
+    assert "rise" in EFFECTS["stribeck_friction"].refuse({"coulomb": 2.0, "static": 1.0, "velocity": 0.1})
+    assert "rise" in EFFECTS["thermal_friction_drift"].refuse({"cold": 1.0, "warm": 2.0, "time_constant": 9.0})
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_confounders_exist(name):
+    """What may stand for an effect, and what it contains, is in the catalogue, is not the effect itself, is said once,
+    and shows on a side on which the effect shows."""
+    effect = EFFECTS[name]
+    assert len(set(effect.confounders)) == len(effect.confounders)
+    for one in effect.confounders:
+        assert one and set(one) <= set(EFFECTS)
+        assert one != (name,) or name == "link_inertia_error"  # of another link
+        assert all(set(EFFECTS[other].sides) & set(effect.sides) for other in one)
+    assert set(effect.contains) <= set(EFFECTS) - {name}
+
+
+def test_special_cases_are_confounders():
+    """A general case and its special case may always stand for each other, and only one contains the other."""
+    for name, effect in EFFECTS.items():
+        for special in effect.contains:
+            assert may_be_ambiguous(name, (special,)) and may_be_ambiguous(special, (name,))
+            assert name not in EFFECTS[special].contains
+
+
+def test_ambiguity_holds_both_ways():
+    """If theory lets one effect stand for another, it lets the other stand for the one; what it does not list, not."""
+    for name in EFFECTS:
+        for other in EFFECTS:
+            assert may_be_ambiguous(name, (other,)) == may_be_ambiguous(other, (name,))
+    assert may_be_ambiguous("asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset"))
+    assert not may_be_ambiguous("coulomb_friction", ("payload",))
+    assert not may_be_ambiguous("torque_ripple", ("viscous_friction",))

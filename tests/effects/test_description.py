@@ -1,0 +1,160 @@
+"""The extended model: pure in jax, the same over a recording, and the same from its JSON."""
+
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.arms import random_arm
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.description import ExtendedModel, as_dict, from_dict, period_of
+from invdyn_cli.errors import UsageError
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Motion
+from tests.effects.drawn import joint_of, parameters
+
+MEMORY = ("torque_delay", "actuator_lag")
+"""What a single sample cannot show."""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """An arm of two joints: what compiles fast."""
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(random_arm(np.random.default_rng(3), 2))
+    return load_urdf(path)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """(T, n) at random; no velocity is within the width of sign(qd)."""
+    q, qd, qdd = np.random.default_rng(0).normal(size=(3, 30, 2))
+    return Motion(q, np.where(np.abs(qd) < 0.01, 0.02, qd), qdd)
+
+
+T = np.linspace(0, 3, 30)
+WEIGHTS = np.random.default_rng(1).normal(size=(30, 2))
+
+
+def model_of(name: str, robot, given=None) -> ExtendedModel:
+    """The robot with one effect on its second joint."""
+    given = parameters(name, np.random.default_rng(5)) if given is None else given
+    return ExtendedModel(robot, (Acting(EFFECTS[name], joint_of(name, 1), given),))
+
+
+SHOWN = [n for n in EFFECTS if n not in MEMORY]
+
+
+@pytest.fixture(scope="module")
+def everything(robot):
+    """The robot with every effect that a single sample shows; the limit is the first joint's, the rest the second's."""
+    where = {"torque_saturation": 0}
+    return ExtendedModel(
+        robot, tuple(replace(model_of(n, robot).acting[0], joint=where.get(n, joint_of(n, 1))) for n in SHOWN)
+    )
+
+
+@pytest.fixture(scope="module")
+def slopes(everything, motion):
+    """Torques (T, n) of all samples by `apply`, and the slope of a weighted sum of them in every parameter: one jit."""
+
+    def value(parameters):
+        acting = [replace(a, parameters=p) for a, p in zip(everything.acting, parameters, strict=True)]
+        model = replace(everything, acting=tuple(acting))
+        tau = jax.vmap(lambda m, t: model.apply(m, t))(motion, T)
+        return jnp.sum(WEIGHTS * tau), tau
+
+    given = [jax.tree.map(jnp.asarray, dict(a.parameters)) for a in everything.acting]
+    (_, tau), slope = jax.jit(jax.value_and_grad(value, has_aux=True))(given)
+    return tau, dict(zip(SHOWN, slope, strict=True))
+
+
+def test_jit_and_vmap_go_through(everything, slopes, motion):
+    """`apply` under jit and vmap is what `predict` says of a recording; one sample, not jitted, is a row of it."""
+    rows = everything.predict(motion.q, motion.qd, motion.qdd, T)
+    np.testing.assert_allclose(slopes[0], rows, atol=1e-9)
+    one = Motion(*(jnp.asarray(x[7]) for x in (motion.q, motion.qd, motion.qdd)))
+    np.testing.assert_allclose(everything.apply(one, T[7]), rows[7], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_grad_goes_through(name, everything, slopes, motion):
+    """The gradient in an effect's parameters is the slope of `predict`, to 1e-5."""
+    place = SHOWN.index(name)
+    given = everything.acting[place].parameters
+    for key, at in given.items():
+        for i in np.ndindex(np.shape(at)):
+            ends = []
+            for step in (1e-6, -1e-6):
+                moved = np.array(at, float)
+                moved[i] += step
+                acting = list(everything.acting)
+                moved = moved if np.ndim(at) else float(moved)
+                acting[place] = replace(acting[place], parameters={**given, key: moved})
+                model = replace(everything, acting=tuple(acting))
+                ends.append(np.sum(WEIGHTS * model.predict(motion.q, motion.qd, motion.qdd, T)))
+            slope = np.asarray(slopes[1][name][key])[i]
+            assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-5)
+        assert np.any(np.asarray(slopes[1][name][key]))
+
+
+@pytest.mark.parametrize("name", MEMORY)
+def test_a_single_sample_has_no_memory(name, robot, motion):
+    """Delay and lag leave `apply` as it is; over a recording they change the torque of their joint alone."""
+    model, nominal = model_of(name, robot), ExtendedModel(robot, ())
+    one = Motion(*(jnp.asarray(x[7]) for x in (motion.q, motion.qd, motion.qdd)))
+    np.testing.assert_array_equal(model.apply(one, T[7]), nominal.apply(one, T[7]))
+    change = [m.predict(motion.q, motion.qd, motion.qdd, T) for m in (model, nominal)]
+    assert np.any(change[0] - change[1], axis=0).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_json_and_back(name, robot, motion):
+    """Through JSON text and back the model predicts the same to the last bit; parameters carry their units."""
+    model = replace(model_of(name, robot), filter={"order": 4}, provenance={"log": "a test"})
+    stored = json.loads(json.dumps(as_dict(model), allow_nan=False))
+    again = from_dict(stored)
+    rows = [m.predict(motion.q, motion.qd, motion.qdd, T) for m in (model, again)]
+    assert np.array_equal(*rows)
+    assert again.acting[0].effect is EFFECTS[name] and again.acting[0].joint == model.acting[0].joint
+    assert (again.filter, again.provenance, again.robot.urdf) == (model.filter, model.provenance, robot.urdf)
+    row = stored["effects"][0]["parameters"]
+    assert {k: v["unit"] for k, v in row.items()} == {k: v.unit for k, v in EFFECTS[name].parameters.items()}
+
+
+def test_intervals_come_back(robot):
+    """Interval ends of numbers and vectors survive, and none stays none."""
+    com = np.array([0.0, 0.01, 0.1])
+    given = {"mass": 1.0, "com": com, "inertia": np.zeros(6)}
+    ends = {"mass": (1.0, 0.9, 1.1), "com": (com, com - 0.01, com + 0.01)}
+    model = replace(model_of("payload", robot, given), intervals=(ends,))
+    (told,) = from_dict(json.loads(json.dumps(as_dict(model)))).intervals
+    assert set(told) == {"mass", "com"} and told["mass"] == (1.0, 0.9, 1.1)
+    np.testing.assert_array_equal(told["com"], ends["com"])
+
+
+def test_limits_without_end_survive(robot):
+    """A robot without joint limits is one after the file, which is strict JSON."""
+    free = replace(robot, lower=np.full(2, -np.inf), upper=np.full(2, np.inf))
+    again = from_dict(json.loads(json.dumps(as_dict(ExtendedModel(free, ())), allow_nan=False))).robot
+    assert np.array_equal(again.upper, free.upper) and np.array_equal(again.lower, free.lower)
+
+
+def test_an_unknown_effect_is_told(robot):
+    """A file with an effect that this version lacks is refused with the nearest name."""
+    stored = as_dict(model_of("payload", robot))
+    stored["effects"][0]["effect"] = "payloads"
+    with pytest.raises(UsageError, match=r"no effect 'payloads'.*payload"):
+        from_dict(stored)
+
+
+def test_the_clock_is_found_in_the_motion():
+    """Without t, the period is that which makes qd the derivative of q, to 1e-3 on a smooth motion."""
+    t = np.arange(2000) / 250.0
+    q, qd = (np.stack([np.sin(2 * t), np.cos(3 * t)]), np.stack([2 * np.cos(2 * t), -3 * np.sin(3 * t)]))
+    assert period_of(q, qd) == pytest.approx(1 / 250, rel=1e-3)
+    assert period_of(q, 0 * qd) > 0
