@@ -10,7 +10,7 @@ import pytest
 from beartype import BeartypeConf
 from beartype.claw import beartype_packages
 
-CHECKED = ("maths", "training", "experiment", "store", "adaptation", "effects")
+CHECKED = ("maths", "training", "experiment", "store", "adaptation")
 beartype_packages([f"invdyn_cli.{name}" for name in CHECKED], conf=BeartypeConf(is_pep484_tower=True))
 
 
