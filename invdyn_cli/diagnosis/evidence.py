@@ -27,8 +27,9 @@ from invdyn_cli.interfaces import (
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.types import Array, Motion, Robot
 
-BLOCK = 2.0
-"""Length of a block [s]: longer than what friction, control and filter remember of a residual."""
+BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
+"""Length of a block [s]: longer than what friction, control and filter remember of a residual. Short logs have shorter
+blocks, of SHORTEST at least, to have FEWEST of them; long ones have longer blocks, to have no more than MOST."""
 
 REST_SPEED = 0.004
 """Speed [rad/s; m/s] below which a joint rests if it stays so for REST_TIME; its friction can then be anything."""
@@ -124,13 +125,17 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
     n = robot.dofs
     roles = ("train", "test", "reference")
     rows, states, nominal = [], [], []
+    total = sum(p.t[-1] - p.t[0] for p in recording.pieces)
+    length = max(SHORTEST, min(BLOCK, total / FEWEST), total / MOST)
     block = 0
     for number, piece in enumerate(recording.pieces):
         torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
         nominal.append(torque)
         states.append(_states(piece, torque, recording))
         kept = recording.filter.rows(len(piece.t))
-        of = block + np.minimum((piece.t[kept] - piece.t[kept[0]]) // BLOCK, _last_block(piece.t[kept])).astype(int)
+        of = block + np.minimum(
+            (piece.t[kept] - piece.t[kept[0]]) // length, _last_block(piece.t[kept], length)
+        ).astype(int)
         block = of[-1] + 1
         rows.append((of, np.full(len(kept), roles.index(piece.role)), np.full(len(kept), number)))
     blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
@@ -202,7 +207,7 @@ def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: 
         free.append((changed({**shape, name: up}) - changed({**shape, name: down})) / (up - down))
     numbers = evidence.append(joint, [fixed, *free])
     # the correction reaches about as far as the next trial; beyond, the straight line is no longer true
-    reach = [0.3 * value + (0.004 if effect.parameters[name].unit == "s" else 1e-6) for name, value in shape.items()]
+    reach = [0.3 * v + 0.004 if effect.parameters[name].unit == "s" else 0.15 * v for name, v in shape.items()]
     return Candidate(effect, joint, shape, {joint: (numbers[:1], numbers[1:])}, 1 / np.square(reach), quiet)
 
 
@@ -242,6 +247,26 @@ def body_candidate(
 def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
     robot, recording, n = evidence.robot, evidence.recording, evidence.dofs
     bodies = [e for e in effects if isinstance(e, AbstractBodyEffect)]
+    if bodies:
+        _add_changes(evidence, bodies)
+    for effect in effects:
+        if isinstance(effect, AbstractMotionEffect):
+            for joint in range(n):
+                change = []
+                for piece in recording.pieces:
+                    motion = Motion(piece.q, piece.qd, piece.qdd)
+                    ends = [rigid_torque(robot, effect.true({"offset": x}, motion, joint)) for x in (STEP, -STEP)]
+                    change.append((ends[0] - ends[1]) / (2 * STEP))
+                columns = filtered(recording, change)
+                where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}
+                evidence.candidates.append(Candidate(effect, joint, {}, where, np.array([1 / 0.3**2])))
+                for offset in ZEROS:
+                    evidence.candidates.append(body_candidate(evidence, effect, joint, {"offset": offset}))
+
+
+def _add_changes(evidence: Evidence, bodies: Sequence[AbstractBodyEffect]) -> None:
+    """Candidates that change inertials or gravity."""
+    robot, recording, n = evidence.robot, evidence.recording, evidence.dofs
     places = [(e, j) for e in bodies for j in (range(n) if e.name == "link_inertia_error" else (None,))]
     directions = [e.directions(robot, j) for e, j in places]
     moves = np.stack([inertial.reshape(-1) for d in directions for inertial, _, _ in d])
@@ -264,19 +289,6 @@ def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
         where = {j: ((), evidence.append(j, list(columns[k : k + len(direction), j]))) for j in range(n)}
         evidence.candidates.append(Candidate(effect, joint, {}, where, precision))
         k += len(direction)
-    for effect in effects:
-        if isinstance(effect, AbstractMotionEffect):
-            for joint in range(n):
-                change = []
-                for piece in recording.pieces:
-                    motion = Motion(piece.q, piece.qd, piece.qdd)
-                    ends = [rigid_torque(robot, effect.true({"offset": x}, motion, joint)) for x in (STEP, -STEP)]
-                    change.append((ends[0] - ends[1]) / (2 * STEP))
-                columns = filtered(recording, change)
-                where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}
-                evidence.candidates.append(Candidate(effect, joint, {}, where, np.array([1 / 0.3**2])))
-                for offset in ZEROS:
-                    evidence.candidates.append(body_candidate(evidence, effect, joint, {"offset": offset}))
 
 
 @jax.jit
@@ -324,9 +336,9 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
     return np.concatenate(each, axis=-1)
 
 
-def _last_block(t: np.ndarray) -> int:
+def _last_block(t: np.ndarray, length: float) -> int:
     """Number of the last block of a piece: an incomplete one belongs to the one before."""
-    return max(0, int((t[-1] - t[0] + 1e-9) // BLOCK) - 1)
+    return max(0, int((t[-1] - t[0] + 1e-9) // length) - 1)
 
 
 def trial_at(evidence: Evidence, acting: Acting) -> Candidate:

@@ -35,6 +35,7 @@ STUCK = 0.04
 """Share of a static friction, and of the speed at which it falls, that the milliseconds hide in which a joint that turns
 back sticks."""
 
+
 @dataclass(frozen=True)
 class Refined:
     """Effects with refined parameters, what each moves by, and the residual that they leave.

@@ -236,6 +236,8 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
 def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, tuple]) -> Finding:
     """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
     if finding.effect == "payload":
+        measured = finding.parameters
+        finding = replace(finding, parameters={name: measured[name] for name in ("mass", "com")})
         mass, nominal = float(ends["mass"][0]), float(robot.inertial[-1, 0])
         link = link_names(robot)[-1]
         x, y, z = com = np.asarray(ends["com"][0])

@@ -60,11 +60,20 @@ def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most:
     judge.refresh()
     model = Model(evidence)
     hypothesis = search(judge, pool, always, (), most)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS + evidence.dofs):
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
         before = {c.key for c in hypothesis}
         refined = refine(evidence, model, _acting(judge, always, hypothesis), choosing, measured.weights, always)
+        beyond = {
+            (a.effect.name, a.joint)
+            for a in refined.acting
+            if a.effect.name == "torque_saturation" and not _hugs(evidence, measured, refined, a)
+        }
+        if beyond:
+            pool = [c for c in pool if c.key not in beyond]
+            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in beyond), most)
+            continue
         trials = tuple(trial_at(evidence, a) for a in refined.acting)
         pool = [*pool, *(c for c in trials if not any(c is p for p in pool))]
         judge.refresh()
@@ -94,6 +103,16 @@ LATE = {"torque_delay": ("delay", "actuator_lag"), "actuator_lag": ("time_consta
 """Delay and lag: each one's parameter, and the other one."""
 
 
+def _hugs(evidence: Evidence, measured: noise.Noise, refined: Refined, saturation: Acting) -> bool:
+    """Whether the torque that moved a joint stays within the limit of its saturation, as the nominal model sees it too."""
+    j, limit = saturation.joint, saturation.parameters["limit"]
+    assert j is not None
+    used = evidence.valid[:, j]
+    moved = np.abs(evidence.tau[used, j] - refined.residual[used, j])
+    reach = min(float(np.quantile(x, 0.99)) for x in (moved, np.abs(evidence.nominal[used, j])))
+    return limit > 0.75 * reach and limit > 3 * measured.deviation[j]
+
+
 def _told_apart(
     judge: Judge, model: Model, always: Hypothesis, hypothesis: Hypothesis, chosen: Refined
 ) -> tuple[Hypothesis, Refined, dict[tuple[str, int | None], bool]]:
@@ -120,9 +139,7 @@ def _told_apart(
     return hypothesis, chosen, close
 
 
-def _sharpened(
-    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]
-) -> list[Candidate]:
+def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
     """Encoder offsets, taken anew at their own sizes, that nearly do what a body effect of the hypothesis does: ten
     inertials bend where the straight line of an offset does not."""
     made: list[Candidate] = []

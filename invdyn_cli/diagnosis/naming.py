@@ -21,6 +21,9 @@ LEAST_DIFFERENCE = 10.0
 UNDENIED, CONTRADICTED = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where the blocks that speak against it make less than this share."""
 
+LAGS = 12
+"""Rows within which something structured comes back, if only as its opposite."""
+
 TYPICAL_STRIBECK = 1.5
 """Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
 
@@ -59,8 +62,11 @@ def rivals(
     own, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
     without = judge.verdict(always + others)
     whole = float(np.sum(without.blocks - now.blocks))
+    mine = judge.by_row(always + hypothesis)
     best: dict[tuple[str, int | None], tuple[float, Candidate]] = {}
     for c in pool:
+        if not set(c.columns) & set(own.columns):
+            continue  # what another joint alone feels is no rival
         if c.key == own.key or any(c.key == e.key or clash(e, c) for e in others):
             continue
         value, _ = judge.quick((*always, *others, c))
@@ -70,7 +76,10 @@ def rivals(
     made = []
     for _, c in sorted(best.values(), key=lambda x: x[0])[:12]:
         other = judge.verdict((*always, *others, c))
-        step = other.blocks - now.blocks
+        # what a rival gains on joints that the effect does not touch is not to its credit
+        rows = judge.by_row((*always, *others, c)) - mine
+        elsewhere = [j for j in range(len(rows)) if j not in own.columns]
+        step = other.blocks - now.blocks - sum(np.minimum(rows[j].sum(), 0.0) / rows.shape[1] for j in elsewhere)
         excess = float(step.sum() + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
@@ -119,13 +128,17 @@ def blind_to_stribeck(
 
 
 def structure(residual: np.ndarray, valid: np.ndarray, piece: np.ndarray) -> np.ndarray:
-    """Variance (n,) of what is not noise in a residual (R, n): its autocovariance two and three rows on, beyond the
-    filter's own memory; white noise has none there."""
+    """Variance (n,) of what is not noise in a residual (R, n): its largest autocovariance, of either sign, from two to
+    LAGS rows on, beyond the filter's own memory, and beyond what white noise has there by chance."""
     out = np.zeros(residual.shape[1])
     for j in range(len(out)):
-        x = np.where(valid[:, j], residual[:, j] - np.mean(residual[valid[:, j], j]) if valid[:, j].any() else 0.0, 0.0)
-        for lag in (2, 3):
-            both = valid[lag:, j] & valid[:-lag, j] & (piece[lag:] == piece[:-lag])
+        used = valid[:, j]
+        if used.sum() < 50:
+            continue
+        x = np.where(used, residual[:, j] - np.mean(residual[used, j]), 0.0)
+        by_chance = 3 * np.mean(x[used] ** 2) / np.sqrt(used.sum())
+        for lag in range(2, LAGS + 1):
+            both = used[lag:] & used[:-lag] & (piece[lag:] == piece[:-lag])
             if both.sum() > 20:
-                out[j] = max(out[j], float(np.mean(x[lag:][both] * x[:-lag][both])))
+                out[j] = max(out[j], abs(float(np.mean(x[lag:][both] * x[:-lag][both]))) - by_chance)
     return out

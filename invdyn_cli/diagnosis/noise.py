@@ -11,7 +11,11 @@ from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.maths.statistics import autocorrelation_time
 
 FLOOR = 5e-4
-"""Share of a joint's RMS torque below which nothing is known: interpolation, clocks and rounding of a log."""
+"""Share of a joint's RMS torque (or of a fifth of the strongest joint's) below which nothing is known: interpolation,
+clocks and rounding of a log."""
+
+MOVES = 0.05
+"""Share of the rows on which a joint must move to be judged: one that is held still says nothing but its noise."""
 
 PEAKS = 3
 PEAK = 12.0
@@ -36,10 +40,11 @@ class Noise:
 def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
     """The noise of the chosen rows (R,) bool."""
     n = evidence.dofs
+    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
     deviation, time, residual = np.zeros(n), np.ones(n), np.zeros(evidence.tau.shape)
     for j in range(n):
         used = rows & evidence.valid[:, j]
-        if used.sum() < 50:
+        if used.sum() < max(50, MOVES * rows.sum()):
             continue
         columns = sorted({i for c in evidence.candidates if _plain(c, j) for i in c.columns[j][1]})
         x, y = evidence.tables[j][:, columns], evidence.tables[j][:, 0]
@@ -59,8 +64,7 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread))
         residual[:, j] = left[:, best]
         variance = spread[best]
-        strong = np.sqrt(np.mean(evidence.tau[used, j] ** 2))
-        deviation[j] = np.sqrt(variance + (FLOOR * strong) ** 2)
+        deviation[j] = np.sqrt(variance + (FLOOR * max(strongest[j], strongest.max() / 5)) ** 2)
         time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
     return Noise(deviation, time, residual)
 
@@ -72,9 +76,7 @@ def _plain(candidate: Candidate, joint: int) -> bool:
     name, shape = candidate.effect.name, candidate.shape
     if name == "stribeck_friction":
         return 0.02 < shape["velocity"] < 0.1
-    if name == "torque_delay":
-        return shape["delay"] == 0
-    return name not in ("actuator_lag", "torque_saturation")
+    return name not in ("torque_delay", "actuator_lag", "torque_saturation")  # their columns hold the noise itself
 
 
 def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:

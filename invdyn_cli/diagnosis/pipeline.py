@@ -28,12 +28,12 @@ class Options:
     Attributes:
         known: causes that are known already: {"effect", "joint", parameters …}, taken as they are; without parameters,
             "effect" or "effect@joint", allowed for and not reported.
-        most: effects that a diagnosis names at most.
+        most: effects that a diagnosis names at most; null: three for each joint.
         conditioning: rates and filters.
     """
 
     known: Sequence[Any] = ()
-    most: int = 12
+    most: int | None = None
     conditioning: Conditioning = field(default_factory=Conditioning)
 
 
@@ -88,7 +88,7 @@ def diagnose(
     progress(0.25, "columns")
     evidence = gather(robot, recording, list(pool.values()), side)
     progress(0.5, "search")
-    inquiry = inquire(evidence, allowed, options.most, reference is not None)
+    inquiry = inquire(evidence, allowed, options.most or 3 * robot.dofs, reference is not None)
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)
@@ -221,6 +221,6 @@ def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:
         extended={},
         noise_floor=None,
         unexplained={},
-        summary=f"This log cannot be diagnosed: {why.rstrip('.')}. {failed[0].advice if failed else ''}".strip(),
+        summary=f"This log cannot be diagnosed: {why.rstrip('.')}." + (f" Try: {failed[0].advice}." if failed else ""),
         notes=tuple(notes),
     )

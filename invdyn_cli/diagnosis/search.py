@@ -91,14 +91,14 @@ class Judge:
         """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
         return self._assembled(hypothesis, self.grams)
 
-    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray]):
-        """`sums` from Gram matrices (..., columns, columns) of all rows of the arm."""
+    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray], only: int | None = None):
+        """`sums` from Gram matrices (..., columns, columns) of all rows of the arm, or of one."""
         starts = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
         k, shape = int(starts[-1]), grams[0].shape[:-2]
         s, r, normal = np.zeros(shape), np.zeros((*shape, k)), np.zeros((*shape, k, k))
         for j, gram in enumerate(grams):
             w = self.weights[j]
-            if not w:
+            if not w or only not in (None, j):
                 continue
             fixed, free, place = [0], [], []
             for c, start in zip(hypothesis, starts[:-1], strict=True):
@@ -140,6 +140,20 @@ class Judge:
         fit = float(s.sum() - theta @ r.sum(0))
         loss = float(blocks.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
         return Verdict(loss, blocks, theta, fit)
+
+    def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
+        """Held-out losses (n, B) of every joint's own rows, without prices."""
+        _, r, normal = self.sums(hypothesis)
+        precision = _precision(hypothesis)
+        rows = [self._assembled(hypothesis, self.grams, j) for j in range(len(self.grams))]
+        out = np.zeros((len(self.grams), self.count))
+        for fold in range(self.folds.max() + 1):
+            at = self.folds == fold
+            others = ~at if self.folds.max() else at
+            held = _solve(normal[others].sum(0), r[others].sum(0), precision)
+            for j, (s, own, squares) in enumerate(rows):
+                out[j, at] = s[at] - 2 * own[at] @ held + np.einsum("a,bac,c->b", held, squares[at], held)
+        return out
 
     def price(self, hypothesis: Sequence[Candidate]) -> float:
         """What a hypothesis must gain at least."""

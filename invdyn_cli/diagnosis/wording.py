@@ -24,7 +24,7 @@ def verdict(
     left = np.sqrt(learned) * after
     fine = (learned < PREDICTABLE) | (left < SMALL * before)
     if floor is not None:
-        fine |= after < 1.2 * floor
+        fine |= after < 1.2 * np.sqrt(2) * floor
     return "explained" if np.all(fine) else "partly_explained"
 
 

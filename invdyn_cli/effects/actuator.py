@@ -75,7 +75,7 @@ class TorqueGainError(AbstractChannelEffect):
     title = "torque gain error"
     equation = "delivered = gain · logged"
     reference = "Gautier and Briot, ASME JDSMC 2014"
-    parameters = {"gain": Parameter("-", 0.1, 10.0)}
+    parameters = {"gain": Parameter("-", 0.4, 2.5)}
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
     advice = "a known payload: it tells a gain from masses"
     picture = "load"
@@ -166,7 +166,7 @@ class TorqueSaturation(AbstractChannelEffect):
         shares: of the samples that a tried limit would cut off.
     """
 
-    shares: tuple[float, ...] = (0.004, 0.01, 0.02, 0.04, 0.08, 0.13, 0.2, 0.3, 0.42, 0.55, 0.7)
+    shares: tuple[float, ...] = (0.004, 0.01, 0.02, 0.04, 0.08, 0.12, 0.17, 0.23, 0.3)
 
     name = "torque_saturation"
     title = "torque saturation"

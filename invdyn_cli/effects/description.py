@@ -41,8 +41,8 @@ class ExtendedModel:
         body = body_torque(self.robot, self.acting, motion)
         out = []
         for j in range(self.robot.dofs):
-            sign = sign_of(jnp.asarray(motion.qd[j]), SHARP)
-            state = JointState(jnp.asarray(t), motion.q[j], motion.qd[j], motion.qdd[j], sign, body[j])
+            q, qd, qdd = (jnp.asarray(x[j]) for x in (motion.q, motion.qd, motion.qdd))
+            state = JointState(jnp.asarray(t), q, qd, qdd, sign_of(qd, SHARP), body[j])
             tau = body[j] + sum(joint_terms(self.acting, j, state))
             for one in self.acting:
                 if one.joint == j and one.effect.name in ("torque_gain_error", "torque_saturation"):
@@ -116,7 +116,7 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
     }
 
 
-def from_dict(stored: Mapping[str, Any], where: str = "the model") -> ExtendedModel:
+def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
     """The model of an extended_model.json.
 
     Raises:

@@ -58,7 +58,7 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
     screen.use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.seed, int) or config.seed < 0:
-        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up")
+        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up, or null")
     if config.data is None or "_target_" not in config.data:
         raise UsageError(f"data={config.data}; allowed: real_log, plant")
     brought = material_of(instantiate(config.data))
@@ -124,8 +124,8 @@ def options_of(config: DictConfig) -> Options:
         UsageError: for what is out of range.
     """
     node = config.diagnosis
-    if not isinstance(node.most, int) or isinstance(node.most, bool) or node.most < 0:
-        raise UsageError(f"diagnosis.most={node.most}; allowed: a whole number from 0 up")
+    if node.most is not None and (not isinstance(node.most, int) or isinstance(node.most, bool) or node.most < 0):
+        raise UsageError(f"diagnosis.most={node.most}; allowed: a whole number from 0 up, or null")
     conditioning = instantiate(node.conditioning)
     if not isinstance(conditioning, Conditioning):
         raise UsageError(f"diagnosis.conditioning makes a {type(conditioning).__name__}; allowed: a Conditioning")
