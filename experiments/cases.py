@@ -1,7 +1,7 @@
 """Logs with something hidden in them: arm, motion, effect, size, joint and noise drawn at random, played by MuJoCo.
 
-What is hidden is known here alone; nothing in this file shares code with what looks for it. Sizes are drawn in shares of
-the torque that the joint has anyway, so that they suit every arm.
+What is hidden is known here alone; nothing in this file shares code with what looks for it. Sizes are drawn in shares
+of the torque that the joint has anyway, so that they suit every arm.
 """
 
 import tempfile
@@ -94,7 +94,7 @@ def draw_effect(draw: np.random.Generator, scene: Scene, name: str, joint: int |
 
 
 def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> Case:
-    """The log of a scene with these effects, and noise: torque 0.2 to 2 % of each joint's, encoders of 17 to 21 bits."""
+    """The log of a scene with these effects, and noise: torque 0.2 to 2 % of each joint's, encoders of 17 to 21 bit."""
     torque = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
     noise = Noise(position=float(np.exp(draw.uniform(np.log(1e-6), np.log(1.5e-5)))), torque=tuple(torque))
     options: dict[str, Any] = {"duration": scene.duration, "seed": scene.seed}

@@ -2,8 +2,9 @@
 
     python experiments/confusion.py [seed=0] [logs=10] [clean=100] [only=effect,effect] [folder=outputs/confusion]
 
-Every log is drawn by `cases.py` from the seed: another arm, motion, size, joint and noise each time. Prints the confusion
-matrix and the table of effects, and writes both with every single log into the folder (confusion.json, confusion.md).
+Every log is drawn by `cases.py` from the seed: another arm, motion, size, joint and noise each time. Prints the
+confusion matrix and the table of effects, and writes both with every single log into the folder (confusion.json,
+confusion.md).
 """
 
 import json
@@ -95,7 +96,7 @@ def matches(hidden: Hidden, finding: Finding) -> str:
 
 
 def _elsewhere(hidden: Hidden, finding: Finding) -> str:
-    """An ambiguous finding of another joint or the whole arm may hold the hidden effect among its alternatives: payloads
+    """An ambiguous finding elsewhere may hold the hidden effect among its alternatives: payloads
     and links are told by bodies, which more than one joint feels."""
     bodies = {"payload", "link_inertia_error", "base_tilt", "encoder_offset"}
     sets = [(finding.effect,), *finding.alternatives]

@@ -252,7 +252,7 @@ class AbstractCheck(abc.ABC):
 
     @abc.abstractmethod
     def examine(self, log: Any, robot: Robot | None) -> list[Check]:
-        """What was seen in a `logfile.Log`, nothing where all is well; without a robot, what can be told without one."""
+        """What was seen in a `logfile.Log`, nothing where all is well; without a robot, what needs none."""
 
     def mend(self, log: Any, found: Sequence[Check], robot: Robot | None) -> tuple[Any, list[str]]:
         """The log with this check's own findings put right where that is certain, and a sentence for each mending."""

@@ -1,8 +1,8 @@
 """Evidence: every candidate cause as columns beside the logged torque, filtered alike, as Gram matrices of blocks.
 
 Row j of the arm has a table X_j (rows, columns). Column 0 is the logged torque less the nominal one. A candidate is a
-set of columns: fixed ones, which enter with factor one (a delay of 6 ms, tried), and free ones, whose factors are fitted
-(its small correction). All that the search asks can be answered from the tables' Gram matrices, block by block.
+set of columns: fixed ones, which enter with factor one (a delay of 6 ms, tried), and free ones, whose factors are to be
+fitted (its small correction). All that the search asks can be answered from the tables' Gram matrices, by blocks.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 """Effects that jump where a joint turns back."""
 
 STICK_TIME = 0.005
-"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything in between: such a shift of
+"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
 the jump is allowed for, as a free column of its own."""
 
 ZEROS = (-0.04, 0.04)

@@ -1,5 +1,5 @@
-"""The composed model against the record: all parameters of a hypothesis refined together, as the effects' formulas stand,
-and the intervals that blocks of the log give them.
+"""The composed model against the record: all parameters of a hypothesis refined together, by the effects' formulas, and
+the intervals that blocks of the log give them.
 
 Linear columns chose the hypothesis; here a gain scales the friction behind it, a payload changes the load of the gear,
 and nothing is straightened any more. Gauss and Newton's steps with numerical slopes, a few times.
@@ -27,13 +27,13 @@ STEPS = 4
 
 
 SYSTEMATIC, OWN_TIME = 1e-3, 0.1
-"""Share of a parameter, and of a log's sample, by which interpolation and holding mislead an honest log of the simulated
-arm (`make confusion`)."""
+"""Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the
+simulated arm (`make confusion`)."""
 
 
 STUCK = 0.04
-"""Share of a static friction, and of the speed at which it falls, that the milliseconds hide in which a joint that turns
-back sticks."""
+"""Share of a static friction, and of the speed at which it falls, that is hidden by the milliseconds in which a joint
+that turns back sticks."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Refined:
 
 
 class Model:
-    """The residual of composed effects on all rows of the evidence; body torques are kept while bodies do not change."""
+    """The residual of composed effects on all rows of the evidence; body torques are kept while bodies stay."""
 
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
@@ -314,7 +314,7 @@ def _inside(acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
 def _precision(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
     """What is known of coordinates beforehand: what the data do not show of a body stays near zero."""
     out = []
-    for number, name, index in labels:
+    for number, _, index in labels:
         effect = acting[number].effect
         if isinstance(effect, AbstractBodyEffect):
             out.append(1 / effect.directions(evidence.robot, acting[number].joint)[index][2] ** 2)

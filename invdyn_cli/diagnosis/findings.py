@@ -253,8 +253,10 @@ def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, 
                     "moment": Quantity((mass * com).tolist(), "kg m"),
                     "inertia": Quantity((np.asarray(ends["inertia"][0]) + mass * point).tolist(), "kg m²"),
                 },
-                rejected=(("payload", f"its mass would be {mass:.3g} kg at {np.round(com, 3).tolist()} m"),)
-                + finding.rejected,
+                rejected=(
+                    ("payload", f"its mass would be {mass:.3g} kg at {np.round(com, 3).tolist()} m"),
+                    *finding.rejected,
+                ),
                 advice=EFFECTS["link_inertia_error"].advice,
             )
         if mass < LIGHTER * nominal:

@@ -23,8 +23,8 @@ ROUNDS = 3
 @dataclass(frozen=True)
 class Inquiry:
     """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
-    and on all data (`whole`), and all that rivals are judged with. `close` says of a delay or lag whether the other one does
-    as well."""
+    and on all data (`whole`), and all that rivals are judged with. `close` says of a delay or lag whether the other
+    does as well."""
 
     evidence: Evidence
     judge: Judge
@@ -104,7 +104,7 @@ LATE = {"torque_delay": ("delay", "actuator_lag"), "actuator_lag": ("time_consta
 
 
 def _hugs(evidence: Evidence, measured: noise.Noise, refined: Refined, saturation: Acting) -> bool:
-    """Whether the torque that moved a joint stays within the limit of its saturation, as the nominal model sees it too."""
+    """Whether the torque that moved a joint stays within the limit of its saturation, for the nominal model too."""
     j, limit = saturation.joint, saturation.parameters["limit"]
     assert j is not None
     used = evidence.valid[:, j]
@@ -116,8 +116,8 @@ def _hugs(evidence: Evidence, measured: noise.Noise, refined: Refined, saturatio
 def _told_apart(
     judge: Judge, model: Model, always: Hypothesis, hypothesis: Hypothesis, chosen: Refined
 ) -> tuple[Hypothesis, Refined, dict[tuple[str, int | None], bool]]:
-    """Delays and lags decided by their formulas on the model's torque, where a lag does not smooth the noise of what was
-    measured: the better one of both, and whether the other does as well."""
+    """Delays and lags decided by their formulas on the model's torque, where a lag does not smooth the noise of the
+    measured one: the better one of both, and whether the other does as well."""
     close: dict[tuple[str, int | None], bool] = {}
     evidence, rows = judge.evidence, judge.rows
     for i, one in enumerate(chosen.acting):
@@ -158,8 +158,8 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
 
 
 def _slow(evidence: Evidence, refined: Refined, joint: int) -> np.ndarray:
-    """(R,) a joint's residual in the lowest part of its band. A lag's column carries the slope of the model's torque, and
-    with it the noise of positions thrice differentiated, which a delay's does not; down there both are quiet."""
+    """(R,) a joint's residual in the lowest part of its band. A lag's column carries the slope of the model's torque,
+    and with it the noise of positions thrice differentiated, which a delay's does not; down there both are quiet."""
     rate = evidence.recording.filter.rate / evidence.recording.filter.keep
     cutoff = min(SLOW * evidence.recording.filter.cutoffs[joint], 0.45 * rate)
     out = np.zeros(len(refined.residual))

@@ -19,7 +19,7 @@ LEAST_DIFFERENCE = 10.0
 """And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
 
 UNDENIED, CONTRADICTED = 100.0, 0.03
-"""Noise variances of a difference that needs no draws, where the blocks that speak against it make less than this share."""
+"""Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
 
 LAGS = 12
 """Rows within which something structured comes back, if only as its opposite."""
@@ -33,7 +33,7 @@ TYPICAL_VELOCITY = 0.047
 
 @dataclass(frozen=True)
 class Rival:
-    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, and the verdict in words."""
+    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words."""
 
     candidate: Candidate
     excess: float
@@ -117,7 +117,7 @@ def blind_to_stribeck(
     if not trials:
         return False
     with_it = (*always, *hypothesis[:place], *hypothesis[place + 1 :], trials[0])
-    s, r, normal = judge.sums(with_it)
+    _, r, normal = judge.sums(with_it)
     k = len(trials[0].precision)
     total = normal.sum(0) + 1e-9 * np.diag(np.diag(normal.sum(0)))
     theta = np.linalg.lstsq(total, r.sum(0), rcond=None)[0]

@@ -24,8 +24,8 @@ PEAK = 12.0
 
 @dataclass(frozen=True)
 class Noise:
-    """Per joint: standard deviation of the residual's noise on filtered rows [N m; N], its autocorrelation time in rows,
-    and the residual (R, n) of the model that may use everything."""
+    """Per joint: standard deviation of the residual's noise on filtered rows [N m; N], its autocorrelation time in
+    rows, and the residual (R, n) of the model that may use everything."""
 
     deviation: np.ndarray
     time: np.ndarray

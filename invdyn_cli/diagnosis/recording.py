@@ -36,8 +36,8 @@ class Conditioning:
         rate: [Hz] of the working clock; slower logs keep their own. Columns are made at this rate and only then
             filtered, so that a reversal is placed within 2 ms.
         cutoffs: [Hz] of a joint's low-pass to choose from: the highest at which the noise of the positions, twice
-            differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE). Beyond, it would not only
-            drown the torque: a controller answers to the noise of its encoders, and what it then asks for goes
+            differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE). Beyond, it would not
+            only drown the torque: a controller answers to the noise of its encoders, and what it then asks for goes
             with the noise of the regressor.
         smoothing: the motion keeps so many times the bandwidth of the columns, and at least `sharpness` [Hz]: what
             friction does near a reversal takes 20 ms.
@@ -73,8 +73,8 @@ class Piece:
 
 @dataclass(frozen=True)
 class Filter:
-    """The zero-phase low-passes, one for each joint, that its torque and all its columns pass alike; then every `keep`-th
-    sample, the ends cut off.
+    """The zero-phase low-passes, one for each joint, that its torque and all its columns pass alike; then every
+    `keep`-th sample, the ends cut off.
 
     Attributes:
         rate: [Hz] of the working clock.
@@ -116,7 +116,7 @@ class Filter:
 
 @lru_cache(maxsize=64)
 def _sections(rate: float, cutoff: float) -> np.ndarray:
-    return signal.butter(4, cutoff, fs=rate, output="sos")
+    return np.asarray(signal.butter(4, cutoff, fs=rate, output="sos"))
 
 
 @dataclass(frozen=True)

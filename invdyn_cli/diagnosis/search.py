@@ -7,6 +7,7 @@ Forward steps, drops and swaps go on until none of them helps.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class Judge:
         for j, table in enumerate(self.evidence.tables):
             if table.shape[1] != self.grams[j].shape[1]:
                 x = table[self.rows] * self.evidence.valid[self.rows, j : j + 1]
-                self.grams[j] = np.stack([x[a:b].T @ x[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+                self.grams[j] = np.stack([x[a:b].T @ x[a:b] for a, b in pairwise(edges)])
                 self.totals[j] = self.grams[j].sum(0)
 
     def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -166,7 +167,7 @@ class Judge:
         )
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
-        """Why the coefficients of a hypothesis are no physics, "" if they are; what is always part of it may be anything."""
+        """Why the coefficients of a hypothesis are no physics, "" if they are; what is always in it may be anything."""
         start = 0
         for candidate, parameters in read_all(self.evidence, hypothesis, theta):
             if any(candidate is a for a in self.always):

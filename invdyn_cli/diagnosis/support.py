@@ -1,5 +1,5 @@
-"""What supports a claim: data that did not choose it gain by it, its exact formula holds there, and what stays unexplained
-on its joint does not outweigh it."""
+"""What supports a claim: data that did not choose it gain by it, its exact formula holds there, and what stays
+unexplained on its joint does not outweigh it."""
 
 from collections.abc import Sequence
 

@@ -1,7 +1,7 @@
 """What is left: how much of the residual a learner still predicts on data that it has not seen.
 
-Stretches of time are learned from and judged in turn, so that both have seen the same postures; a stretch of a cause that
-the catalogue lacks then shows, while noise does not.
+Stretches of time are learned from and judged in turn, so that both have seen the same postures; a cause that the
+catalogue lacks then shows, while noise does not.
 """
 
 import jax
