@@ -25,6 +25,9 @@ from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
 LIGHTER = 0.5
 """Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
 
+HEAVIER = 1.0
+"""Of a link's mass, by which it may be wrong and still be called so."""
+
 MANY_LINKS = 3
 """Links with wrong inertials from which the model as a whole is in doubt."""
 
@@ -273,6 +276,12 @@ def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, 
         }
         known = {name: q or replace(finding.parameters[name], value=None, interval95=None) for name, q in shown.items()}
         finding = replace(finding, parameters={"link": Quantity(link_names(robot)[joint], ""), **known})
+        if not -1 < float(ends["mass"][0]) / max(robot.inertial[joint, 0], 1e-9) < HEAVIER:
+            finding = replace(
+                finding,
+                alternatives=(*finding.alternatives, ("rotor_inertia",), ("torque_gain_error",)),
+                advice="a body of this mass is no body: look for what else acts on this joint and those before it",
+            )
     return finding
 
 

@@ -13,11 +13,12 @@ from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.effects.composition import Acting
 
-OUTWEIGHED = 0.25
+OUTWEIGHED = 1.0
 """Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
-a column that is nearly orthogonal to an unknown cause still picks up a few percent of it."""
+a column that is nearly orthogonal to an unknown cause still picks up a few percent of it, and one that the arm's answer
+to it goes with, more."""
 
-PICKED_UP = 0.1
+PICKED_UP = 0.2
 """And so much more for every further coefficient, each of which picks up as much."""
 
 RARE = 0.1

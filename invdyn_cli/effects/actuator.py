@@ -16,6 +16,9 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.types import Array
 
+SLOWEST = 0.05
+"""[s] A drive that is later than this could not be controlled at the bandwidth of an arm."""
+
 MOTOR_SIDES = ("motor", "command", "unknown")
 
 
@@ -98,13 +101,13 @@ class TorqueDelay(AbstractChannelEffect):
         delays: to try [s].
     """
 
-    delays: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04, 0.06)
+    delays: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
 
     name = "torque_delay"
     title = "torque delay"
     equation = "delivered(t) = logged(t − delay)"
     reference = "first order: delay · d torque/dt"
-    parameters = {"delay": Parameter("s", 0.0, 0.25)}
+    parameters = {"delay": Parameter("s", 0.0, SLOWEST)}
     confounders = (("actuator_lag",), ("viscous_friction",))
     advice = "fast motion: a delay grows with frequency as a line, a lag bends and damps"
     picture = "slope"
@@ -127,13 +130,13 @@ class ActuatorLag(AbstractChannelEffect):
         time_constants: to try [s].
     """
 
-    time_constants: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04, 0.06)
+    time_constants: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
 
     name = "actuator_lag"
     title = "actuator lag"
     equation = "time_constant · d delivered/dt + delivered = logged"
     reference = "first-order current loop"
-    parameters = {"time_constant": Parameter("s", 0.0, 0.25)}
+    parameters = {"time_constant": Parameter("s", 0.0, SLOWEST)}
     confounders = (("torque_delay",), ("viscous_friction",))
     advice = TorqueDelay.advice
     picture = "slope"

@@ -11,12 +11,6 @@ from tests.diagnosis.analytic import evidence_of, log_of, moved, nothing, on, ra
 NAMES = [n for n in EFFECTS if n != "torque_ripple"]
 SIGMA = 0.1
 
-calmed = pytest.mark.xfail(
-    reason="noise.measure: beside a trial of a delay, the column of another delay's correction (d torque/dt, noise and "
-    "all) explains noise by noise; the deviation of a clean log comes out 28 % too low",
-    strict=False,
-)
-
 
 def measured(term=nothing, torque=SIGMA):
     evidence = evidence_of(log_of(raw(*moved(), term, torque=torque)), NAMES, cutoffs=(10.0,))
@@ -30,7 +24,6 @@ def quiet():
     return measured()
 
 
-@calmed
 def test_the_deviation_is_that_of_the_noise(quiet):
     """What is measured is what white noise leaves behind the filter, within 10 % (some 300 independent rows)."""
     evidence, rows, found = quiet
@@ -39,7 +32,6 @@ def test_the_deviation_is_that_of_the_noise(quiet):
     np.testing.assert_allclose(found.deviation, alone.std(axis=0), rtol=0.1)
 
 
-@calmed
 def test_effects_are_no_noise(quiet):
     """Friction, an offset and another load change the measured noise by less than 15 %."""
     term = on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd) + qd + 0.3 + 0.2 * qdd)
@@ -64,7 +56,6 @@ def test_a_ripple_is_found_by_its_cycles(cycles):
     assert trials and abs(trials[0] - cycles) < 0.2 * 2 * np.pi / np.ptp(q)
 
 
-@calmed
 def test_noise_has_no_ripples(quiet):
     """In noise alone no line stands out."""
     assert noise.ripples(*(quiet[i] for i in (0, 2, 1)), TorqueRipple()) == []
