@@ -35,7 +35,7 @@ MISSES: dict[tuple[str, int], str] = {
     (
         "hum",
         0,
-    ): "rotor_inertia is named on the joint of a 2 Hz torque: the arm swings with it, so that acceleration goes with it",
+    ): "rotor_inertia is named on the joint of a 2 Hz torque, with which the arm swings and accelerates",
 }
 """Logs (hidden, seed) on which the diagnosis is wrong as yet, and how."""
 
