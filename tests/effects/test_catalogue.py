@@ -12,6 +12,7 @@ from invdyn_cli.interfaces import (
     AbstractMotionEffect,
     AbstractTorqueEffect,
 )
+from tests.commands import ROOT
 from tests.effects.drawn import parameters
 
 UNITS = re.compile(r"-|(?:1/rev|N m|rad|kg|m|s|kg m²?|N m/rad|N m s/rad|N m s²/rad²|rad/s)")
@@ -117,3 +118,11 @@ def test_ambiguity_holds_both_ways():
     assert may_be_ambiguous("asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset"))
     assert not may_be_ambiguous("coulomb_friction", ("payload",))
     assert not may_be_ambiguous("torque_ripple", ("viscous_friction",))
+
+
+def test_the_docs_list_every_effect():
+    """docs/effects.md has every effect with its equation's parameters."""
+    page = (ROOT / "docs" / "effects.md").read_text()
+    for effect in EFFECTS.values():
+        assert f"`{effect.name}`" in page
+        assert all(f"{name} [{p.unit}]" in page for name, p in effect.parameters.items())
