@@ -131,7 +131,7 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
     for number, piece in enumerate(recording.pieces):
         torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
         nominal.append(torque)
-        states.append(_states(piece, torque, recording))
+        states.append(joint_states(piece, torque, recording))
         kept = recording.filter.rows(len(piece.t))
         of = block + np.minimum(
             (piece.t[kept] - piece.t[kept[0]]) // length, _last_block(piece.t[kept], length)
@@ -273,8 +273,8 @@ def _add_changes(evidence: Evidence, bodies: Sequence[AbstractBodyEffect]) -> No
     falls = np.stack([gravity for d in directions for _, gravity, _ in d])
     own = moves.any(axis=1)
     kinematics, inertial = kinematics_of(robot), jnp.asarray(robot.inertial)
-    linear = partial(_linear, kinematics, jnp.asarray(robot.gravity), jnp.asarray(moves[own]))
-    gravity = partial(_falling, kinematics, inertial, jnp.asarray(falls[~own]))
+    linear = partial(body_columns, kinematics, jnp.asarray(robot.gravity), jnp.asarray(moves[own]))
+    gravity = partial(gravity_columns, kinematics, inertial, jnp.asarray(falls[~own]))
     parts: list[np.ndarray] = []
     for piece in recording.pieces:
         motion = piece.q, piece.qd, piece.qdd
@@ -292,7 +292,7 @@ def _add_changes(evidence: Evidence, bodies: Sequence[AbstractBodyEffect]) -> No
 
 
 @jax.jit
-def _linear(kinematics, gravity, moves, q, qd, qdd):
+def body_columns(kinematics, gravity, moves, q, qd, qdd):
     """Torque (k, n, T) of unit moves (k, 10 n) of the inertials."""
     robot = rebuilt(kinematics, jnp.zeros((q.shape[0], 10)), gravity)
     rows = rigid_body.regressor(robot, q, qd, qdd)
@@ -300,7 +300,7 @@ def _linear(kinematics, gravity, moves, q, qd, qdd):
 
 
 @jax.jit
-def _falling(kinematics, inertial, falls, q, qd, qdd):
+def gravity_columns(kinematics, inertial, falls, q, qd, qdd):
     """Torque (k, n, T) at rest of unit moves (k, 3) of gravity."""
     still = jnp.zeros_like(q)
     return jax.vmap(lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still))(
@@ -308,7 +308,7 @@ def _falling(kinematics, inertial, falls, q, qd, qdd):
     )
 
 
-def _states(piece: Piece, torque: np.ndarray, recording: Recording) -> list[JointState]:
+def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list[JointState]:
     """Every joint's state; sign(qd) is averaged over a sample's length, and no sharper than the noise of the speed."""
     step = 1 / recording.filter.rate
     width = np.maximum(np.abs(piece.qdd) * step / 2, np.maximum(2 * piece.motion_noise, 1e-6)[:, None])

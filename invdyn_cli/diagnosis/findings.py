@@ -14,7 +14,8 @@ import numpy as np
 from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Refined, intervals
-from invdyn_cli.diagnosis.inquiry import LATE, Inquiry
+from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.diagnosis.support import judged, left, refitted, that_hold
 from invdyn_cli.effects.catalogue import EFFECTS

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.evidence import _falling, _linear, _states, filtered
+from invdyn_cli.diagnosis.evidence import body_columns, filtered, gravity_columns, joint_states
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
@@ -27,12 +27,12 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
     nominal torque's slope beside all inertials, gravity, friction and offset."""
     n = robot.dofs
     moves = np.eye(10 * n)
-    linear = partial(_linear, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
-    falling = partial(_falling, kinematics_of(robot), jnp.asarray(robot.inertial), jnp.eye(3))
+    linear = partial(body_columns, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
+    falling = partial(gravity_columns, kinematics_of(robot), jnp.asarray(robot.inertial), jnp.eye(3))
     bodies, slopes, extras = [], [], []
     for piece in recording.pieces:
         torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
-        states = _states(piece, torque, recording)
+        states = joint_states(piece, torque, recording)
         motion = piece.q, piece.qd, piece.qdd
         bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion)]))
         slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))

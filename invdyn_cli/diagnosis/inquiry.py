@@ -1,20 +1,18 @@
 """The inquiry: search and exact refinement in turn, until the set of causes stays the same."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from invdyn_cli.diagnosis import known, naming, noise
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence, trial_at
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import Hypothesis, Judge, parameters_of, read_all, search
-from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.transmission import TorqueRipple
-from invdyn_cli.maths.signals import lowpass, settling
-from invdyn_cli.maths.statistics import autocorrelation_time
 
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
@@ -55,7 +53,8 @@ def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most:
         always, pool = known.compared(evidence, pool, ROLES.index("reference"))
     pool = [c for c in pool if c.key not in {a.key for a in always} or compares]
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
-    pool = [c for c in pool if c.key != ("link_inertia_error", last)]
+    if any(c.effect.name == "payload" for c in pool):
+        pool = [c for c in pool if c.key != ("link_inertia_error", last)]
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
     judge.refresh()
     model = Model(evidence)
@@ -83,7 +82,7 @@ def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most:
             break
     acting = _acting(judge, always, hypothesis)
     chosen = refine(evidence, model, acting, choosing, measured.weights, always)
-    hypothesis, chosen, close = _told_apart(judge, model, always, hypothesis, chosen)
+    hypothesis, chosen, close = told_apart(judge, model, always, hypothesis, chosen)
     whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
     return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close)
 
@@ -96,12 +95,6 @@ def _acting(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Ac
 NEARLY = 0.9
 """Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
 
-SLOW = 0.25
-"""Part of a joint's band in which delay and lag are told apart."""
-
-LATE = {"torque_delay": ("delay", "actuator_lag"), "actuator_lag": ("time_constant", "torque_delay")}
-"""Delay and lag: each one's parameter, and the other one."""
-
 
 def _hugs(evidence: Evidence, measured: noise.Noise, refined: Refined, saturation: Acting) -> bool:
     """Whether the torque that moved a joint stays within the limit of its saturation, for the nominal model too."""
@@ -111,32 +104,6 @@ def _hugs(evidence: Evidence, measured: noise.Noise, refined: Refined, saturatio
     moved = np.abs(evidence.tau[used, j] - refined.residual[used, j])
     reach = min(float(np.quantile(x, 0.99)) for x in (moved, np.abs(evidence.nominal[used, j])))
     return limit > 0.75 * reach and limit > 3 * measured.deviation[j]
-
-
-def _told_apart(
-    judge: Judge, model: Model, always: Hypothesis, hypothesis: Hypothesis, chosen: Refined
-) -> tuple[Hypothesis, Refined, dict[tuple[str, int | None], bool]]:
-    """Delays and lags decided by their formulas on the model's torque, where a lag does not smooth the noise of the
-    measured one: the better one of both, and whether the other does as well."""
-    close: dict[tuple[str, int | None], bool] = {}
-    evidence, rows = judge.evidence, judge.rows
-    for i, one in enumerate(chosen.acting):
-        if one.effect.name not in LATE:
-            continue
-        name, other = LATE[one.effect.name]
-        swapped = replace(one, effect=EFFECTS[other], parameters={LATE[other][0]: one.parameters[name]})
-        others = chosen.acting[:i], chosen.acting[i + 1 :]
-        trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
-        assert one.joint is not None
-        step = _slow_losses(evidence, trial, one.joint, rows) - _slow_losses(evidence, chosen, one.joint, rows)
-        step /= max(_slow_noise(evidence, trial, chosen, one.joint, rows), 1e-300)
-        if step.sum() < 0:
-            chosen, step = trial, -step
-            candidate = trial_at(evidence, trial.acting[i])
-            judge.refresh()
-            hypothesis = (*hypothesis[:i], candidate, *hypothesis[i + 1 :])
-        close[hypothesis[i].key] = naming.chance(step, 0.0) > naming.DOUBT
-    return hypothesis, chosen, close
 
 
 def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
@@ -155,28 +122,3 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
                 if without - value > NEARLY * (without - now) and not c.effect.refuse(parameters):
                     made.append(trial_at(judge.evidence, Acting(c.effect, c.joint, parameters)))
     return made
-
-
-def _slow(evidence: Evidence, refined: Refined, joint: int) -> np.ndarray:
-    """(R,) a joint's residual in the lowest part of its band. A lag's column carries the slope of the model's torque,
-    and with it the noise of positions thrice differentiated, which a delay's does not; down there both are quiet."""
-    rate = evidence.recording.filter.rate / evidence.recording.filter.keep
-    cutoff = min(SLOW * evidence.recording.filter.cutoffs[joint], 0.45 * rate)
-    out = np.zeros(len(refined.residual))
-    for number in np.unique(evidence.piece):
-        at = evidence.piece == number
-        x = refined.residual[at, joint] * evidence.valid[at, joint]
-        out[at] = lowpass(x, rate, cutoff) if len(x) > settling(rate, cutoff) else 0.0
-    return out
-
-
-def _slow_losses(evidence: Evidence, refined: Refined, joint: int, rows: np.ndarray) -> np.ndarray:
-    squares = _slow(evidence, refined, joint) ** 2
-    return np.bincount(evidence.block[rows], squares[rows])[np.unique(evidence.block[rows])]
-
-
-def _slow_noise(evidence: Evidence, one: Refined, other: Refined, joint: int, rows: np.ndarray) -> float:
-    """Variance of the better residual times its autocorrelation time: the unit of a loss."""
-    slow = [_slow(evidence, x, joint)[rows] for x in (one, other)]
-    best = min(slow, key=lambda x: float(x @ x))
-    return float(np.mean(best**2)) * autocorrelation_time(best)

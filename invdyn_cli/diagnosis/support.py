@@ -9,6 +9,7 @@ from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.exact import Refined, refine
 from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.effects.composition import Acting
@@ -68,8 +69,9 @@ def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[float, str
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
     if 0 < gain < needed * rest:
         return gain / rest, "most of what it would explain is something else that this catalogue does not know"
-    late = {"torque_delay": "delay", "actuator_lag": "time_constant"}.get(hypothesis[i].effect.name)
-    if late is not None:
+    name = hypothesis[i].effect.name
+    if name in LATE:
+        late = LATE[name][0]
         value = next(a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key)
         if value < evidence.recording.period:
             return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
