@@ -48,7 +48,11 @@ def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most:
     pool = [c for c in evidence.candidates if c.effect.name != "asymmetric_coulomb_friction"]
     always: Hypothesis = tuple(c for c in pool if known.is_allowed(c, allowed))
     measured = noise.measure(evidence, choosing)
-    pool += noise.ripples(evidence, measured, choosing, TorqueRipple())
+    lines = noise.ripples(evidence, measured, choosing, TorqueRipple())
+    if lines:  # what is a ripple is no noise
+        evidence.candidates += lines
+        pool += lines
+        measured = noise.measure(evidence, choosing)
     if compares:
         always, pool = known.compared(evidence, pool, ROLES.index("reference"))
     pool = [c for c in pool if c.key not in {a.key for a in always} or compares]

@@ -24,10 +24,10 @@ UNDENIED, CONTRADICTED = 100.0, 0.03
 LAGS = 12
 """Rows within which something structured comes back, if only as its opposite."""
 
-TYPICAL_STRIBECK = 1.5
+TYPICAL_STRIBECK = 1.3
 """Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
 
-TYPICAL_VELOCITY = 0.047
+TYPICAL_VELOCITY = 0.028
 """[rad/s] Stribeck velocity to try it at."""
 
 

@@ -97,7 +97,7 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
             continue
         grid = np.arange(4 * np.pi / reach, effect.most, 0.5 * np.pi / reach)
         power = _power(noise.residual[used, j], q, qd, grid, evidence.recording.filter.cutoffs[j])
-        power = power / (noise.deviation[j] ** 2 * noise.time[j])
+        power = power / noise.deviation[j] ** 2
         for _ in range(PEAKS):
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
