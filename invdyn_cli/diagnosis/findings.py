@@ -29,6 +29,9 @@ LIGHTER = 0.5
 HEAVIER = 1.0
 """Of a link's mass, by which it may be wrong and still be called so."""
 
+UNKNOWN_FIRST = 3.0
+"""Of the variance that a learner still predicts on its joint, what an effect must save to be named."""
+
 MANY_LINKS = 3
 """Links with wrong inertials from which the model as a whole is in doubt."""
 
@@ -284,6 +287,24 @@ def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, 
                 advice="a body of this mass is no body: look for what else acts on this joint and those before it",
             )
     return finding
+
+
+def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Finding, ...]:
+    """Findings, of which none is named that saves less than what a learner still predicts on its joint: something else
+    is at work there, and may be all of it.
+
+    Args:
+        learned: {joint: share of the residual's variance that the learner predicts}.
+    """
+    out = []
+    for one in found:
+        saved = sum(g.rmse_before**2 - g.rmse_after**2 for g in one.gain.values())
+        unknown = sum(learned[j] * g.rmse_after**2 for j, g in one.gain.items())
+        if one.status == "named" and saved < UNKNOWN_FIRST * unknown:
+            advice = "what else may act on this joint: most of what the model misses there is still unknown"
+            one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
+        out.append(one)
+    return tuple(out)
 
 
 def _other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:

@@ -92,6 +92,8 @@ def diagnose(
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)
+    shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
+    made = replace(made, findings=findings.in_doubt(made.findings, shares))
     progress(0.95, "model")
     everything = (*facts, *made.acting)
     model = ExtendedModel(
@@ -112,7 +114,7 @@ def diagnose(
         noise_floor=None
         if floor is None
         else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
-        unexplained={j: float(x) for j, x in zip(robot.joints, learned, strict=True)},
+        unexplained=shares,
         model=model,
         signals=_signals(evidence, made),
         notes=(*notes, *recording.notes, *made.notes),
