@@ -7,13 +7,14 @@ of the torque that the joint has anyway, so that they suit every arm.
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports]
 from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, sosfiltfilt
 
 from experiments.arms import random_arm
 from invdyn_cli.logfile import Log
@@ -127,8 +128,6 @@ def _excess(robot: Robot, log: Log) -> np.ndarray:
     """RMS torque (n,) by which a log's torque differs from the nominal one, above its noise [N m]: at 20 Hz, where the
     noise of 1 kHz is a seventh; noise is put back to its full size by the caller's ratio."""
     raw = log.trajectories[0]
-    from scipy.signal import butter, sosfiltfilt
-
     sections = butter(4, 20.0, fs=log.rate, output="sos")
     q = sosfiltfilt(sections, raw.q, axis=0)[::5]
     tau = sosfiltfilt(sections, raw.tau, axis=0)[::5]
@@ -216,8 +215,3 @@ def _tilted(d: np.random.Generator, robot: Robot) -> dict[str, float]:
     down = down + np.tan(d.uniform(0.03, 0.12)) * side / np.linalg.norm(side)
     down /= np.linalg.norm(down)
     return {"angle": float(np.arccos(-down[2])), "azimuth": float(np.arctan2(down[1], down[0]))}
-
-
-def truth_of(hidden: Hidden) -> Hidden:
-    """A hidden effect with its parameters in plain numbers."""
-    return replace(hidden, parameters={k: np.asarray(v, float) for k, v in hidden.parameters.items()})

@@ -12,7 +12,7 @@ import math
 import sys
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from experiments.cases import SIZES, Case, draw_case
+from experiments.options import only_of, options_of
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.effects.catalogue import EFFECTS, may_be_ambiguous
 from invdyn_cli.simulation.hidden import Hidden
@@ -53,10 +54,6 @@ MAIN = {
 """The parameters that make an effect's size. Those of a gain are judged by their distance from one; what of a link's
 inertials can be known differs from log to log, and is not judged."""
 
-SHOWN_SETS: Mapping[str, tuple[frozenset[str], ...]] = {
-    "asymmetric_coulomb_friction": (frozenset({"coulomb_friction", "torque_offset"}),),
-}
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -73,6 +70,17 @@ class Outcome:
     covered: tuple[bool, ...]
     seconds: float
     unexplained: float
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line may say."""
+
+    seed: int = 0
+    logs: int = 10
+    clean: int = 100
+    only: Sequence[str] = tuple(SIZES)
+    folder: str = "outputs/confusion"
 
 
 def claims(diagnosis: Diagnosis) -> list[Finding]:
@@ -244,16 +252,12 @@ def matrix(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
 
 def main(argv: Sequence[str]) -> int:
     """Run as the docstring says."""
-    options = dict(a.split("=", 1) for a in argv)
-    seed, logs, clean = (int(options.pop(k, d)) for k, d in (("seed", 0), ("logs", 10), ("clean", 100)))
-    only = options.pop("only", ",".join(SIZES)).split(",")
-    folder = Path(options.pop("folder", "outputs/confusion"))
-    if options:
-        print(f"confusion: there is no option {next(iter(options))}; allowed: seed, logs, clean, only, folder")
-        return 2
+    options = options_of(argv, Options(), __doc__)
+    only_of("only", [x for names in options.only for x in names.split("+")], SIZES)
+    seed, folder = options.seed, Path(options.folder)
     folder.mkdir(parents=True, exist_ok=True)
-    plan = [(name.split("+"), 1000 * seed + k) for k in range(logs) for name in only if name]
-    plan += [([], 1000 * seed + 500 + k) for k in range(clean)]
+    plan = [(name.split("+"), 1000 * seed + k) for k in range(options.logs) for name in options.only]
+    plan += [([], 1000 * seed + 500 + k) for k in range(options.clean)]
     outcomes, started = [], time.time()
     for number, (names, one) in enumerate(plan):
         try:

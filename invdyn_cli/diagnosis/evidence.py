@@ -5,7 +5,7 @@ set of columns: fixed ones, which enter with factor one (a delay of 6 ms, tried)
 fitted (its small correction). All that the search asks can be answered from the tables' Gram matrices, by blocks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.diagnosis.recording import Piece, Recording
-from invdyn_cli.effects.composition import Acting, chunked, kinematics_of, rebuilt, rigid_torque, sign_of
+from invdyn_cli.diagnosis.recording import ROLES, Piece, Recording
+from invdyn_cli.effects.composition import Acting, changed, chunked, kinematics_of, rebuilt, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -25,7 +25,7 @@ from invdyn_cli.interfaces import (
     Parameters,
 )
 from invdyn_cli.maths import rigid_body
-from invdyn_cli.types import Array, Motion, Robot
+from invdyn_cli.types import Array, Robot
 
 BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
 """Length of a block [s]: longer than what friction, control and filter remember of a residual. Short logs have shorter
@@ -98,13 +98,15 @@ class Evidence:
     def left(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
         out = np.column_stack([table[:, 0] for table in self.tables])
-        start = 0
-        for c in candidates:
-            own = theta[start : start + len(c.precision)]
-            start += len(own)
+        for c, own in shared_out(candidates, theta):
             for j, (fixed, free) in c.columns.items():
                 out[:, j] -= self.tables[j][:, list(fixed)].sum(1) + self.tables[j][:, list(free)] @ own
         return out
+
+    def on_rows(self, name: str) -> np.ndarray:
+        """(R,) or (R, n) of the pieces' `t`, `q`, `qd` or `qdd`."""
+        pieces, filter = self.recording.pieces, self.recording.filter
+        return np.concatenate([getattr(p, name)[..., filter.rows(len(p.t))].T for p in pieces])
 
     @property
     def dofs(self) -> int:
@@ -120,16 +122,23 @@ class Evidence:
         return tuple(range(first, first + len(columns)))
 
 
+def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[tuple[Candidate, np.ndarray]]:
+    """Every candidate with its own of all coefficients (k,)."""
+    start = 0
+    for c in candidates:
+        yield c, theta[start : start + len(c.precision)]
+        start += len(c.precision)
+
+
 def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect], side: str) -> Evidence:
     """The evidence of a recording for all effects that show on this torque side."""
     n = robot.dofs
-    roles = ("train", "test", "reference")
     rows, states, nominal = [], [], []
     total = sum(p.t[-1] - p.t[0] for p in recording.pieces)
     length = max(SHORTEST, min(BLOCK, total / FEWEST), total / MOST)
     block = 0
     for number, piece in enumerate(recording.pieces):
-        torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
+        torque = rigid_torque(robot, piece.motion)
         nominal.append(torque)
         states.append(joint_states(piece, torque, recording))
         kept = recording.filter.rows(len(piece.t))
@@ -137,7 +146,7 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
             (piece.t[kept] - piece.t[kept[0]]) // length, _last_block(piece.t[kept], length)
         ).astype(int)
         block = of[-1] + 1
-        rows.append((of, np.full(len(kept), roles.index(piece.role)), np.full(len(kept), number)))
+        rows.append((of, np.full(len(kept), ROLES.index(piece.role)), np.full(len(kept), number)))
     blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
     tau = filtered(recording, [p.tau for p in recording.pieces])
     torque = filtered(recording, nominal)
@@ -230,15 +239,11 @@ def body_candidate(
 ) -> Candidate:
     """A body or motion effect linearised at parameters that were found already: the change so far is fixed."""
     base = next(c for c in evidence.candidates if c.key == (effect.name, joint) and not c.shape)
-    changes = []
-    for piece in evidence.recording.pieces:
-        motion, robot = Motion(piece.q, piece.qd, piece.qdd), evidence.robot
-        if isinstance(effect, AbstractMotionEffect):
-            assert joint is not None
-            motion = effect.true(at, motion, joint)
-        else:
-            robot = effect.changed(at, robot, joint)
-        changes.append(rigid_torque(robot, motion) - rigid_torque(evidence.robot, Motion(piece.q, piece.qd, piece.qdd)))
+    acting = (Acting(effect, joint, at),)
+    changes = [
+        rigid_torque(*changed(evidence.robot, acting, piece.motion)) - np.stack([s.transmitted for s in states])
+        for piece, states in zip(evidence.recording.pieces, evidence.states, strict=True)
+    ]
     change = filtered(evidence.recording, changes)
     columns = {j: (evidence.append(j, [change[j]]), free) for j, (_, free) in base.columns.items()}
     return replace(base, shape=at, columns=columns)
@@ -254,8 +259,7 @@ def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
             for joint in range(n):
                 change = []
                 for piece in recording.pieces:
-                    motion = Motion(piece.q, piece.qd, piece.qdd)
-                    ends = [rigid_torque(robot, effect.true({"offset": x}, motion, joint)) for x in (STEP, -STEP)]
+                    ends = [rigid_torque(robot, effect.true({"offset": x}, piece.motion, joint)) for x in (STEP, -STEP)]
                     change.append((ends[0] - ends[1]) / (2 * STEP))
                 columns = filtered(recording, change)
                 where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}

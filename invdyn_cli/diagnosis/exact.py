@@ -12,15 +12,13 @@ import numpy as np
 from scipy import stats
 
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
-from invdyn_cli.effects.composition import Acting, joint_terms, rigid_torque
+from invdyn_cli.effects.composition import Acting, changed, joint_terms, rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
-    AbstractMotionEffect,
     AbstractTorqueEffect,
     Parameter,
 )
-from invdyn_cli.types import Motion
 
 STEPS = 4
 """Newton steps at most: columns start within a few percent."""
@@ -80,18 +78,9 @@ class Model:
             if len(self._bodies) > 40:
                 self._bodies.clear()
             robot = self.evidence.robot
-            for a in whole:
-                if isinstance(a.effect, AbstractBodyEffect):
-                    robot = a.effect.changed(a.parameters, robot, a.joint)
-            made = []
-            for piece in self.evidence.recording.pieces:
-                motion = Motion(piece.q, piece.qd, piece.qdd)
-                for a in whole:
-                    if isinstance(a.effect, AbstractMotionEffect):
-                        assert a.joint is not None
-                        motion = a.effect.true(a.parameters, motion, a.joint)
-                made.append(rigid_torque(robot, motion))
-            self._bodies[key] = made
+            self._bodies[key] = [
+                rigid_torque(*changed(robot, whole, piece.motion)) for piece in self.evidence.recording.pieces
+            ]
         return self._bodies[key]
 
     def _row(self, acting: Sequence[Acting], bodies: list[np.ndarray], j: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from invdyn_cli.diagnosis.evidence import body_columns, filtered, gravity_column
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
-from invdyn_cli.types import Motion, Robot
+from invdyn_cli.types import Robot
 
 MOST = 1.05
 """Samples of the log that count as the log's own: holding takes half of one, reading in turn up to one."""
@@ -31,7 +31,7 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
     falling = partial(gravity_columns, kinematics_of(robot), jnp.asarray(robot.inertial), jnp.eye(3))
     bodies, slopes, extras = [], [], []
     for piece in recording.pieces:
-        torque = rigid_torque(robot, Motion(piece.q, piece.qd, piece.qdd))
+        torque = rigid_torque(robot, piece.motion)
         states = joint_states(piece, torque, recording)
         motion = piece.q, piece.qd, piece.qdd
         bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion)]))

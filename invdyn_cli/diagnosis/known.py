@@ -12,13 +12,12 @@ import numpy as np
 
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.recording import Recording
-from invdyn_cli.effects.composition import Acting, rigid_torque, sign_of
+from invdyn_cli.effects.composition import Acting, changed, rigid_torque, sign_of
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractEffect,
-    AbstractMotionEffect,
     AbstractTorqueEffect,
     JointState,
 )
@@ -78,17 +77,14 @@ def is_allowed(candidate: Candidate, allowed: Sequence[tuple[str, int | None]]) 
     return any(candidate.effect.name == name and joint in (None, candidate.joint) for name, joint in allowed)
 
 
-def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravity: bool) -> Recording:
-    """The recording without declared causes; with gravity put back where the torque has it taken out already."""
-    pieces = []
+def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravity: bool) -> tuple[Recording, Robot]:
+    """The recording without declared causes, with gravity put back where the torque has it taken out already; and the
+    robot with the declared bodies and mounting."""
+    pieces, actual = [], robot
     for piece in recording.pieces:
-        q, tau = piece.q.copy(), piece.tau.copy()
-        motion = Motion(q, piece.qd, piece.qdd)
-        for one in facts:
-            if isinstance(one.effect, AbstractMotionEffect):
-                assert one.joint is not None
-                motion = one.effect.true(one.parameters, motion, one.joint)
-        body = rigid_torque(changed(robot, facts), motion)
+        tau = piece.tau.copy()
+        actual, motion = changed(robot, facts, piece.motion)
+        body = rigid_torque(actual, motion)
         for one in facts:
             j = one.joint
             if isinstance(one.effect, AbstractChannelEffect):
@@ -103,15 +99,7 @@ def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravi
         if gravity:
             tau = tau + rigid_torque(robot, Motion(motion.q, 0 * motion.q, 0 * motion.q))
         pieces.append(replace(piece, q=np.asarray(motion.q), tau=tau))
-    return replace(recording, pieces=tuple(pieces))
-
-
-def changed(robot: Robot, facts: Sequence[Acting]) -> Robot:
-    """The robot with the declared bodies and mounting."""
-    for one in facts:
-        if isinstance(one.effect, AbstractBodyEffect):
-            robot = one.effect.changed(one.parameters, robot, one.joint)
-    return robot
+    return replace(recording, pieces=tuple(pieces)), actual
 
 
 def compared(

@@ -39,8 +39,12 @@ def told_apart(
         others = chosen.acting[:i], chosen.acting[i + 1 :]
         trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
         assert one.joint is not None
-        step = _slow_losses(evidence, trial, one.joint, rows) - _slow_losses(evidence, chosen, one.joint, rows)
-        step /= max(_slow_noise(evidence, trial, chosen, one.joint, rows), 1e-300)
+        slow = [_slow(evidence, x, one.joint)[rows] for x in (trial, chosen)]
+        best = min(slow, key=lambda x: float(x @ x))
+        unit = float(np.mean(best**2)) * autocorrelation_time(best)  # of a loss: noise variance x correlation time
+        numbers, of = np.unique(evidence.block[rows], return_inverse=True)
+        losses = [np.bincount(of, x**2, len(numbers)) for x in slow]
+        step = (losses[0] - losses[1]) / max(unit, 1e-300)
         if step.sum() < 0:
             chosen, step = trial, -step
             candidate = trial_at(evidence, trial.acting[i])
@@ -61,15 +65,3 @@ def _slow(evidence: Evidence, refined: Refined, joint: int) -> np.ndarray:
         x = refined.residual[at, joint] * evidence.valid[at, joint]
         out[at] = lowpass(x, rate, cutoff) if len(x) > settling(rate, cutoff) else 0.0
     return out
-
-
-def _slow_losses(evidence: Evidence, refined: Refined, joint: int, rows: np.ndarray) -> np.ndarray:
-    squares = _slow(evidence, refined, joint) ** 2
-    return np.bincount(evidence.block[rows], squares[rows])[np.unique(evidence.block[rows])]
-
-
-def _slow_noise(evidence: Evidence, one: Refined, other: Refined, joint: int, rows: np.ndarray) -> float:
-    """Variance of the better residual times its autocorrelation time: the unit of a loss."""
-    slow = [_slow(evidence, x, joint)[rows] for x in (one, other)]
-    best = min(slow, key=lambda x: float(x @ x))
-    return float(np.mean(best**2)) * autocorrelation_time(best)

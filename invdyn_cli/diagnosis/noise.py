@@ -83,15 +83,12 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
     """Candidates for every line that stands out in the residual over a joint's angle."""
     made = []
+    angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
     for j in range(evidence.dofs):
         used = rows & evidence.valid[:, j]
         if used.sum() < 50 or not noise.deviation[j]:
             continue
-        kept = [evidence.recording.filter.rows(len(s[j].t)) for s in evidence.states]
-        q, qd = (
-            np.concatenate([getattr(s[j], x)[rows] for s, rows in zip(evidence.states, kept, strict=True)])[used]
-            for x in ("q", "qd")
-        )
+        q, qd = angle[used, j], speed[used, j]
         reach = float(np.ptp(q))
         if not reach > 0.05:
             continue

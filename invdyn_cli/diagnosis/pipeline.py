@@ -82,8 +82,8 @@ def diagnose(
     except LogError as error:
         return _unusable(examination, (*notes, str(error)))
     facts, allowed = known.read(options.known, effects, robot)
-    recording = known.taken_out(recording, robot, facts, gravity="gravity" in log.compensated)
-    nominal, robot = robot, known.changed(robot, facts)
+    nominal = robot
+    recording, robot = known.taken_out(recording, nominal, facts, gravity="gravity" in log.compensated)
     recording, common = hold.taken_out(robot, recording, side)
     progress(0.25, "columns")
     evidence = gather(robot, recording, list(pool.values()), side)
@@ -147,18 +147,12 @@ def _scores(evidence: Evidence, made: findings.Made) -> list[dict[str, dict[str,
 
 
 def _signals(evidence: Evidence, made: findings.Made) -> Signals:
-    recording = evidence.recording
-    kept = [recording.filter.rows(len(p.t)) for p in recording.pieces]
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(p, name)[..., r].T for p, r in zip(recording.pieces, kept, strict=True)])
-
     return Signals(
-        trajectory=np.concatenate([[p.trajectory] * len(r) for p, r in zip(recording.pieces, kept, strict=True)]),
-        t=joined("t"),
-        q=joined("q"),
-        qd=joined("qd"),
-        qdd=joined("qdd"),
+        trajectory=np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece],
+        t=evidence.on_rows("t"),
+        q=evidence.on_rows("q"),
+        qd=evidence.on_rows("qd"),
+        qdd=evidence.on_rows("qdd"),
         tau=evidence.tau,
         nominal=evidence.tau - made.before,
         extended=evidence.tau - made.residual,

@@ -15,6 +15,7 @@ from scipy.interpolate import make_interp_spline
 from invdyn_cli.errors import LogError
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.maths.signals import lowpass, settling
+from invdyn_cli.types import Motion
 
 ROLES = ("train", "test", "reference")
 
@@ -69,6 +70,11 @@ class Piece:
     qdd: np.ndarray
     tau: np.ndarray
     motion_noise: np.ndarray
+
+    @property
+    def motion(self) -> Motion:
+        """q, qd and qdd, (n, T) each."""
+        return Motion(self.q, self.qd, self.qdd)
 
 
 @dataclass(frozen=True)

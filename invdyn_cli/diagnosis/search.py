@@ -5,13 +5,13 @@ noise's variance and with the residual's autocorrelation counted, plus a price f
 Forward steps, drops and swaps go on until none of them helps.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from invdyn_cli.diagnosis.evidence import DRY, Candidate, Evidence
+from invdyn_cli.diagnosis.evidence import DRY, Candidate, Evidence, shared_out
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractChannelEffect, AbstractTorqueEffect
 
 FOLDS = 8
@@ -43,7 +43,6 @@ class Verdict:
     loss: float
     blocks: np.ndarray
     theta: np.ndarray
-    fit_loss: float
 
 
 class Judge:
@@ -133,27 +132,28 @@ class Judge:
         precision = _precision(hypothesis)
         theta = _solve(normal.sum(0), r.sum(0), precision)
         blocks = np.empty(self.count)
+        for out, held in self._held_out(r, normal, precision):
+            blocks[out] = _squares(s[out], r[out], normal[out], held)
+        loss = float(blocks.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
+        return Verdict(loss, blocks, theta)
+
+    def _held_out(
+        self, r: np.ndarray, normal: np.ndarray, precision: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Blocks (B,) bool that are held out in turn, and the coefficients (k,) that the others give."""
         for fold in range(self.folds.max() + 1):
             out = self.folds == fold
             others = ~out if self.folds.max() else out
-            held = _solve(normal[others].sum(0), r[others].sum(0), precision)
-            blocks[out] = s[out] - 2 * r[out] @ held + np.einsum("a,bac,c->b", held, normal[out], held)
-        fit = float(s.sum() - theta @ r.sum(0))
-        loss = float(blocks.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
-        return Verdict(loss, blocks, theta, fit)
+            yield out, _solve(normal[others].sum(0), r[others].sum(0), precision)
 
     def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
         """Held-out losses (n, B) of every joint's own rows, without prices."""
         _, r, normal = self.sums(hypothesis)
-        precision = _precision(hypothesis)
         rows = [self._assembled(hypothesis, self.grams, j) for j in range(len(self.grams))]
         out = np.zeros((len(self.grams), self.count))
-        for fold in range(self.folds.max() + 1):
-            at = self.folds == fold
-            others = ~at if self.folds.max() else at
-            held = _solve(normal[others].sum(0), r[others].sum(0), precision)
+        for at, held in self._held_out(r, normal, _precision(hypothesis)):
             for j, (s, own, squares) in enumerate(rows):
-                out[j, at] = s[at] - 2 * own[at] @ held + np.einsum("a,bac,c->b", held, squares[at], held)
+                out[j, at] = _squares(s[at], own[at], squares[at], held)
         return out
 
     def price(self, hypothesis: Sequence[Candidate]) -> float:
@@ -168,13 +168,10 @@ class Judge:
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
         """Why the coefficients of a hypothesis are no physics, "" if they are; what is always in it may be anything."""
-        start = 0
-        for candidate, parameters in read_all(self.evidence, hypothesis, theta):
+        for candidate, own in shared_out(hypothesis, theta):
             if any(candidate is a for a in self.always):
-                start += len(candidate.precision)
                 continue
-            own = theta[start : start + len(candidate.precision)]
-            start += len(own)
+            parameters = parameters_of(self.evidence, candidate, own)
             why = candidate.effect.refuse(parameters)
             if why:
                 return f"{candidate.effect.title}: {why}"
@@ -195,11 +192,8 @@ class Judge:
 
 def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):
     """Every candidate of a hypothesis with its parameters, from the coefficients (k,)."""
-    start = 0
-    for c in hypothesis:
-        coefficients = theta[start : start + len(c.precision)]
-        start += len(c.precision)
-        yield c, parameters_of(evidence, c, coefficients)
+    for c, own in shared_out(hypothesis, theta):
+        yield c, parameters_of(evidence, c, own)
 
 
 def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
@@ -283,6 +277,11 @@ def clash(whole: Candidate, part: Candidate) -> bool:
 
 def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:
     return np.concatenate([c.precision for c in hypothesis]) if hypothesis else np.zeros(0)
+
+
+def _squares(s: np.ndarray, r: np.ndarray, normal: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Sums of squares (B,) that coefficients (k,) leave, of blocks' s (B,), r (B, k) and N (B, k, k)."""
+    return s - 2 * r @ theta + np.einsum("a,bac,c->b", theta, normal, theta)
 
 
 def _solve(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:

@@ -59,11 +59,16 @@ def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[float, str
     """Why a candidate may not be claimed, with how much it explains; None if it may."""
     evidence, weights = inquiry.evidence, inquiry.noise.weights
     rows = judged(evidence)
-    squares, unknown = _squares(inquiry, hypothesis, (i,))
+    after, before = left(inquiry, hypothesis, (i,))
+    valid = evidence.valid & rows[:, None]
+    squares = np.sum((before**2 - after**2) * valid, axis=0)
+    unknown = naming.structure(after, valid, evidence.piece)
     gain = float(np.sum(weights * squares))
-    if gain <= 0 and not _is_rare(inquiry, hypothesis, i):
+    change = ((after - before) * evidence.valid) ** 2 @ weights
+    rare = np.mean(change[rows]) < RARE * np.mean(change)  # it hardly comes up on the held-out rows
+    if gain <= 0 and not rare:
         return gain, "it does not hold on data that did not choose it"
-    if np.sum(_squares_alone(inquiry, hypothesis, i)) <= 0 and not _is_rare(inquiry, hypothesis, i):
+    if np.sum(np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0)) <= 0 and not rare:  # rows at rest count too
         return gain, "with it the arm as a whole is predicted worse on data that did not choose it"
     rest = float(np.sum(weights * unknown * rows.sum() * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
@@ -81,20 +86,6 @@ def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[float, str
     return None
 
 
-def _squares_alone(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> np.ndarray:
-    """Mean squares (n,) [N^2 m^2] that a candidate saves on all held-out rows of every joint, at rest too."""
-    after, before = left(inquiry, hypothesis, (i,))
-    rows = judged(inquiry.evidence)
-    return np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0)
-
-
-def _is_rare(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
-    """Whether a candidate hardly comes up on the held-out rows."""
-    after, before = left(inquiry, hypothesis, (i,))
-    change = ((after - before) * inquiry.evidence.valid) ** 2 @ inquiry.noise.weights
-    return bool(np.mean(change[judged(inquiry.evidence)]) < RARE * np.mean(change))
-
-
 def _is_exact(inquiry: Inquiry, place: int) -> bool:
     """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
     as they are. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not. An
@@ -108,16 +99,6 @@ def _is_exact(inquiry: Inquiry, place: int) -> bool:
     saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
     per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
     return bool(per_block.sum() > 0) and naming.chance(per_block, 0.0) < naming.DOUBT
-
-
-def _squares(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Per joint: sum of squares on held-out rows that some candidates of a hypothesis save, and the variance of what is
-    structured in what it leaves there."""
-    evidence = inquiry.evidence
-    rows = judged(evidence)
-    after, before = left(inquiry, hypothesis, without)
-    valid = evidence.valid & rows[:, None]
-    return np.sum((before**2 - after**2) * valid, axis=0), naming.structure(after, valid, evidence.piece)
 
 
 def left(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ def shares(evidence: Evidence, residual: np.ndarray, learner: AbstractModel | No
     learn, judge = turn & moved, ~turn & moved
     if min(learn.sum(), judge.sum()) < 20:
         return np.zeros(residual.shape[1])
-    motion = _motion(evidence)
+    motion = [evidence.on_rows(name) for name in ("q", "qd", "qdd")]
     key = jax.random.key(seed)
     if learner is None:
         predicted = _nets(motion, residual, learn, judge, key)
@@ -59,23 +59,12 @@ def shares(evidence: Evidence, residual: np.ndarray, learner: AbstractModel | No
     return out
 
 
-def _motion(evidence: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """q, qd, qdd (R, n) on the rows of the evidence."""
-    kept = [evidence.recording.filter.rows(len(p.t)) for p in evidence.recording.pieces]
-    q, qd, qdd = (
-        np.concatenate([getattr(p, x)[:, rows].T for p, rows in zip(evidence.recording.pieces, kept, strict=True)])
-        for x in ("q", "qd", "qdd")
-    )
-    return q, qd, qdd
-
-
 def _nets(motion, residual: np.ndarray, learn: np.ndarray, judge: np.ndarray, key: jax.Array) -> np.ndarray:
     x = np.concatenate(motion, axis=1)
     x = (x - x[learn].mean(0)) / np.maximum(x[learn].std(0), 1e-9)
     middle, scale = residual[learn].mean(0), np.maximum(residual[learn].std(0), 1e-300)
-    rows = np.resize(np.flatnonzero(learn), ROWS) if learn.sum() <= ROWS else None
-    if rows is None:
-        rows = np.flatnonzero(learn)[np.linspace(0, learn.sum() - 1, ROWS).astype(int)]
+    rows = np.flatnonzero(learn)
+    rows = np.resize(rows, ROWS) if len(rows) <= ROWS else rows[np.linspace(0, len(rows) - 1, ROWS).astype(int)]
     y = (residual - middle) / scale
     n = residual.shape[1]
     group = training.Group((64,), tuple(range(n)), (0.003,) * n)

@@ -34,14 +34,20 @@ class Acting:
     parameters: Parameters
 
 
-def body_torque(robot: Robot, acting: Sequence[Acting], motion: Motion) -> Array:
-    """Inverse dynamics (n, *batch) [N m; N] with the motion and body effects among `acting`; pure jax."""
+def changed(robot: Robot, acting: Sequence[Acting], motion: Motion) -> tuple[Robot, Motion]:
+    """The robot with the body effects among `acting`, and the true motion (n, *batch) of a logged one; numpy or jax."""
     for one in acting:
         if isinstance(one.effect, AbstractMotionEffect):
             assert one.joint is not None
             motion = one.effect.true(one.parameters, motion, one.joint)
         elif isinstance(one.effect, AbstractBodyEffect):
             robot = one.effect.changed(one.parameters, robot, one.joint)
+    return robot, motion
+
+
+def body_torque(robot: Robot, acting: Sequence[Acting], motion: Motion) -> Array:
+    """Inverse dynamics (n, *batch) [N m; N] with the motion and body effects among `acting`; pure jax."""
+    robot, motion = changed(robot, acting, motion)
     return rigid_body.inverse_dynamics(robot, robot.inertial, motion.q, motion.qd, motion.qdd)
 
 

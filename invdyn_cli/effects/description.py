@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, body_torque, channel, joint_terms, rigid_torque, sign_of
+from invdyn_cli.effects.composition import Acting, body_torque, changed, channel, joint_terms, rigid_torque, sign_of
 from invdyn_cli.errors import UsageError, closest, listed
-from invdyn_cli.interfaces import AbstractBodyEffect, AbstractMotionEffect, JointState
+from invdyn_cli.interfaces import JointState
 from invdyn_cli.types import Array, Motion, Robot
 
 SCHEMA = "invdyn-model/1"
@@ -59,14 +59,7 @@ class ExtendedModel:
         q, qd, qdd = (np.asarray(x, float).T for x in (q, qd, qdd))
         t = period_of(q, qd) * np.arange(q.shape[1]) if t is None else np.asarray(t, float)
         rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
-        robot, motion = self.robot, Motion(q, qd, qdd)
-        for one in self.acting:
-            if isinstance(one.effect, AbstractMotionEffect):
-                assert one.joint is not None
-                motion = one.effect.true(one.parameters, motion, one.joint)
-            elif isinstance(one.effect, AbstractBodyEffect):
-                robot = one.effect.changed(one.parameters, robot, one.joint)
-        body = rigid_torque(robot, motion)
+        body = rigid_torque(*changed(self.robot, self.acting, Motion(q, qd, qdd)))
         out = np.empty_like(body)
         for j in range(len(body)):
             state = JointState(t, q[j], qd[j], qdd[j], sign_of(qd[j], SHARP), body[j])
