@@ -188,7 +188,7 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
     "thermal_friction_drift": _thermal,
     "torque_ripple": lambda d, s, j: {
         "amplitude": 1.4 * _share(d) * s.torque[j],
-        "cycles": float(np.exp(d.uniform(np.log(8), np.log(80)))),
+        "cycles": float(np.exp(d.uniform(np.log(max(8, 2.5 * 2 * np.pi / np.ptp(s.q[:, j]))), np.log(80)))),
         "phase": float(d.uniform(-np.pi, np.pi)),
     },
     "joint_spring": _spring,

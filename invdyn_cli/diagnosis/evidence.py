@@ -31,8 +31,9 @@ BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
 """Length of a block [s]: longer than what friction, control and filter remember of a residual. Short logs have shorter
 blocks, of SHORTEST at least, to have FEWEST of them; long ones have longer blocks, to have no more than MOST."""
 
-REST_SPEED = 0.004
-"""Speed [rad/s; m/s] below which a joint rests if it stays so for REST_TIME; its friction can then be anything."""
+REST_SPEED, REST_SHARE = 0.004, 0.02
+"""Speed [rad/s; m/s], and share of a joint's usual speed (its 90 % quantile), below which the joint rests if it stays
+so for REST_TIME; its friction can then be anything."""
 
 REST_TIME = 0.05
 DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
@@ -74,7 +75,7 @@ class Candidate:
 
 @dataclass
 class Evidence:
-    """Tables and Gram matrices; `add` enlarges them.
+    """Tables of columns, and the candidates that take them; `append` adds columns.
 
     Attributes:
         tables: per row (R, columns).
@@ -150,15 +151,17 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
     blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
     tau = filtered(recording, [p.tau for p in recording.pieces])
     torque = filtered(recording, nominal)
-    moving = np.concatenate([_moving(p, recording) for p in recording.pieces], axis=1)
+    usual = np.quantile(np.abs(np.concatenate([p.qd for p in recording.pieces], axis=1)), 0.9, axis=1)
+    rest = np.minimum(REST_SPEED, REST_SHARE * usual)
+    moving = np.concatenate([_moving(p, recording, rest) for p in recording.pieces], axis=1)
     evidence = Evidence(
         robot, recording, [np.array((tau[j] - torque[j])[:, None]) for j in range(n)], moving.T, blocks, role, piece_of,
         tau.T, torque.T, states=states,
     )  # fmt: skip
-    _add_bodies(evidence, [e for e in effects if side in e.sides])
+    falls = np.linalg.norm(robot.gravity) > 0
+    effects = [e for e in effects if side in e.sides and (falls or e.name != "base_tilt")]
+    _add_bodies(evidence, effects)
     for effect in effects:
-        if side not in effect.sides:
-            continue
         for joint in range(n):
             if isinstance(effect, AbstractTorqueEffect):
                 # what the shapes depend on is the same for all pieces: the longest one tells
@@ -320,9 +323,9 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list
     return [JointState(piece.t, piece.q[j], piece.qd[j], piece.qdd[j], sign[j], torque[j]) for j in range(len(torque))]
 
 
-def _moving(piece: Piece, recording: Recording) -> np.ndarray:
+def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:
     """(n, rows) where no rest is within the filter's reach."""
-    slow = np.abs(piece.qd) < np.maximum(REST_SPEED, 4 * piece.motion_noise)[:, None]
+    slow = np.abs(piece.qd) < np.maximum(rest_speed, 4 * piece.motion_noise)[:, None]
     length = max(2, round(REST_TIME * recording.filter.rate))
     rest = np.zeros_like(slow)
     for j in range(len(slow)):

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import stats
 
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.search import LEAST_PRECISION, solved
 from invdyn_cli.effects.composition import Acting, changed, joint_terms, rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
@@ -42,6 +43,8 @@ class Refined:
         acting: the effects.
         theta: (k,) all parameters in one row; `labels` (effect number, parameter, index) says which.
         replicas: (B, k) parameters with one block left out each: their spread is the uncertainty (jackknife).
+        unknown: (m, k) independent moves of the parameters by a standard error each, from the noise alone and what was
+            known beforehand: what the data do not show moves as far as it may.
         residual: (R, n) logged less modelled torque, filtered.
     """
 
@@ -49,6 +52,7 @@ class Refined:
     theta: np.ndarray
     labels: tuple[tuple[int, str, int], ...]
     replicas: np.ndarray
+    unknown: np.ndarray
     residual: np.ndarray
 
 
@@ -64,7 +68,8 @@ class Model:
     def residual(self, acting: Sequence[Acting]) -> np.ndarray:
         """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
         bodies = self.bodies(acting)
-        out = np.column_stack([self._row(acting, bodies, j) for j in range(self.evidence.dofs)])
+        whole = _keys([a for a in acting if a.effect.point in ("body", "motion")])
+        out = np.column_stack([self._row(acting, whole, bodies, j) for j in range(self.evidence.dofs)])
         compared = self.evidence.reference_rows
         if compared is not None and len(acting):  # what was hidden since is not in the reference
             out[compared] = self.residual(())[compared]
@@ -73,7 +78,7 @@ class Model:
     def bodies(self, acting: Sequence[Acting]) -> list[np.ndarray]:
         """Inverse dynamics (n, T) of every piece with the body and motion effects."""
         whole = [a for a in acting if a.effect.point in ("body", "motion")]
-        key = tuple(_key(a) for a in whole)
+        key = _keys(whole)
         if key not in self._bodies:
             if len(self._bodies) > 40:
                 self._bodies.clear()
@@ -83,9 +88,9 @@ class Model:
             ]
         return self._bodies[key]
 
-    def _row(self, acting: Sequence[Acting], bodies: list[np.ndarray], j: int) -> np.ndarray:
+    def _row(self, acting: Sequence[Acting], whole: tuple, bodies: list[np.ndarray], j: int) -> np.ndarray:
         own = [a for a in acting if a.joint == j and a.effect.point in ("torque", "channel")]
-        key = (id(bodies), j, tuple(_key(a) for a in own))
+        key = (whole, j, _keys(own))
         if key not in self._rows:
             if len(self._rows) > 400:
                 self._rows.clear()
@@ -106,8 +111,10 @@ class Model:
         return self._rows[key]
 
 
-def _key(acting: Acting) -> tuple:
-    return acting.effect.name, acting.joint, tuple((k, np.asarray(v).tobytes()) for k, v in acting.parameters.items())
+def _keys(acting: Sequence[Acting]) -> tuple:
+    return tuple(
+        (a.effect.name, a.joint, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items())) for a in acting
+    )
 
 
 def refine(
@@ -126,7 +133,7 @@ def refine(
     """
     theta, labels = _flat(evidence, acting)
     if not acting and not always:
-        return Refined((), theta, labels, np.zeros((2, 0)), model.residual(()))
+        return Refined((), theta, labels, np.zeros((2, 0)), np.zeros((0, 0)), model.residual(()))
     used = rows[:, None] & evidence.valid
     scale = np.sqrt(weights)[None, :] * used
     timing, timing_precision = _timing(evidence, acting)
@@ -149,19 +156,19 @@ def refine(
         best = loss, theta, extra, residual
         if step == steps:
             break
-        normal = x @ x.T + np.diag(precision)
-        move = _solve(normal, x @ y - precision * here)
+        move = solved(x @ x.T, x @ y - precision * here, precision)
         theta = _inside(acting, labels, theta + move[: len(theta)])
         extra = extra + move[len(theta) :]
         acting = _with(evidence, acting, labels, theta)
         residual = model.residual(acting)
     acting = _with(evidence, acting, labels, theta)
-    replicas = _replicas(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
+    spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
     left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
-    return Refined(tuple(acting), theta, labels, replicas, left)
+    return Refined(tuple(acting), theta, labels, *spread, left)
 
 
-def _replicas(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual) -> np.ndarray:
+def _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual):
+    """`replicas` and `unknown` of what was refined."""
     slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
     residual = residual - np.tensordot(extra, timing, 1)
     blocks = np.unique(evidence.block[rows])
@@ -172,30 +179,42 @@ def _replicas(evidence, model, acting, theta, labels, extra, timing, precision, 
         normals.append(x @ x.T)
         moments.append(x @ (residual[at] * scale[at]).ravel())
     total, moment = np.sum(normals, axis=0), np.sum(moments, axis=0)
-    prior = np.diag(precision)
-    centre = _solve(total + prior, moment)
-    moves = [_solve(total - a + prior, moment - m) - centre for a, m in zip(normals, moments, strict=True)]
-    return theta + np.array(moves)[:, : len(theta)]
+    centre = solved(total, moment, precision)
+    moves = [solved(total - a, moment - m, precision) - centre for a, m in zip(normals, moments, strict=True)]
+    curvature = total + np.diag(precision)
+    unit = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
+    unknown = (vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / unit[:, None]).T
+    return theta + np.array(moves)[:, : len(theta)], unknown[:, : len(theta)]
 
 
 def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
     """Every effect's parameters with the ends of their intervals, {name: (value, lower, upper)}: jackknife over blocks,
-    Student's t (Tukey 1958), each replica turned into parameters; angles do not jump between replicas."""
-    count = len(refined.replicas)
-    reach = stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * np.sqrt((count - 1) / count)
+    each replica turned into parameters, and no less than what the noise alone leaves unknown; angles do not jump."""
     replicas = [_with(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
+    moved = [_with(evidence, refined.acting, refined.labels, refined.theta + row) for row in refined.unknown]
     out = []
     for number, a in enumerate(refined.acting):
         row = {}
         for name, value in a.parameters.items():
-            each = np.array([np.asarray(r[number].parameters[name], float) for r in replicas])
+            away = [
+                np.array([np.asarray(r[number].parameters[name], float) - value for r in rows])
+                for rows in (replicas, moved)
+            ]
             if name in ("azimuth", "phase"):
-                each = value + (each - value + np.pi) % (2 * np.pi) - np.pi
-            error = reach * np.sqrt(np.sum((each - each.mean(0)) ** 2, axis=0))
-            error = np.hypot(error, 2 * _systematic(evidence, a, name, value))
+                away = [(x + np.pi) % (2 * np.pi) - np.pi for x in away]
+            by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(away[1] ** 2, axis=0))
+            error = np.hypot(np.maximum(reach(away[0], share), by_noise), 2 * _systematic(evidence, a, name, value))
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
     return out
+
+
+def reach(replicas: np.ndarray, share: float = 0.95) -> np.ndarray:
+    """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958)."""
+    count = len(replicas)
+    spread = np.sqrt((count - 1) / count * np.sum((replicas - replicas.mean(0)) ** 2, axis=0))
+    return stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread
 
 
 def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:
@@ -233,7 +252,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
 def _step(acting: Acting, name: str, value: float) -> float:
     if name in ("delay", "time_constant") and acting.effect.point == "channel":
         return 2e-4
-    if acting.effect.point in ("body", "motion"):
+    if acting.effect.point == "motion":
         return 1e-4
     if name == "velocity":
         return 1e-2 * value
@@ -310,10 +329,3 @@ def _precision(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarr
         else:
             out.append(0.0)
     return np.array(out)
-
-
-def _solve(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
-    if not len(r):
-        return r
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.linalg.solve(normal / np.outer(scale, scale) + 1e-10 * np.eye(len(r)), r / scale) / scale

@@ -13,27 +13,46 @@ import numpy as np
 
 from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.exact import Refined, intervals
-from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.exact import Refined, intervals, reach
+from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.search import Hypothesis
-from invdyn_cli.diagnosis.support import judged, left, refitted, that_hold
+from invdyn_cli.diagnosis.support import held_out, judged, left, refitted, that_hold
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
-from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
 from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
 
 LIGHTER = 0.5
 """Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
 
+FARTHEST_TOOL = 1.0
+"""[m] from the last link's frame, beyond which there is no payload's centre of mass."""
+
 HEAVIER = 1.0
 """Of a link's mass, by which it may be wrong and still be called so."""
 
-UNKNOWN_FIRST = 3.0
-"""Of the variance that a learner still predicts on its joint, what an effect must save to be named."""
+UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
+"""Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
+effect on one joint where the learner predicts more than this share of what is left: something there has no name yet."""
+
+VAGUE = 0.1
+"""Of a ripple's cycles, by which they may be unknown."""
 
 MANY_LINKS = 3
 """Links with wrong inertials from which the model as a whole is in doubt."""
+
+SLIDING = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m s²/rad²": "N s²/m²",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rev": "rad/m",
+}
+"""Units at a joint that turns, and at one that slides."""
 
 DRAWS = 1000
 
@@ -58,33 +77,31 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
     hypothesis, dropped = that_hold(inquiry)
     chosen, whole = inquiry.chosen, inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
-        kept = [i for i, c in enumerate(inquiry.hypothesis) if c in hypothesis]
-        chosen = refitted(inquiry, [chosen.acting[i] for i in kept], judge.rows)
-        whole = refitted(inquiry, [whole.acting[i] for i in kept], np.ones_like(judge.rows))
+        chosen = refitted(inquiry, acting_of(judge, inquiry.always, hypothesis), judge.rows)
+        whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
     nothing = refitted(inquiry, [], judge.rows)
+    whole = replace(whole, acting=tuple(_as_link(evidence.robot, a) for a in whole.acting))
     ends = intervals(evidence, whole)
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
-    claims, acting, shown, used = [], [], [], set()
+    claims, acting, shown = [], [], []
     for i, candidate in enumerate(hypothesis):
-        if i in used:
-            continue
         rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
         if candidate.key in inquiry.close:
             rivals = [_late(r, candidate, inquiry.close[candidate.key]) for r in rivals]
+        effect, joint = whole.acting[i].effect, whole.acting[i].joint
         finding = Finding(
-            effect=candidate.effect.name,
-            joint=None if candidate.joint is None else evidence.robot.joints[candidate.joint],
+            effect=effect.name,
+            joint=None if joint is None else evidence.robot.joints[joint],
             status="named",
-            alternatives=_alternatives(candidate.key, rivals),
-            parameters=_quantities(candidate.effect, ends[i]),
+            alternatives=_alternatives(rivals),
+            parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate)),
             gain=_gains(inquiry, hypothesis, (i,)),
             rejected=_rejected(evidence.robot, candidate.key, rivals),
-            advice=candidate.effect.advice,
+            advice=effect.advice,
             evidence=_facts(evidence, terms[i]),
         )
         partner = _partner(hypothesis, i)
         if partner is not None and abs(ends[partner][_OFFSET][0]) < ends[i][_COULOMB][0]:
-            used.add(partner)
             finding = _asymmetric(inquiry, hypothesis, whole, finding, i, partner)
             terms[i] = terms[i] + terms[partner]
             acting += [whole.acting[i], whole.acting[partner]]
@@ -94,13 +111,21 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             acting.append(whole.acting[i])
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             finding = replace(finding, alternatives=(*finding.alternatives, ("stribeck_friction",)))
-        finding = _body(finding, evidence.robot, candidate.joint, ends[i])
+        finding = _body(finding, evidence.robot, joint, ends[i])
+        if effect is not candidate.effect and _may_be_payload(ends[i]):
+            finding = replace(finding, alternatives=(*finding.alternatives, ("payload",)))
+        if _is_vague(finding) or not held_out(evidence):
+            finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
         if finding.alternatives:
             finding = replace(finding, status="ambiguous")
         claims.append(finding)
         shown.append(terms[i])
     claims, doubt = _other_robot(claims)
     dropped += doubt
+    if not held_out(evidence):
+        dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
+    if inquiry.always:
+        dropped += ("All errors are those beside what is allowed for, which is not part of the extended model.",)
     order = sorted(range(len(claims)), key=lambda k: -_worth(claims[k]))
     ordered = tuple(claims[k] for k in order)
     by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
@@ -173,18 +198,27 @@ def _term(inquiry: Inquiry, acting: Sequence[Acting], i: int) -> np.ndarray:
     return inquiry.model.residual(others) - inquiry.model.residual(acting)
 
 
-def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple]) -> dict[str, Quantity]:
+def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool) -> dict[str, Quantity]:
     return {
-        name: Quantity(_plain(value), effect.parameters[name].unit, [_plain(low), _plain(high)])
+        name: Quantity(_plain(value), _unit(effect, name, slides), [_plain(low), _plain(high)])
         for name, (value, low, high) in ends.items()
     }
+
+
+def _unit(effect: AbstractEffect, name: str, slides: bool) -> str:
+    unit = effect.parameters[name].unit
+    return SLIDING.get(unit, unit) if slides and name != "phase" else unit
+
+
+def _slides(robot: Robot, candidate: Candidate) -> bool:
+    return candidate.effect.point != "body" and candidate.joint is not None and robot.prismatic[candidate.joint]
 
 
 def _plain(value: Any) -> Any:
     return np.asarray(value, float).tolist()
 
 
-def _alternatives(key: tuple[str, int | None], rivals: Sequence[naming.Rival]) -> tuple[tuple[str, ...], ...]:
+def _alternatives(rivals: Sequence[naming.Rival]) -> tuple[tuple[str, ...], ...]:
     return tuple(dict.fromkeys((r.candidate.effect.name,) for r in rivals if r.equal))
 
 
@@ -193,7 +227,7 @@ def _rejected(robot: Robot, key: tuple[str, int | None], rivals: Sequence[naming
     for r in rivals:
         joint = r.candidate.joint
         where = "" if joint in (None, key[1]) else f"on {robot.joints[joint]}: "
-        if not r.equal and (joint in (None, key[1]) or r.excess < 1e6):
+        if not r.equal:
             out.append((r.candidate.effect.name, where + r.why))
     return tuple(out[:6])
 
@@ -218,18 +252,18 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
     asymmetric = EFFECTS["asymmetric_coulomb_friction"]
     at = {(number, name): k for k, (number, name, _) in enumerate(whole.labels)}
     both = at[(i, "coulomb")], at[(partner, "offset")]
-    count = len(whole.replicas)
     level = {}
     for name, sign in (("positive", 1.0), ("negative", -1.0)):
         value = whole.theta[both[0]] + sign * whole.theta[both[1]]
         each = whole.replicas[:, both[0]] + sign * whole.replicas[:, both[1]]
-        reach = 2.1 * np.sqrt((count - 1) / count * np.sum((each - each.mean()) ** 2))
-        level[name] = (value, value - reach, value + reach)
+        by_noise = whole.unknown[:, both[0]] + sign * whole.unknown[:, both[1]]
+        error = max(float(reach(each)), 1.96 * float(np.sqrt(np.sum(by_noise**2))))
+        level[name] = (value, value - error, value + error)
     return replace(
         finding,
         effect=asymmetric.name,
         alternatives=(("coulomb_friction", "torque_offset"), *(a for a in finding.alternatives)),
-        parameters=_quantities(asymmetric, level),
+        parameters=_quantities(asymmetric, level, _slides(inquiry.evidence.robot, hypothesis[i])),
         gain=_gains(inquiry, hypothesis, (i, partner)),
         advice=asymmetric.advice,
         evidence={
@@ -240,39 +274,36 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
     )
 
 
+def _as_link(robot: Robot, acting: Acting) -> Acting:
+    """A payload that is no body, or farther than any tool, as the error of the last link's inertials that it is."""
+    if acting.effect.name != "payload":
+        return acting
+    mass, com = acting.parameters["mass"], acting.parameters["com"]
+    if mass > 0 and np.linalg.norm(com) <= FARTHEST_TOOL:
+        return acting
+    link, last = EFFECTS["link_inertia_error"], robot.dofs - 1
+    assert isinstance(link, AbstractBodyEffect) and isinstance(acting.effect, AbstractBodyEffect)
+    return Acting(link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last))
+
+
+def _may_be_payload(ends: Mapping[str, tuple]) -> bool:
+    """Whether a mass within its interval would make a body within reach of these first moments."""
+    return float(np.linalg.norm(ends["moment"][0])) <= FARTHEST_TOOL * float(ends["mass"][2])
+
+
 def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, tuple]) -> Finding:
     """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
     if finding.effect == "payload":
-        measured = finding.parameters
-        finding = replace(finding, parameters={name: measured[name] for name in ("mass", "com")})
-        mass, nominal = float(ends["mass"][0]), float(robot.inertial[-1, 0])
-        link = link_names(robot)[-1]
-        x, y, z = com = np.asarray(ends["com"][0])
-        if mass <= 0 or np.linalg.norm(com) > 1.0:
-            point = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
-            return replace(
-                finding,
-                effect="link_inertia_error",
-                joint=robot.joints[-1],
-                parameters={
-                    "link": Quantity(link, ""),
-                    "mass": finding.parameters["mass"],
-                    "moment": Quantity((mass * com).tolist(), "kg m"),
-                    "inertia": Quantity((np.asarray(ends["inertia"][0]) + mass * point).tolist(), "kg m²"),
-                },
-                rejected=(
-                    ("payload", f"its mass would be {mass:.3g} kg at {np.round(com, 3).tolist()} m"),
-                    *finding.rejected,
-                ),
-                advice=EFFECTS["link_inertia_error"].advice,
-            )
-        if mass < LIGHTER * nominal:
+        finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
+        nominal = float(robot.inertial[-1, 0])
+        if float(ends["mass"][0]) < LIGHTER * nominal:
             return replace(
                 finding,
                 alternatives=(*finding.alternatives, ("link_inertia_error",)),
                 evidence={**finding.evidence, "mass_of_last_link_kg": nominal},
             )
-    if finding.effect == "link_inertia_error" and joint is not None:
+    if finding.effect == "link_inertia_error":
+        assert joint is not None
         scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.06}
         shown = {
             name: q if np.all(np.asarray(q.interval95[1]) - np.asarray(q.interval95[0]) < 2 * scales[name]) else None
@@ -289,6 +320,12 @@ def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, 
     return finding
 
 
+def _is_vague(finding: Finding) -> bool:
+    """Whether a ripple's cycles are hardly known: another bend of the torque over the angle would do."""
+    cycles = finding.parameters.get("cycles")
+    return cycles is not None and cycles.interval95[1] - cycles.interval95[0] > 2 * VAGUE * cycles.value
+
+
 def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Finding, ...]:
     """Findings, of which none is named that saves less than what a learner still predicts on its joint: something else
     is at work there, and may be all of it.
@@ -299,8 +336,11 @@ def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Fi
     out = []
     for one in found:
         saved = sum(g.rmse_before**2 - g.rmse_after**2 for g in one.gain.values())
-        unknown = sum(learned[j] * g.rmse_after**2 for j, g in one.gain.items())
-        if one.status == "named" and saved < UNKNOWN_FIRST * unknown:
+        shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
+        unknown = sum(shares[j] * g.rmse_after**2 for j, g in one.gain.items())
+        mostly = one.joint is not None and max(shares.values(), default=0.0) > UNKNOWN
+        doubtful = saved < (MOSTLY_UNKNOWN if mostly else UNKNOWN_FIRST) * unknown or (mostly and one.effect in LATE)
+        if one.status == "named" and doubtful:
             advice = "what else may act on this joint: most of what the model misses there is still unknown"
             one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
         out.append(one)

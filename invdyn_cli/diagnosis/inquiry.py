@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis import known, naming, noise
-from invdyn_cli.diagnosis.evidence import Candidate, Evidence, trial_at
+from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence, trial_at
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import Hypothesis, Judge, parameters_of, read_all, search
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.interfaces import AbstractEffect
 
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
@@ -36,26 +37,36 @@ class Inquiry:
     close: Mapping[tuple[str, int | None], bool]
 
 
-def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most: int, compares: bool) -> Inquiry:
+def inquire(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    compares: bool,
+) -> Inquiry:
     """Search, refine, search again with the nonlinear parameters that were found.
 
     Args:
+        effects: the causes to look for.
         allowed: (effect, joint or None for all) that are allowed for and not reported.
         most: effects at most.
         compares: whether the recording has a reference beside it.
     """
-    choosing = (evidence.role == ROLES.index("train")) | (evidence.role == ROLES.index("reference"))
+    new = evidence.role == ROLES.index("train")
+    choosing = new | (evidence.role == ROLES.index("reference"))
+    measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
+    ripple = effects.get(TorqueRipple.name)
+    if isinstance(ripple, TorqueRipple):
+        lines = noise.ripples(evidence, measured, choosing, ripple)
+        if lines:  # nor is a ripple
+            evidence.candidates += lines
+            measured = noise.measure(evidence, new)
     pool = [c for c in evidence.candidates if c.effect.name != "asymmetric_coulomb_friction"]
-    always: Hypothesis = tuple(c for c in pool if known.is_allowed(c, allowed))
-    measured = noise.measure(evidence, choosing)
-    lines = noise.ripples(evidence, measured, choosing, TorqueRipple())
-    if lines:  # what is a ripple is no noise
-        evidence.candidates += lines
-        pool += lines
-        measured = noise.measure(evidence, choosing)
+    always = known.allowed_for(pool, allowed)
+    pool = [c for c in pool if not known.is_allowed(c, allowed)]
     if compares:
-        always, pool = known.compared(evidence, pool, ROLES.index("reference"))
-    pool = [c for c in pool if c.key not in {a.key for a in always} or compares]
+        common, pool = known.compared(evidence, pool, ROLES.index("reference"))
+        always += common
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.name == "payload" for c in pool):
         pool = [c for c in pool if c.key != ("link_inertia_error", last)]
@@ -67,15 +78,15 @@ def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most:
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
         before = {c.key for c in hypothesis}
-        refined = refine(evidence, model, _acting(judge, always, hypothesis), choosing, measured.weights, always)
-        beyond = {
+        refined = refine(evidence, model, acting_of(judge, always, hypothesis), choosing, measured.weights, always)
+        unlikely = {
             (a.effect.name, a.joint)
-            for a in refined.acting
-            if a.effect.name == "torque_saturation" and not _hugs(evidence, measured, refined, a)
+            for k, a in enumerate(refined.acting)
+            if not _is_likely(evidence, model, measured, refined, k)
         }
-        if beyond:
-            pool = [c for c in pool if c.key not in beyond]
-            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in beyond), most)
+        if unlikely:
+            pool = [c for c in pool if c.key not in unlikely]
+            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
             continue
         trials = tuple(trial_at(evidence, a) for a in refined.acting)
         pool = [*pool, *(c for c in trials if not any(c is p for p in pool))]
@@ -84,45 +95,75 @@ def inquire(evidence: Evidence, allowed: Sequence[tuple[str, int | None]], most:
         hypothesis = naming.simplified(judge, always, hypothesis, pool)
         if {c.key for c in hypothesis} == before:
             break
-    acting = _acting(judge, always, hypothesis)
+    acting = acting_of(judge, always, hypothesis)
     chosen = refine(evidence, model, acting, choosing, measured.weights, always)
-    hypothesis, chosen, close = told_apart(judge, model, always, hypothesis, chosen)
+    hypothesis, chosen, close = told_apart(judge, model, effects, always, hypothesis, chosen)
     whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
     return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close)
 
 
-def _acting(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
+def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
+    """The effects of a hypothesis with the parameters that its columns have on the data that chose it."""
     theta = judge.verdict((*hypothesis, *always)).theta
     return [Acting(c.effect, c.joint, p) for c, p in read_all(judge.evidence, hypothesis, theta)]
 
+
+CLIPPED, SELDOM, BEYOND = 0.1, 0.5, 3.0
+"""Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
+the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it."""
+
+PERIODS = 1.5
+"""Of a ripple, below which it is no ripple but any bend of the torque over the angle."""
 
 NEARLY = 0.9
 """Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
 
 
-def _hugs(evidence: Evidence, measured: noise.Noise, refined: Refined, saturation: Acting) -> bool:
-    """Whether the torque that moved a joint stays within the limit of its saturation, for the nominal model too."""
+def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
+    """Whether an effect with these parameters can be told from what only looks like it."""
+    one = refined.acting[place]
+    if one.effect.name == "torque_saturation":
+        return _is_a_limit(evidence, model, measured, refined, place)
+    if one.effect.name == "torque_ripple":
+        return one.parameters["cycles"] * float(np.ptp(evidence.on_rows("q")[:, one.joint])) > 2 * np.pi * PERIODS
+    if one.effect.name == "stribeck_friction":  # while a joint that turns back sticks, its speed changes by so much
+        return one.parameters["velocity"] > STICK_TIME * float(np.std(evidence.on_rows("qdd")[:, one.joint]))
+    return True
+
+
+def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
+    """Whether a saturation is one: the torque that moved the joint stays within its limit, for the nominal model too,
+    and what was asked for beyond is more than what swings on either side of every model."""
+    saturation = refined.acting[place]
     j, limit = saturation.joint, saturation.parameters["limit"]
     assert j is not None
     used = evidence.valid[:, j]
-    moved = np.abs(evidence.tau[used, j] - refined.residual[used, j])
-    reach = min(float(np.quantile(x, 0.99)) for x in (moved, np.abs(evidence.nominal[used, j])))
+    others = [a for k, a in enumerate(refined.acting) if k != place]
+    beyond = np.abs(model.residual(others) - model.residual(refined.acting))[used, j]
+    left = refined.residual[used, j]
+    clipped = beyond > CLIPPED * beyond.max()
+    if not 0 < clipped.mean() < SELDOM or np.mean(beyond[clipped] ** 2) < BEYOND**2 * np.mean(left[~clipped] ** 2):
+        return False
+    reach = min(
+        float(np.quantile(np.abs(x[used, j]), 0.99)) for x in (evidence.tau - refined.residual, evidence.nominal)
+    )
     return limit > 0.75 * reach and limit > 3 * measured.deviation[j]
 
 
 def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Encoder offsets, taken anew at their own sizes, that nearly do what a body effect of the hypothesis does: ten
-    inertials bend where the straight line of an offset does not."""
+    """Encoder offsets and base tilts, taken anew at their own sizes, that nearly do what a body or motion effect of the
+    hypothesis does: others bend where their straight line does not."""
     made: list[Candidate] = []
-    for i, body in enumerate(hypothesis):
-        if body.effect.point != "body":
+    for i, found in enumerate(hypothesis):
+        if found.effect.point not in ("body", "motion"):
             continue
         others = (*always, *hypothesis[:i], *hypothesis[i + 1 :])
         without, now = judge.quick(others)[0], judge.quick((*always, *hypothesis))[0]
         for c in pool:
-            if c.effect.point == "motion" and not any(c.key == e.key for e in others):
+            bends = c.effect.point == "motion" or c.effect.name == "base_tilt"
+            if bends and c.key != found.key and not any(c.key == e.key for e in others):
                 value, theta = judge.quick((*others, c))
-                parameters = parameters_of(judge.evidence, c, theta[-1:])
+                parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
                 if without - value > NEARLY * (without - now) and not c.effect.refuse(parameters):
                     made.append(trial_at(judge.evidence, Acting(c.effect, c.joint, parameters)))
     return made

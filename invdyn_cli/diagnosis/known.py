@@ -23,15 +23,15 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.types import Motion, Robot
 
-COMMON = (
-    "viscous_friction",
-    "coulomb_friction",
-    "quadratic_friction",
-    "torque_offset",
-    "rotor_inertia",
-    "link_inertia_error",
-)
-"""What an earlier log of the same robot is allowed to show beside its nominal model."""
+COUNTS = {"com": 3, "moment": 3, "inertia": 6}
+"""Parameters that are more than one number."""
+
+
+def is_common(candidate: Candidate) -> bool:
+    """Whether an earlier log of the same robot is allowed to show it beside its nominal model: what is linear in its
+    parameters, and the ripples that were found."""
+    fixed = any(columns[0] for columns in candidate.columns.values())
+    return not fixed and (not candidate.shape or candidate.effect.name == "torque_ripple")
 
 
 def read(
@@ -55,21 +55,48 @@ def read(
         if joint is not None and joint not in robot.joints:
             raise UsageError(f"diagnosis.known: no joint {joint!r}{closest(str(joint), robot.joints)}")
         effect = effects[name]
+        whole = isinstance(effect, AbstractBodyEffect) and name != "link_inertia_error"
+        if whole and joint is not None:
+            raise UsageError(f"diagnosis.known: {name} is of the whole arm, and has no joint; got {joint!r}")
         given = {k: v for k, v in one.items() if k not in ("effect", "joint")}
         if not given:
-            allowed.append((name, None if joint is None else robot.joints.index(joint)))
+            parts = ("coulomb_friction", "torque_offset") if name == "asymmetric_coulomb_friction" else (name,)
+            allowed += [(part, None if joint is None else robot.joints.index(joint)) for part in parts]
             continue
         if name == "payload":
             given.setdefault("inertia", [0.0] * 6)
         wrong = set(given) ^ set(effect.parameters)
         if wrong:
             raise UsageError(f"diagnosis.known: {name} has parameters {listed(effect.parameters)}; got {listed(given)}")
-        whole = isinstance(effect, AbstractBodyEffect) and name != "link_inertia_error"
         if joint is None and not whole:
             raise UsageError(f"diagnosis.known: {name} needs a joint; allowed: {listed(robot.joints)}")
-        parameters = {k: np.asarray(v, float) if np.ndim(v) else float(v) for k, v in given.items()}
+        parameters = {k: _numbers(name, k, v) for k, v in given.items()}
         facts.append(Acting(effect, None if whole else robot.joints.index(joint), parameters))
     return tuple(facts), allowed
+
+
+def _numbers(effect: str, name: str, value: Any) -> Any:
+    count = COUNTS.get(name)
+    try:
+        made = float(value) if count is None else np.asarray(value, float)
+    except (TypeError, ValueError):
+        made = np.nan
+    if np.shape(made) != (() if count is None else (count,)) or not np.all(np.isfinite(made)):
+        wanted = "a number" if count is None else f"{count} numbers"
+        raise UsageError(f"diagnosis.known: {name} of {effect} is {value!r}; allowed: {wanted}")
+    return made
+
+
+def allowed_for(pool: Sequence[Candidate], allowed: Sequence[tuple[str, int | None]]) -> tuple[Candidate, ...]:
+    """Candidates that are part of every hypothesis. Of a channel's trials it is the first, with what its parameters
+    change and without what it itself does."""
+    made: dict[tuple, Candidate] = {}
+    for c in pool:
+        if is_allowed(c, allowed):
+            fixed = any(columns[0] for columns in c.columns.values())
+            free = replace(c, columns={j: ((), columns[1]) for j, columns in c.columns.items()})
+            made.setdefault((*c.key, None if fixed else tuple(c.shape.items())), free)
+    return tuple(made.values())
 
 
 def is_allowed(candidate: Candidate, allowed: Sequence[tuple[str, int | None]]) -> bool:
@@ -108,7 +135,7 @@ def compared(
     """What both logs may show alike, and the candidates with columns that vanish on the reference's rows."""
     always = []
     for c in pool:
-        if c.effect.name in COMMON:
+        if is_common(c):
             copies = {
                 j: ((), evidence.append(j, [evidence.tables[j][:, i].copy() for i in free]))
                 for j, (_, free) in c.columns.items()

@@ -5,6 +5,7 @@ measured torque smooths its noise; one on the model's torque carries the noise o
 the lowest part of a joint's band, where the arm moves, both are quiet.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Evidence, trial_at
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search import Hypothesis, Judge
-from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.maths.statistics import autocorrelation_time
 
@@ -25,17 +26,22 @@ LATE = {"torque_delay": ("delay", "actuator_lag"), "actuator_lag": ("time_consta
 
 
 def told_apart(
-    judge: Judge, model: Model, always: Hypothesis, hypothesis: Hypothesis, chosen: Refined
+    judge: Judge,
+    model: Model,
+    effects: Mapping[str, AbstractEffect],
+    always: Hypothesis,
+    hypothesis: Hypothesis,
+    chosen: Refined,
 ) -> tuple[Hypothesis, Refined, dict[tuple[str, int | None], bool]]:
     """Delays and lags decided by their formulas on the model's torque, where a lag does not smooth the noise of the
     measured one: the better one of both, and whether the other does as well."""
     close: dict[tuple[str, int | None], bool] = {}
     evidence, rows = judge.evidence, judge.rows
     for i, one in enumerate(chosen.acting):
-        if one.effect.name not in LATE:
+        if one.effect.name not in LATE or LATE[one.effect.name][1] not in effects:
             continue
         name, other = LATE[one.effect.name]
-        swapped = replace(one, effect=EFFECTS[other], parameters={LATE[other][0]: one.parameters[name]})
+        swapped = replace(one, effect=effects[other], parameters={LATE[other][0]: one.parameters[name]})
         others = chosen.acting[:i], chosen.acting[i + 1 :]
         trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
         assert one.joint is not None

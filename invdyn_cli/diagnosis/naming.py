@@ -9,11 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invdyn_cli.diagnosis.evidence import Candidate
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search import PRICE_OF_COEFFICIENT, Hypothesis, Judge, clash
 
 DOUBT = 0.005
 """Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
+
+SURE = 4.0
+"""Standard errors by which a general case must do better than the special one: its bolder shape bends to much else."""
 
 LEAST_DIFFERENCE = 10.0
 """And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
@@ -21,8 +24,9 @@ LEAST_DIFFERENCE = 10.0
 UNDENIED, CONTRADICTED = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
 
-LAGS = 12
-"""Rows within which something structured comes back, if only as its opposite."""
+MEMORY, LAGS = 0.8, 6
+"""Of 1 / cut-off: how long a low-pass remembers noise; and how many times that is looked at: something structured comes
+back within it, if only as its opposite."""
 
 TYPICAL_STRIBECK = 1.3
 """Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
@@ -49,7 +53,9 @@ def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
                 simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
                 step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
-                if chance(step, PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))) > DOUBT:
+                extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
+                unsure = step.sum() + extra < SURE * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
+                if unsure or chance(step, extra) > DOUBT:
                     return simplified(judge, always, simpler, pool)
     return hypothesis
 
@@ -97,13 +103,17 @@ def rivals(
 
 
 def chance(step: np.ndarray, extra: float) -> float:
-    """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws). What
-    comes up in few blocks, and is contradicted by none, would be missed by many draws, and is sure all the same."""
-    against = -np.minimum(step, 0).sum()
-    if step.sum() + extra > UNDENIED and against < CONTRADICTED * np.maximum(step, 0).sum():
+    """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws)."""
+    if undenied(step, extra):
         return 0.0
     draws = np.random.default_rng(0).integers(len(step), size=(4000, len(step)))
     return float(np.mean(step[draws].sum(1) + extra < LEAST_DIFFERENCE))
+
+
+def undenied(step: np.ndarray, extra: float) -> bool:
+    """Whether what comes up in few blocks is contradicted by none: many draws would miss it, and it is sure."""
+    against = -np.minimum(step, 0).sum()
+    return bool(step.sum() + extra > UNDENIED and against < CONTRADICTED * np.maximum(step, 0).sum())
 
 
 def blind_to_stribeck(
@@ -113,12 +123,12 @@ def blind_to_stribeck(
     own = hypothesis[place]
     if own.effect.name != "coulomb_friction":
         return False
-    trials = [c for c in pool if c.key == ("stribeck_friction", own.joint) and c.shape["velocity"] == TYPICAL_VELOCITY]
+    trials = [c for c in pool if c.key == ("stribeck_friction", own.joint)]
     if not trials:
         return False
-    with_it = (*always, *hypothesis[:place], *hypothesis[place + 1 :], trials[0])
-    _, r, normal = judge.sums(with_it)
-    k = len(trials[0].precision)
+    typical = min(trials, key=lambda c: abs(np.log(c.shape["velocity"] / TYPICAL_VELOCITY)))
+    _, r, normal = judge.sums((*always, *hypothesis[:place], *hypothesis[place + 1 :], typical))
+    k = len(typical.precision)
     total = normal.sum(0) + 1e-9 * np.diag(np.diag(normal.sum(0)))
     theta = np.linalg.lstsq(total, r.sum(0), rcond=None)[0]
     variance = np.linalg.pinv(total)
@@ -127,17 +137,19 @@ def blind_to_stribeck(
     return bool(drop + 2 * error > (TYPICAL_STRIBECK - 1) * coulomb)
 
 
-def structure(residual: np.ndarray, valid: np.ndarray, piece: np.ndarray) -> np.ndarray:
-    """Variance (n,) of what is not noise in a residual (R, n): its largest autocovariance, of either sign, from two to
-    LAGS rows on, beyond the filter's own memory, and beyond what white noise has there by chance."""
+def structure(evidence: Evidence, residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Variance (n,) of what is not noise in a residual (R, n): its largest autocovariance, of either sign, beyond the
+    memory of the joint's own filter, and beyond what white noise has there by chance."""
+    filter, piece = evidence.recording.filter, evidence.piece
     out = np.zeros(residual.shape[1])
     for j in range(len(out)):
         used = valid[:, j]
         if used.sum() < 50:
             continue
         x = np.where(used, residual[:, j] - np.mean(residual[used, j]), 0.0)
-        by_chance = 3 * np.mean(x[used] ** 2) / np.sqrt(used.sum())
-        for lag in range(2, LAGS + 1):
+        first = int(np.ceil(MEMORY * filter.rate / filter.keep / filter.cutoffs[j]))
+        by_chance = 3 * np.mean(x[used] ** 2) / np.sqrt(used.sum() / max(first / 2, 1))
+        for lag in range(first, LAGS * first + 1):
             both = used[lag:] & used[:-lag] & (piece[lag:] == piece[:-lag])
             if both.sum() > 20:
                 out[j] = max(out[j], abs(float(np.mean(x[lag:][both] * x[:-lag][both]))) - by_chance)

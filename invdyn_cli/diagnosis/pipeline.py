@@ -88,10 +88,12 @@ def diagnose(
     progress(0.25, "columns")
     evidence = gather(robot, recording, list(pool.values()), side)
     progress(0.5, "search")
-    inquiry = inquire(evidence, allowed, options.most or 3 * robot.dofs, reference is not None)
+    most = 3 * robot.dofs if options.most is None else options.most
+    inquiry = inquire(evidence, pool, allowed, most, any("reference" in p.role for p in recording.pieces))
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)
+    learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, shares))
     progress(0.95, "model")
@@ -127,7 +129,7 @@ def diagnose(
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
         },
     )
-    return replace(diagnosis, summary=wording.summary(diagnosis))
+    return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
 
 
 def _scores(evidence: Evidence, made: findings.Made) -> list[dict[str, dict[str, float]]]:

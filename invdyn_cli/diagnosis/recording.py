@@ -59,8 +59,8 @@ class Conditioning:
 
 @dataclass(frozen=True)
 class Piece:
-    """An uninterrupted stretch on the working clock: t (T,) [s], the others (n, T) [rad, N m; m, N]; `motion_noise` is
-    the speed [rad/s] that the noise of the positions feigns, (n,)."""
+    """An uninterrupted stretch on the working clock: t (T,) [s] from the start of its trajectory, the others (n, T)
+    [rad, N m; m, N]; `motion_noise` is the speed [rad/s] that the noise of the positions feigns, (n,)."""
 
     trajectory: str
     role: str
@@ -173,12 +173,14 @@ def prepare(
     period = float(np.median(periods))
     total = sum(t[-1] - t[0] for _, _, t, _, _ in cut)
     if total > options.longest:
-        cut = [part for piece in cut for part in _stretches(piece, options.longest / total, options.stretch)]
+        cut = list(_thinned(cut, options.longest / total, options.stretch))
         notes.append(
             f"The log is {total:.0f} s long; stretches of {options.stretch:g} s spread evenly over it, "
             f"{options.longest:g} s in all, are looked at."
         )
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
+    if not cut:
+        raise LogError(f"no stretch of the log has more than {4 * ANSWER} samples without a gap")
     position_noise = _noise([np.diff(q, 4, axis=1) for _, _, _, q, _ in cut])
     torque_noise = _noise([_unanswered(q, tau) for _, _, _, q, tau in cut])
     step = max(1, round(1 / (period * options.rate)))
@@ -194,6 +196,8 @@ def prepare(
     for name, role, t, q, tau in cut:
         if len(t) // step > 3 * common.inset + 8:
             pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
+    if windows is None and len(pieces) > 1 and not any(piece.role == "test" for piece in pieces):
+        return prepare(log, inertia, _by_trajectory(log, options), options)
     if not any(piece.role == "train" for piece in pieces):
         needed = (3 * common.inset + 8) / rate
         raise LogError(f"no uninterrupted stretch of the log is long enough; {needed:.2g} s are needed")
@@ -206,6 +210,14 @@ def prepare(
         "motion_cutoff_Hz": smooth,
     }
     return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
+
+
+def _by_trajectory(log: Log, options: Conditioning) -> dict[str, list[Window]]:
+    """Windows for trajectories too short to be parted: whole ones choose or judge."""
+    names = [x.name for x in log.trajectories]
+    first = min(max(1, round(options.train_share * len(names))), len(names) - 1)
+    roles = {"train": names[:first], "test": names[first:]}
+    return {role: [(name, -np.inf, np.inf) for name in own] for role, own in roles.items()}
 
 
 def _roles(
@@ -221,7 +233,23 @@ def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float)
     rows = np.flatnonzero((raw.t >= start) & (raw.t < end))
     for piece in np.split(rows, np.flatnonzero(np.diff(raw.t[rows]) > max_gap) + 1):
         if len(piece):
-            yield raw.t[piece], raw.q[piece].T, raw.tau[piece].T
+            yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
+
+
+def _thinned(cut, share: float, length: float):
+    """A share of every role's time: stretches of long pieces, and short pieces that are left out or stay whole."""
+    owed = dict.fromkeys(ROLES, 0.0)
+    for piece in cut:
+        _, role, t, *_ = piece
+        span = t[-1] - t[0]
+        if span * share >= length:
+            yield from _stretches(piece, share, length)
+            continue
+        owed[role] += span * share
+        if owed[role] > 0:
+            used = t < t[0] + length
+            owed[role] -= min(span, length)
+            yield piece[0], role, t[used], piece[3][:, used], piece[4][:, used]
 
 
 def _stretches(piece, share: float, length: float):

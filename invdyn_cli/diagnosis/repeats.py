@@ -18,8 +18,8 @@ def noise_floor(recording: Recording) -> np.ndarray | None:
     halves = []
     pieces = [p for p in recording.pieces if len(p.t) > 2 * recording.filter.rate]
     for a, b in combinations(pieces, 2):
-        if a.trajectory == b.trajectory:
-            continue
+        if a.trajectory == b.trajectory or (a.role == "reference") != (b.role == "reference"):
+            continue  # what has changed since the reference is no noise
         shift = _shift(a.q, b.q, round(LATEST * recording.filter.rate))
         if shift is None:
             continue

@@ -2,12 +2,12 @@
 
 A hypothesis is a set of candidates. Its loss is the weighted square of what is left on held-out blocks, in units of the
 noise's variance and with the residual's autocorrelation counted, plus a price for every effect and every coefficient.
-Forward steps, drops and swaps go on until none of them helps.
+Forward steps, drops, swaps and merges go on until none of them helps.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -30,6 +30,13 @@ SHORTLIST = 10
 
 FARTHEST = 1.5
 """Reaches beyond which a channel's correction of a trial is no longer the straight line that it is taken for."""
+
+CANCELLED = 3.0
+"""Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
+other effects take back: of two that cancel each other, neither is known."""
+
+WHOLE = {"body", "motion"}
+"""Points at which an effect reaches more than its own joint."""
 
 LEAST_PRECISION = 1e-9
 
@@ -123,14 +130,14 @@ class Judge:
     def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
         """Loss with prices on the data that fits the hypothesis, and its coefficients."""
         s, r, normal = self._assembled(hypothesis, self.totals)
-        theta = _solve(normal, r, _precision(hypothesis))
+        theta = solved(normal, r, _precision(hypothesis))
         return float(s - theta @ r) + self.price(hypothesis), theta
 
     def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
         """The held-out judgement."""
         s, r, normal = self.sums(hypothesis)
         precision = _precision(hypothesis)
-        theta = _solve(normal.sum(0), r.sum(0), precision)
+        theta = solved(normal.sum(0), r.sum(0), precision)
         blocks = np.empty(self.count)
         for out, held in self._held_out(r, normal, precision):
             blocks[out] = _squares(s[out], r[out], normal[out], held)
@@ -144,7 +151,7 @@ class Judge:
         for fold in range(self.folds.max() + 1):
             out = self.folds == fold
             others = ~out if self.folds.max() else out
-            yield out, _solve(normal[others].sum(0), r[others].sum(0), precision)
+            yield out, solved(normal[others].sum(0), r[others].sum(0), precision)
 
     def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
         """Held-out losses (n, B) of every joint's own rows, without prices."""
@@ -175,9 +182,22 @@ class Judge:
             why = candidate.effect.refuse(parameters)
             if why:
                 return f"{candidate.effect.title}: {why}"
-            if candidate.effect.point == "channel" and np.any(own**2 * candidate.precision > FARTHEST**2):
-                return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
+            if candidate.effect.point == "channel":
+                if np.any(own**2 * candidate.precision > FARTHEST**2):
+                    return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
+            elif any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
+                return f"{candidate.effect.title}: so large that other effects would have to take most of it back"
         return ""
+
+    def _size(self, candidate: Candidate, own: np.ndarray, j: int) -> float:
+        """Root of the sum of squares of a candidate's torque on a joint."""
+        fixed, free = candidate.columns[j]
+        columns, factors = [*fixed, *free], np.concatenate([np.ones(len(fixed)), own])
+        return float(np.sqrt(max(factors @ self.totals[j][np.ix_(columns, columns)] @ factors, 0.0)))
+
+    def _left(self, j: int) -> float:
+        """The same of what the nominal model leaves there, noise and all."""
+        return float(np.sqrt(self.totals[j][0, 0]))
 
     def freedom(self, candidate: Candidate) -> float:
         """How many coefficients of a candidate the data determine at all."""
@@ -225,6 +245,8 @@ def search(
         if better is None:
             better = _best(judge, always, hypothesis, list(_swaps(hypothesis, pool)), loss)
         if better is None:
+            better = _best(judge, always, hypothesis, list(_merges(hypothesis, pool)), loss)
+        if better is None:
             return hypothesis
         hypothesis, loss = better
     return hypothesis
@@ -270,6 +292,18 @@ def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypoth
                 yield *others, c
 
 
+def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
+    """One effect of the whole arm in the place of one such and another: what it does to many joints takes many others
+    to imitate."""
+    for i, k in combinations(range(len(hypothesis)), 2):
+        if not {hypothesis[i].effect.point, hypothesis[k].effect.point} & WHOLE:
+            continue
+        others = tuple(c for m, c in enumerate(hypothesis) if m not in (i, k))
+        for c in pool:
+            if c.effect.point in WHOLE and not any(c.key == e.key for e in others):
+                yield *others, c
+
+
 def clash(whole: Candidate, part: Candidate) -> bool:
     """Whether one effect on a joint is the general case of another there."""
     return whole.joint == part.joint and part.effect.name in whole.effect.contains
@@ -284,7 +318,7 @@ def _squares(s: np.ndarray, r: np.ndarray, normal: np.ndarray, theta: np.ndarray
     return s - 2 * r @ theta + np.einsum("a,bac,c->b", theta, normal, theta)
 
 
-def _solve(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
+def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Coefficients (k,) of the normal equations with what is known beforehand."""
     if not len(r):
         return r

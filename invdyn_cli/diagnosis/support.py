@@ -22,6 +22,10 @@ to it goes with, more."""
 PICKED_UP = 0.2
 """And so much more for every further coefficient, each of which picks up as much."""
 
+FEIGNED = 0.5
+"""Of the squares that are left on its joints, what an effect must save: a controller answers to the noise and the
+rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
+
 RARE = 0.1
 """Of its mean square, what an effect must have on the held-out rows to be judged there."""
 
@@ -29,7 +33,12 @@ RARE = 0.1
 def judged(evidence: Evidence) -> np.ndarray:
     """Rows (R,) bool that chose nothing; all but the reference's where there are none."""
     test = evidence.role == ROLES.index("test")
-    return test if test.any() else evidence.role != ROLES.index("reference")
+    return test if held_out(evidence) else evidence.role != ROLES.index("reference")
+
+
+def held_out(evidence: Evidence) -> bool:
+    """Whether there are rows that chose nothing."""
+    return bool(np.any(evidence.role == ROLES.index("test")))
 
 
 def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Refined:
@@ -40,10 +49,11 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
     """The candidates that gain on data that did not choose them, and explain more than what stays unknown; and a
     sentence for each of the others."""
     hypothesis, said = inquiry.hypothesis, []
-    for _ in range(len(hypothesis)):
+    exact = [_exactly(inquiry, k) for k in range(len(hypothesis))]
+    while hypothesis:
         worst = None
         for i in range(len(hypothesis)):
-            why = _fails(inquiry, hypothesis, i)
+            why = _fails(inquiry, exact, hypothesis, i)
             if why is not None and (worst is None or why[0] < worst[1][0]):
                 worst = i, why
         if worst is None:
@@ -52,17 +62,23 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
         where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
         said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
+        hypothesis = naming.simplified(inquiry.judge, inquiry.always, hypothesis, inquiry.pool)
     return hypothesis, tuple(said)
 
 
-def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[float, str] | None:
-    """Why a candidate may not be claimed, with how much it explains; None if it may."""
+def _fails(inquiry: Inquiry, exact, hypothesis: Hypothesis, i: int) -> tuple[float, str] | None:
+    """Why a candidate may not be claimed, with how much it explains; None if it may.
+
+    Args:
+        exact: `_exactly` of every candidate of the inquiry.
+    """
     evidence, weights = inquiry.evidence, inquiry.noise.weights
     rows = judged(evidence)
     after, before = left(inquiry, hypothesis, (i,))
     valid = evidence.valid & rows[:, None]
-    squares = np.sum((before**2 - after**2) * valid, axis=0)
-    unknown = naming.structure(after, valid, evidence.piece)
+    own = [j in hypothesis[i].columns for j in range(evidence.dofs)]
+    squares = np.sum((before**2 - after**2) * valid, axis=0) * own
+    unknown = naming.structure(evidence, after, valid)
     gain = float(np.sum(weights * squares))
     change = ((after - before) * evidence.valid) ** 2 @ weights
     rare = np.mean(change[rows]) < RARE * np.mean(change)  # it hardly comes up on the held-out rows
@@ -70,26 +86,34 @@ def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[float, str
         return gain, "it does not hold on data that did not choose it"
     if np.sum(np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0)) <= 0 and not rare:  # rows at rest count too
         return gain, "with it the arm as a whole is predicted worse on data that did not choose it"
-    rest = float(np.sum(weights * unknown * rows.sum() * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
+    rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
     if 0 < gain < needed * rest:
-        return gain / rest, "most of what it would explain is something else that this catalogue does not know"
+        return gain, "most of what it would explain is something else that this catalogue does not know"
     name = hypothesis[i].effect.name
     if name in LATE:
         late = LATE[name][0]
         value = next(a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key)
         if value < evidence.recording.period:
             return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
-    place = next(k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i])
-    if not _is_exact(inquiry, place):
-        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
+    place = next((k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i]), None)
+    if place is not None:
+        sure, share = exact[place]
+        if not sure:
+            return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
+        if share < FEIGNED:
+            return (
+                gain,
+                "it is small beside what is left, and a controller that answers to its encoders' noise feigns it",
+            )
     return None
 
 
-def _is_exact(inquiry: Inquiry, place: int) -> bool:
+def _exactly(inquiry: Inquiry, place: int) -> tuple[bool, float]:
     """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
-    as they are. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not. An
-    effect that hardly comes up on the held-out rows is judged on all."""
+    as they are; and by how much, as a share of what is left on its joints. Columns of a channel effect act on the
+    measured torque, and calm its noise; the formula does not. An effect that hardly comes up on the held-out rows is
+    judged on all."""
     evidence, acting = inquiry.evidence, inquiry.chosen.acting
     others = [a for k, a in enumerate(acting) if k != place]
     change = (inquiry.model.residual(others) - inquiry.model.residual(acting)) * evidence.valid
@@ -98,7 +122,10 @@ def _is_exact(inquiry: Inquiry, place: int) -> bool:
         rows = np.ones_like(rows)
     saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
     per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
-    return bool(per_block.sum() > 0) and naming.chance(per_block, 0.0) < naming.DOUBT
+    total = float(per_block.sum())
+    touched = [j in inquiry.hypothesis[place].columns for j in range(evidence.dofs)]
+    remains = (inquiry.chosen.residual * evidence.valid)[rows] ** 2 @ (inquiry.noise.weights * touched)
+    return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(float(remains.sum()), 1e-300)
 
 
 def left(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

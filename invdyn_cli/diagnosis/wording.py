@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from invdyn_cli.diagnosis.findings import Made
-from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Diagnosis
 
 PREDICTABLE, SMALL = 0.15, 0.15
@@ -22,20 +21,30 @@ def verdict(
     before = np.sqrt(np.mean(made.before**2, axis=0))
     after = np.array([x["rmse"] for x in extended.values()])
     left = np.sqrt(learned) * after
-    fine = (learned < PREDICTABLE) | (left < SMALL * before)
+    fine = (learned < PREDICTABLE) | (left < SMALL * before) | np.isnan(learned)
     if floor is not None:
         fine |= after < 1.2 * np.sqrt(2) * floor
     return "explained" if np.all(fine) else "partly_explained"
 
 
-def summary(diagnosis: Diagnosis) -> str:
-    """The verdict in two sentences."""
+def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
+    """The verdict in two or three sentences.
+
+    Args:
+        titles: of the effects, by name.
+    """
+    still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
+    said = _summary(diagnosis, titles)
+    return f"{said} Not judged: {', '.join(still)}, which hardly moves in this log." if still else said
+
+
+def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
     before, after = (
         np.sqrt(np.mean([x["rmse"] ** 2 for x in table.values()])) for table in (diagnosis.baseline, diagnosis.extended)
     )
     rest = [j for j, s in diagnosis.unexplained.items() if s > PREDICTABLE]
-    most = 100 * max(diagnosis.unexplained.values())
+    most = 100 * max((diagnosis.unexplained[j] for j in rest), default=0.0)
     unknown = (
         f"something unknown remains on {', '.join(rest)}: a learner still predicts up to {most:.0f} % of the residual"
     )
@@ -43,7 +52,7 @@ def summary(diagnosis: Diagnosis) -> str:
         first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
         return f"{first} {unknown[0].upper()}{unknown[1:]}." if rest else f"{first} What is left looks like noise."
     said = [
-        f"{EFFECTS[f.effect].title}{' or its rivals' if f.status == 'ambiguous' else ''}"
+        f"{titles[f.effect]}{' or its rivals' if f.status == 'ambiguous' else ''}"
         + (f" on {f.joint}" if f.joint else "")
         for f in claims[:4]
     ]

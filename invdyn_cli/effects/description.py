@@ -58,6 +58,7 @@ class ExtendedModel:
         """
         q, qd, qdd = (np.asarray(x, float).T for x in (q, qd, qdd))
         t = period_of(q, qd) * np.arange(q.shape[1]) if t is None else np.asarray(t, float)
+        t = t - t[:1]
         rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
         body = rigid_torque(*changed(self.robot, self.acting, Motion(q, qd, qdd)))
         out = np.empty_like(body)

@@ -1,9 +1,14 @@
 """Rivals: who takes an effect's place, and when the simpler name is given."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import naming, noise
+from invdyn_cli.diagnosis.evidence import Evidence
+from invdyn_cli.diagnosis.recording import Filter
 from invdyn_cli.diagnosis.search import Judge
 from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw
 from tests.diagnosis.sick import motion
@@ -108,5 +113,6 @@ def test_structure_is_what_is_no_noise():
     noise_, wave = np.random.default_rng(0).normal(size=4000), 2 * np.sin(rows / 50)
     valid, piece = np.ones((4000, 3), bool), np.zeros(4000, int)
     valid[:, 2] = False
-    got = naming.structure(np.column_stack([noise_, noise_ + wave, wave]), valid, piece)
+    rows = SimpleNamespace(recording=SimpleNamespace(filter=Filter(250.0, (40.0,) * 3, 2)), piece=piece)
+    got = naming.structure(cast(Evidence, rows), np.column_stack([noise_, noise_ + wave, wave]), valid)
     assert got[0] < 0.05 and got[1] == pytest.approx(2.0, rel=0.1) and got[2] == 0.0
