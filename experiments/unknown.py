@@ -50,13 +50,13 @@ def hum(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple
 
 
 def neighbour(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple[Force, bool]:
-    """A torque on one joint that another joint's angle makes: a hose across both, a coupled gear."""
+    """A torque on one joint, of no mean, that another joint's angle makes: a hose across both, a coupled gear."""
     n = scene.robot.dofs
     other = int(draw.choice([k for k in range(n) if k != j]))
     middle, phase = scene.q[:, other].mean(), draw.uniform(-np.pi, np.pi)
-    size = torque / np.sqrt(np.mean(np.sin(2 * (scene.q[:, other] - middle) + phase) ** 2))
-    own = np.eye(n)[j]
-    return lambda t, q, qd: own * size * np.sin(2 * (q[other] - middle) + phase), True
+    wave = np.sin(2 * (scene.q[:, other] - middle) + phase)
+    mean, size, own = wave.mean(), torque / wave.std(), np.eye(n)[j]
+    return lambda t, q, qd: own * size * (np.sin(2 * (q[other] - middle) + phase) - mean), True
 
 
 def cogging(draw: np.random.Generator, scene: Scene, j: int, torque: float) -> tuple[Force, bool]:
