@@ -1,14 +1,17 @@
 """Columns beside the logged torque: what enters, and in which blocks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.evidence import BLOCK
+from invdyn_cli.diagnosis.evidence import BLOCK, gather
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.simulation.references import PickPlace
-from tests.diagnosis.analytic import arm, candidate, column, evidence_of, log_of, moved, on, raw
+from invdyn_cli.types import Motion
+from tests.diagnosis.analytic import arm, candidate, column, evidence_of, log_of, moved, on, raw, recording_of
 
 
 def test_samples_at_rest_do_not_enter():
@@ -83,3 +86,18 @@ def test_blocks_are_long_and_of_one_piece():
         own = evidence.block == b
         assert len({*zip(evidence.piece[own], evidence.role[own], strict=True)}) == 1
         assert np.ptp(times[own]) > BLOCK - 0.05
+
+
+def test_a_slow_joint_moves_all_the_same():
+    """A hundredth of the speed of the others' is no rest where it is the joint's usual speed."""
+    t, m = moved()
+    slow = np.array([1.0, 0.01, 1.0])
+    evidence = evidence_of(log_of(raw(t, Motion(slow * m.q, slow * m.qd, slow * m.qdd))), [], cutoffs=(10.0,))
+    assert np.all(evidence.valid.mean(0) > 0.8)
+
+
+def test_without_gravity_no_base_is_tilted():
+    """What a tilt would turn is not there."""
+    robot = replace(arm(), gravity=np.zeros(3))
+    evidence = gather(robot, recording_of(log_of(raw(*moved()))), list(EFFECTS.values()), "unknown")
+    assert not any(c.effect.name == "base_tilt" for c in evidence.candidates)

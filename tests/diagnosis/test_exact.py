@@ -7,11 +7,13 @@ import pytest
 from scipy.signal import lfilter
 
 from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis.evidence import gather
 from invdyn_cli.diagnosis.exact import Model, intervals, refine
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.load import MASS
 from invdyn_cli.interfaces import JointState
-from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
+from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw, recording_of
 
 
 def acting(*given) -> list[Acting]:
@@ -109,3 +111,28 @@ def test_the_residual_of_nothing_is_the_first_column(still):
     """Without effects the exact residual is the logged torque less the nominal one, as the tables have it."""
     residual = Model(still).residual(())
     np.testing.assert_allclose(residual, np.column_stack([x[:, 0] for x in still.tables]), atol=1e-9)
+
+
+def test_a_model_never_answers_with_the_residual_of_another(still):
+    """More encoder offsets than it remembers: every residual is that of a model that was asked nothing else."""
+    model, draw = Model(still), np.random.default_rng(0)
+    for _ in range(90):
+        asked = acting(("encoder_offset", int(draw.integers(3)), {"offset": float(draw.uniform(-0.2, 0.2))}))
+        np.testing.assert_array_equal(model.residual(asked), Model(still).residual(asked))
+
+
+def test_what_the_data_do_not_show_has_a_wide_interval():
+    """A joint about a vertical axis shows nothing of its links' mass: the interval is as wide as what was known before
+    (MASS), while that of what the arm shows is narrow."""
+    t, m = moved()
+    robot = replace(arm(), gravity=np.zeros(3))  # without gravity no joint shows a mass at the axis it turns about
+    tau = inverse_dynamics(robot, m.q, m.qd, m.qdd) + 0.01 * np.random.default_rng(0).normal(size=m.q.shape)
+    log = log_of(replace(raw(t, m), tau=tau))
+    effects = [EFFECTS["link_inertia_error"], EFFECTS["viscous_friction"]]
+    evidence = gather(robot, recording_of(log, cutoffs=(10.0,)), effects, "unknown")
+    error = {"mass": 0.0, "moment": np.zeros(3), "inertia": np.zeros(6)}
+    given = acting(("link_inertia_error", 0, error), ("viscous_friction", 0, {"damping": 0.0}))
+    refined = refine(evidence, Model(evidence), given, np.ones(len(evidence.role), bool), np.full(3, 1e3))
+    link, friction = intervals(evidence, refined)
+    assert link["mass"][2] - link["mass"][1] > 2 * MASS
+    assert friction["damping"][2] - friction["damping"][1] < 0.05

@@ -8,6 +8,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from invdyn_cli.diagnosis.evidence import filtered
 from invdyn_cli.errors import LogError
+from invdyn_cli.logfile import RawTrajectory
 from tests.diagnosis.analytic import arm, column, evidence_of, log_of, moved, on, raw, recording_of
 from tests.diagnosis.sick import motion
 
@@ -134,3 +135,34 @@ def test_too_little_is_refused():
     """A log too short for its own filter is refused with the length that is needed."""
     with pytest.raises(LogError, match="s are needed"):
         recording_of(log_of(raw(*moved(seconds=1.0))), cutoffs=(3.0,))
+
+
+def test_time_counts_from_the_start_of_a_trajectory():
+    """A clock that began in 1970 gives the times of one that began with the log, within a millisecond: its own steps are
+    of 0.24 us."""
+    one = raw(*moved(seconds=20))
+    since, then = (recording_of(log_of(x), cutoffs=(10.0,)).pieces for x in (one, replace(one, t=one.t + 1.7e9)))
+    for a, b in zip(since, then, strict=True):
+        np.testing.assert_allclose(a.t, b.t, atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def handful():
+    """Forty trajectories of 3 s."""
+    t, m = moved(seconds=120)
+    parts = [slice(k * 1500, (k + 1) * 1500) for k in range(40)]
+    return [RawTrajectory(f"run_{k}", t[p], m.q[p], 0 * m.q[p]) for k, p in enumerate(parts)]
+
+
+def test_many_short_trajectories_are_thinned_whole(handful):
+    """Of more log than is looked at, short trajectories are left out or kept whole, in both roles."""
+    pieces = recording_of(log_of(*handful), longest=30.0, cutoffs=(10.0,)).pieces
+    length = {role: sum(p.t[-1] - p.t[0] for p in pieces if p.role == role) for role in ("train", "test")}
+    assert 15 < length["train"] < 27 and (length["test"] == 0.0 or 5 < length["test"] < 12)
+    assert len({p.trajectory for p in pieces}) > 5
+
+
+def test_trajectories_too_short_to_be_parted_judge_as_wholes(handful):
+    """Where no part of a trajectory is long enough to judge, the last trajectories do."""
+    pieces = recording_of(log_of(*handful[:10]), cutoffs=(3.0,)).pieces
+    assert [p.role for p in pieces] == ["train"] * 7 + ["test"] * 3

@@ -36,3 +36,11 @@ def test_other_motions_are_no_repeats():
     both = log_of(named("run", *moved(), torque=SIGMA), named("other", *moved(seed=5), torque=SIGMA))
     assert noise_floor(recording_of(both, WHOLE)) is None
     assert noise_floor(recording_of(log_of(raw(*moved(), torque=SIGMA)))) is None
+
+
+def test_what_has_changed_since_a_reference_is_no_noise():
+    """The same motion before and after a friction came: no floor is taken from their difference."""
+    now = named("run", *moved(), on(1, lambda t, q, qd, qdd: 2 * np.sign(qd)), torque=SIGMA)
+    before = named("again", *moved(), torque=SIGMA, seed=2)
+    windows = {"train": [("run", -np.inf, np.inf)], "reference": [("again", -np.inf, np.inf)]}
+    assert noise_floor(recording_of(log_of(now, before), windows, cutoffs=(10.0,))) is None
