@@ -138,8 +138,8 @@ def test_too_little_is_refused():
 
 
 def test_time_counts_from_the_start_of_a_trajectory():
-    """A clock that began in 1970 gives the times of one that began with the log, within a millisecond: its own steps are
-    of 0.24 us."""
+    """A clock that began in 1970 gives the times of one that began with the log, within a millisecond: its own steps
+    are of 0.24 us."""
     one = raw(*moved(seconds=20))
     since, then = (recording_of(log_of(x), cutoffs=(10.0,)).pieces for x in (one, replace(one, t=one.t + 1.7e9)))
     for a, b in zip(since, then, strict=True):
