@@ -85,7 +85,8 @@ class Options:
 
 @dataclass(frozen=True)
 class Said:
-    """What was said of one log: findings as effect@joint by status, and the share that is unexplained on its joint."""
+    """What was said of one log: findings as effect@joint by status, the share that is unexplained on its joint, and
+    whether the verdict says that something is unknown there."""
 
     invention: str
     seed: int
@@ -94,7 +95,7 @@ class Said:
     named: tuple[str, ...]
     ambiguous: tuple[str, ...]
     unexplained: float
-    verdict: str
+    told: bool
     seconds: float
 
 
@@ -123,9 +124,8 @@ def judge(invention: str, seed: int, case: Case, joint: str, diagnosis: Diagnosi
         for status in ("named", "ambiguous")
     }
     left = float(diagnosis.unexplained.get(joint, 0.0))
-    return Said(
-        invention, seed, joint, case.share, **found, unexplained=left, verdict=diagnosis.verdict, seconds=seconds
-    )
+    told = left > TOLD or joint in diagnosis.details["beyond_noise"]
+    return Said(invention, seed, joint, case.share, **found, unexplained=left, told=told, seconds=seconds)
 
 
 def table(all_said: Sequence[Said]) -> str:
@@ -136,12 +136,12 @@ def table(all_said: Sequence[Said]) -> str:
         own = [x for x in all_said if x.invention == name]
         named = sum(bool(x.named) for x in own)
         unsure = sum(bool(x.ambiguous) and not x.named for x in own)
-        told = sum(x.unexplained > TOLD for x in own)
+        told = sum(x.told for x in own)
         often = Counter(effect for x in own for effect in {y.split("@")[0] for y in x.named})
         most = ", ".join(f"{effect} {count}" for effect, count in often.most_common(3)) or "-"
         none = len(own) - named - unsure
         lines.append(f"| {name} | {len(own)} | {named} | {unsure} | {none} | {told} | {most} |")
-    named, told = sum(bool(x.named) for x in all_said), sum(x.unexplained > TOLD for x in all_said)
+    named, told = sum(bool(x.named) for x in all_said), sum(x.told for x in all_said)
     lines += ["", f"- Something named in {named} of {len(all_said)} logs; said to be unexplained in {told}."]
     return "\n".join(lines)
 

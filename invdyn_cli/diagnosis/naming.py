@@ -47,7 +47,8 @@ class Rival:
 
 
 def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
-    """The hypothesis with the special case in the place of every effect that the data do not ask for in full."""
+    """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
+    simpler effect in the place of a link's inertials that do no better."""
     for i, general in enumerate(hypothesis):
         for c in pool:
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
@@ -57,6 +58,10 @@ def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
                 unsure = step.sum() + extra < SURE * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
                 if unsure or chance(step, extra) > DOUBT:
                     return simplified(judge, always, simpler, pool)
+        if general.effect.name == "link_inertia_error":  # ten coefficients do what fewer of another effect do as well
+            for rival in rivals(judge, always, hypothesis, i, pool):
+                if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
+                    return simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
     return hypothesis
 
 

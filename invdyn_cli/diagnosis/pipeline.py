@@ -94,6 +94,7 @@ def diagnose(
     made = findings.report(inquiry, pool, examination, side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
+    restless = unexplained.beyond_noise(evidence, made.residual, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, shares))
     progress(0.95, "model")
@@ -108,7 +109,7 @@ def diagnose(
     baseline, extended = _scores(evidence, made)
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
-        verdict=wording.verdict(made, learned, floor, extended),
+        verdict=wording.verdict(made, learned, restless, floor, extended),
         examination=examination,
         findings=made.findings,
         baseline=baseline,
@@ -126,6 +127,7 @@ def diagnose(
             "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,
+            "beyond_noise": [j for j, x in zip(robot.joints, restless, strict=True) if x],
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
         },
     )

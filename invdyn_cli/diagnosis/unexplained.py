@@ -9,6 +9,8 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.diagnosis.evidence import Evidence
+from invdyn_cli.diagnosis.naming import structure
+from invdyn_cli.diagnosis.search import RELEVANT
 from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.types import Dataset, Motion, Trajectory
 
@@ -20,6 +22,9 @@ FLOOR = 1e-3
 
 STRETCH = 0.5
 """[s] of stretches that are learned from and judged in turn."""
+
+LOUDER = 5.0
+"""Times the usual, above which what comes back in time is more than noise."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 
@@ -57,6 +62,17 @@ def shares(evidence: Evidence, residual: np.ndarray, learner: AbstractModel | No
             saved = np.var(left) - np.mean((left - predicted[own, j]) ** 2)
             out[j] = max(0.0, saved / (np.var(left) + nothing))
     return out
+
+
+def beyond_noise(evidence: Evidence, residual: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Whether (n,) what is left of a joint's torque (R, n) on these rows comes back in time as no noise does, and is
+    many times what the torque's own noise and an honest log of a right model leave, whatever a learner predicts of it:
+    a torque that swings in time is no function of the motion."""
+    recording = evidence.recording
+    white = recording.torque_noise * np.sqrt(2 * np.array(recording.filter.cutoffs) * recording.period)
+    usual = np.hypot(white, RELEVANT * np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0)))
+    found = structure(evidence, residual, evidence.valid & rows[:, None])
+    return np.sqrt(found) > LOUDER * usual
 
 
 def _nets(motion, residual: np.ndarray, learn: np.ndarray, judge: np.ndarray, key: jax.Array) -> np.ndarray:

@@ -13,15 +13,19 @@ than this share of the nominal model's error, in N m."""
 
 
 def verdict(
-    made: Made, learned: np.ndarray, floor: np.ndarray | None, extended: Mapping[str, Mapping[str, float]]
+    made: Made,
+    learned: np.ndarray,
+    restless: np.ndarray,
+    floor: np.ndarray | None,
+    extended: Mapping[str, Mapping[str, float]],
 ) -> str:
     """explained, partly_explained or nothing_found."""
     if not any(f.status in ("named", "ambiguous") for f in made.findings):
         return "nothing_found"
     before = np.sqrt(np.mean(made.before**2, axis=0))
     after = np.array([x["rmse"] for x in extended.values()])
-    left = np.sqrt(learned) * after
-    fine = (learned < PREDICTABLE) | (left < SMALL * before) | np.isnan(learned)
+    left = np.where(restless, 1.0, np.sqrt(np.nan_to_num(learned))) * after
+    fine = ~(restless | (learned > PREDICTABLE)) | (left < SMALL * before)
     if floor is not None:
         fine |= after < 1.2 * np.sqrt(2) * floor
     return "explained" if np.all(fine) else "partly_explained"
@@ -43,14 +47,10 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     before, after = (
         np.sqrt(np.mean([x["rmse"] ** 2 for x in table.values()])) for table in (diagnosis.baseline, diagnosis.extended)
     )
-    rest = [j for j, s in diagnosis.unexplained.items() if s > PREDICTABLE]
-    most = 100 * max((diagnosis.unexplained[j] for j in rest), default=0.0)
-    unknown = (
-        f"something unknown remains on {', '.join(rest)}: a learner still predicts up to {most:.0f} % of the residual"
-    )
+    rest = _rest(diagnosis)
     if not claims:
         first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
-        return f"{first} {unknown[0].upper()}{unknown[1:]}." if rest else f"{first} What is left looks like noise."
+        return f"{first} {rest or 'What is left looks like noise.'}"
     said = [
         f"{titles[f.effect]}{' or its rivals' if f.status == 'ambiguous' else ''}"
         + (f" on {f.joint}" if f.joint else "")
@@ -59,9 +59,22 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     more = f" and {len(claims) - 4} more" if len(claims) > 4 else ""
     first = f"The simulation lacks {_listed(said)}{more}; with that its held-out error falls from {before:.3g} to "
     first += f"{after:.3g} N m RMS over all joints."
-    if diagnosis.verdict == "partly_explained" and rest:
-        return f"{first} But {unknown}."
-    return f"{first} What is left looks like noise."
+    if diagnosis.verdict == "explained" and rest:
+        return f"{first} What is left is small beside that."
+    return f"{first} {rest or 'What is left looks like noise.'}"
+
+
+def _rest(diagnosis: Diagnosis) -> str:
+    """What is left and is no noise, "" if there is none."""
+    shares = {j: share for j, share in diagnosis.unexplained.items() if share > PREDICTABLE}
+    swings = [j for j in diagnosis.details.get("beyond_noise", ()) if j not in shares]
+    said = []
+    if shares:
+        most = f"a learner still predicts up to {100 * max(shares.values()):.0f} % of the residual"
+        said.append(f"Something unknown remains on {', '.join(shares)}: {most}.")
+    if swings:
+        said.append(f"What is left on {', '.join(swings)} is no noise, though no learner predicts it from the motion.")
+    return " ".join(said)
 
 
 def _listed(words: Sequence[str]) -> str:
