@@ -147,6 +147,12 @@ def test_the_flipped_joint_is_named(log, arm):
     assert (one.joint, every.joint) == (arm.joints[1], None)
 
 
+def test_a_torque_of_another_size_is_not_turned(log, arm):
+    """A heavy payload may turn the torque of a light joint, and makes it several times as large: no sign is wrong."""
+    tau = log.trajectories[0].tau * np.array([1, 1, 1, 1, 1, 1, -4])
+    assert seen(doctor.examine(changed(log, tau=tau), arm), "sign_error") == []
+
+
 def test_gravity_that_is_removed_is_declared(log, arm):
     """Torques without gravity are found; mending leaves them, and says so in the log's `compensated`."""
     bad = spoiled(log, arm, "no gravity")

@@ -233,10 +233,13 @@ class SignError(AbstractCheck):
     Attributes:
         correlation: below minus this a joint is flipped, above this it is not (ours: with friction taken out, what is
             left of a well moved joint's torque is rigid-body dynamics; noise and model errors take from 1).
+        size: factor by which a single flipped torque may be larger or smaller than the nominal one (ours: a payload
+            may turn the torque of the joint behind which it hangs, and makes it another size).
     """
 
     name: ClassVar[str] = "sign_error"
     correlation: float = 0.75
+    size: float = 2.0
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """All joints at once where none speaks against it, else single ones; the value is the correlation."""
@@ -253,7 +256,13 @@ class SignError(AbstractCheck):
         seen = f"correlation of torque and nominal torque, friction taken out: {said}"
         if not len(upright) and len(flipped) >= min(2, len(log.joints)):
             return [self._seen(None, float(np.median(values[flipped])), seen, "all torques")]
-        return [self._seen(log.joints[j], float(values[j]), seen, f"the torque of {log.joints[j]}") for j in flipped]
+        return [
+            self._seen(log.joints[j], float(values[j]), seen, f"the torque of {log.joints[j]}")
+            for j in flipped
+            if 1 / self.size
+            < abs(slope(*(left(x[:, j], evidence.columns(j)) for x in (evidence.tau, evidence.nominal))))
+            < self.size
+        ]
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Turn them round."""
