@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.evidence import body_columns, filtered, gravity_columns, joint_states
+from invdyn_cli.diagnosis.evidence import STEP, body_columns, filtered, gravity_columns, joint_states
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
@@ -24,7 +24,7 @@ MOST = 1.05
 
 def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) [s] by which each joint's logged torque leads its motion, and its standard error: the factor of the
-    nominal torque's slope beside all inertials, gravity, friction and offset."""
+    nominal torque's slope beside all inertials, gravity, encoder offsets, friction and offset."""
     n = robot.dofs
     moves = np.eye(10 * n)
     linear = partial(body_columns, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
@@ -34,7 +34,10 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
         torque = rigid_torque(robot, piece.motion)
         states = joint_states(piece, torque, recording)
         motion = piece.q, piece.qd, piece.qdd
-        bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion)]))
+        zeros = [
+            rigid_torque(robot, replace(piece.motion, q=piece.q + STEP * row[:, None])) - torque for row in np.eye(n)
+        ]
+        bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion), zeros]))
         slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))
         extras.append(np.stack([[s.sign, s.qd, np.ones_like(s.qd), s.qd * abs(s.qd)] for s in states], axis=1))
     bodies, slopes, extras = (filtered(recording, x) for x in (bodies, slopes, extras))
