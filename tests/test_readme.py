@@ -30,6 +30,12 @@ def runs() -> list[str]:
     return [c for c, output in COMMANDS if c.startswith("invdyn run") and "invdyn:" not in output and "mine" not in c]
 
 
+def skeleton(text: str) -> list[str]:
+    """Lines without their digits and blanks."""
+    numbers = re.sub(r"\d+(\.\d+)?(e[-+]\d+)?", "#", text)
+    return [" ".join(line.split()) for line in numbers.splitlines() if line.strip()]
+
+
 @pytest.mark.parametrize("command", runs())
 def test_commands_compose(command):
     """Every `invdyn run` in the pages composes: its groups, choices and options exist."""
@@ -59,12 +65,19 @@ def test_the_session_is_real(tmp_path):
     command, said = COMMANDS[2]
     done = invdyn(*shlex.split(command)[1:], cwd=tmp_path, COLUMNS="80")
     assert done.returncode == 0, done.stderr
-
-    def skeleton(text: str) -> list[str]:
-        numbers = re.sub(r"\d+(\.\d+)?(e[-+]\d+)?", "#", text)
-        return [" ".join(line.split()) for line in numbers.splitlines() if line.strip()]
-
     assert skeleton(done.stdout) == skeleton(said)
+
+
+def test_the_diagnosis_is_real(tmp_path):
+    """So does its diagnosis of a simulated arm, as far as it is shown."""
+    from tests.commands import invdyn
+
+    at = next(i for i, (command, _) in enumerate(COMMANDS) if command.startswith("invdyn diagnose"))
+    for command in (COMMANDS[at - 2][0], COMMANDS[at][0]):
+        done = invdyn(*shlex.split(command)[1:], cwd=tmp_path, COLUMNS="100")
+        assert done.returncode == 0, done.stderr
+    shown = skeleton(COMMANDS[at][1])[:-1]
+    assert COMMANDS[at][1].endswith("…") and skeleton(done.stdout)[: len(shown)] == shown
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
