@@ -196,7 +196,7 @@ def prepare(
     for name, role, t, q, tau in cut:
         if len(t) // step > 3 * common.inset + 8:
             pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
-    if windows is None and len(pieces) > 1 and not any(piece.role == "test" for piece in pieces):
+    if windows is None and len(log.trajectories) > 1 and not any(piece.role == "test" for piece in pieces):
         return prepare(log, inertia, _by_trajectory(log, options), options)
     if not any(piece.role == "train" for piece in pieces):
         needed = (3 * common.inset + 8) / rate
