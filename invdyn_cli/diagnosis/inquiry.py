@@ -79,11 +79,7 @@ def inquire(
         judge.refresh()
         before = {c.key for c in hypothesis}
         refined = refine(evidence, model, acting_of(judge, always, hypothesis), choosing, measured.weights, always)
-        unlikely = {
-            (a.effect.name, a.joint)
-            for k, a in enumerate(refined.acting)
-            if not _is_likely(evidence, model, measured, refined, k)
-        }
+        unlikely = _unlikely(evidence, model, measured, refined)
         if unlikely:
             pool = [c for c in pool if c.key not in unlikely]
             hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
@@ -95,11 +91,17 @@ def inquire(
         hypothesis = naming.simplified(judge, always, hypothesis, pool)
         if {c.key for c in hypothesis} == before:
             break
-    acting = acting_of(judge, always, hypothesis)
-    chosen = refine(evidence, model, acting, choosing, measured.weights, always)
-    hypothesis, chosen, close = told_apart(judge, model, effects, always, hypothesis, chosen)
-    whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
-    return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close)
+    while True:
+        acting = acting_of(judge, always, hypothesis)
+        chosen = refine(evidence, model, acting, choosing, measured.weights, always)
+        hypothesis, chosen, close = told_apart(judge, model, effects, always, hypothesis, chosen)
+        whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
+        unlikely = _unlikely(evidence, model, measured, chosen) | _unlikely(evidence, model, measured, whole)
+        if not unlikely:
+            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close)
+        pool = [c for c in pool if c.key not in unlikely]
+        hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
+        hypothesis = naming.simplified(judge, always, hypothesis, pool)
 
 
 def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
@@ -112,11 +114,23 @@ CLIPPED, SELDOM, BEYOND = 0.1, 0.5, 3.0
 """Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
 the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it."""
 
+DROP = 1.1
+"""Of the Coulomb level, what the static one is at least in any gear that has two."""
+
 PERIODS = 1.5
 """Of a ripple, below which it is no ripple but any bend of the torque over the angle."""
 
 NEARLY = 0.9
 """Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
+
+
+def _unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple[str, int | None]]:
+    """Effects and joints whose parameters came out as no such effect has them."""
+    return {
+        (a.effect.name, a.joint)
+        for k, a in enumerate(refined.acting)
+        if not _is_likely(evidence, model, measured, refined, k)
+    }
 
 
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
@@ -126,8 +140,11 @@ def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined:
         return _is_a_limit(evidence, model, measured, refined, place)
     if one.effect.name == "torque_ripple":
         return one.parameters["cycles"] * float(np.ptp(evidence.on_rows("q")[:, one.joint])) > 2 * np.pi * PERIODS
-    if one.effect.name == "stribeck_friction":  # while a joint that turns back sticks, its speed changes by so much
-        return one.parameters["velocity"] > STICK_TIME * float(np.std(evidence.on_rows("qdd")[:, one.joint]))
+    if one.effect.name == "stribeck_friction":
+        stuck = STICK_TIME * float(
+            np.std(evidence.on_rows("qdd"), axis=0)[one.joint]
+        )  # its speed changes so much meanwhile
+        return one.parameters["velocity"] > stuck and one.parameters["static"] > DROP * one.parameters["coulomb"]
     return True
 
 

@@ -260,7 +260,7 @@ class SignError(AbstractCheck):
             self._seen(log.joints[j], float(values[j]), seen, f"the torque of {log.joints[j]}")
             for j in flipped
             if 1 / self.size
-            < abs(slope(*(left(x[:, j], evidence.columns(j)) for x in (evidence.tau, evidence.nominal))))
+            < abs(slope(*(left(x[:, j], evidence.columns(int(j))) for x in (evidence.tau, evidence.nominal))))
             < self.size
         ]
 
