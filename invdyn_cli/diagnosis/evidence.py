@@ -35,6 +35,9 @@ REST_SPEED, REST_SHARE = 0.004, 0.02
 """Speed [rad/s; m/s], and share of a joint's usual speed (its 90 % quantile), below which the joint rests if it stays
 so for REST_TIME; its friction can then be anything."""
 
+HELD = 0.01
+"""Range [rad; m] within which a joint is held: it creeps, and its friction holds what it likes."""
+
 REST_TIME = 0.05
 DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 """Effects that jump where a joint turns back."""
@@ -151,8 +154,9 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
     blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
     tau = filtered(recording, [p.tau for p in recording.pieces])
     torque = filtered(recording, nominal)
-    usual = np.quantile(np.abs(np.concatenate([p.qd for p in recording.pieces], axis=1)), 0.9, axis=1)
-    rest = np.minimum(REST_SPEED, REST_SHARE * usual)
+    angles, speeds = (np.concatenate([getattr(p, x) for p in recording.pieces], axis=1) for x in ("q", "qd"))
+    rest = np.minimum(REST_SPEED, REST_SHARE * np.quantile(np.abs(speeds), 0.9, axis=1))
+    rest[np.ptp(angles, axis=1) < HELD] = np.inf
     moving = np.concatenate([_moving(p, recording, rest) for p in recording.pieces], axis=1)
     evidence = Evidence(
         robot, recording, [np.array((tau[j] - torque[j])[:, None]) for j in range(n)], moving.T, blocks, role, piece_of,

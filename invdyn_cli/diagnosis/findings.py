@@ -109,6 +109,9 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             continue
         else:
             acting.append(whole.acting[i])
+        if candidate.key[0] == "coulomb_friction" and ("joint_spring", candidate.joint) in {c.key for c in hypothesis}:
+            # the spring's rest holds what makes friction differ by direction
+            finding = replace(finding, alternatives=(*finding.alternatives, ("asymmetric_coulomb_friction",)))
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             finding = replace(finding, alternatives=(*finding.alternatives, ("stribeck_friction",)))
         finding = _body(finding, evidence.robot, joint, ends[i])

@@ -39,7 +39,7 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     """
     still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
     said = _summary(diagnosis, titles)
-    return f"{said} Not judged: {', '.join(still)}, which hardly moves in this log." if still else said
+    return f"{said} Not judged, as hardly moving in this log: {', '.join(still)}." if still else said
 
 
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
