@@ -9,6 +9,7 @@ files (report.html, diagnosis.json, figures/) lie in a folder of its own, and su
 docs=true puts the short table into experiments/real_diagnosis.md.
 """
 
+import math
 import os
 import sys
 import time
@@ -142,7 +143,8 @@ def section(done: Done) -> str:
         floor = (diagnosis.noise_floor or {}).get(joint, {}).get("rmse")
         numbers = [diagnosis.baseline[joint]["rmse"], diagnosis.extended[joint]["rmse"], floor]
         cells = " | ".join(map(significant, numbers))
-        lines.append(f"| {joint} | {cells} | {100 * diagnosis.unexplained.get(joint, 0.0):.0f} % |")
+        share = diagnosis.unexplained.get(joint, math.nan)
+        lines.append(f"| {joint} | {cells} | {'not judged' if math.isnan(share) else f'{100 * share:.0f} %'} |")
     return "\n".join([*lines, ""])
 
 
