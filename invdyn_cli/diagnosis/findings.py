@@ -307,7 +307,7 @@ def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, 
             )
     if finding.effect == "link_inertia_error":
         assert joint is not None
-        scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.06}
+        scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.05}
         shown = {
             name: q if np.all(np.asarray(q.interval95[1]) - np.asarray(q.interval95[0]) < 2 * scales[name]) else None
             for name, q in finding.parameters.items()
