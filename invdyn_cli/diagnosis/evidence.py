@@ -75,6 +75,11 @@ class Candidate:
         """The effect's name and its joint."""
         return self.effect.name, self.joint
 
+    @property
+    def is_trial(self) -> bool:
+        """Whether some of its columns are fixed: it does something by itself, whatever the coefficients."""
+        return any(fixed for fixed, _ in self.columns.values())
+
 
 @dataclass
 class Evidence:

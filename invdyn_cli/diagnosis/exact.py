@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.search import LEAST_PRECISION, solved
+from invdyn_cli.diagnosis.search import LEAST_PRECISION, WHOLE, solved
 from invdyn_cli.effects.composition import Acting, changed, joint_terms, rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
@@ -67,17 +67,16 @@ class Model:
 
     def residual(self, acting: Sequence[Acting]) -> np.ndarray:
         """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
-        bodies = self.bodies(acting)
-        whole = _keys([a for a in acting if a.effect.point in ("body", "motion")])
-        out = np.column_stack([self._row(acting, whole, bodies, j) for j in range(self.evidence.dofs)])
+        bodies = self._moved(acting)
+        out = np.column_stack([self._row(acting, bodies, j) for j in range(self.evidence.dofs)])
         compared = self.evidence.reference_rows
         if compared is not None and len(acting):  # what was hidden since is not in the reference
             out[compared] = self.residual(())[compared]
         return out
 
-    def bodies(self, acting: Sequence[Acting]) -> list[np.ndarray]:
-        """Inverse dynamics (n, T) of every piece with the body and motion effects."""
-        whole = [a for a in acting if a.effect.point in ("body", "motion")]
+    def _moved(self, acting: Sequence[Acting]) -> tuple:
+        """The key of the inverse dynamics (n, T) of every piece with the body and motion effects, which are there."""
+        whole = [a for a in acting if a.effect.point in WHOLE]
         key = _keys(whole)
         if key not in self._bodies:
             if len(self._bodies) > 40:
@@ -86,16 +85,17 @@ class Model:
             self._bodies[key] = [
                 rigid_torque(*changed(robot, whole, piece.motion)) for piece in self.evidence.recording.pieces
             ]
-        return self._bodies[key]
+        return key
 
-    def _row(self, acting: Sequence[Acting], whole: tuple, bodies: list[np.ndarray], j: int) -> np.ndarray:
+    def _row(self, acting: Sequence[Acting], bodies: tuple, j: int) -> np.ndarray:
         own = [a for a in acting if a.joint == j and a.effect.point in ("torque", "channel")]
-        key = (whole, j, _keys(own))
+        key = (bodies, j, _keys(own))
         if key not in self._rows:
             if len(self._rows) > 400:
                 self._rows.clear()
             parts = []
-            for piece, states, body in zip(self.evidence.recording.pieces, self.evidence.states, bodies, strict=True):
+            pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
+            for piece, states, body in zip(pieces, self.evidence.states, moved, strict=True):
                 state = states[j]._replace(transmitted=body[j])
                 tau = body[j] + sum(joint_terms(own, j, state))
                 logged = piece.tau[j]

@@ -79,7 +79,7 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
     if len(hypothesis) < len(inquiry.hypothesis):
         chosen = refitted(inquiry, acting_of(judge, inquiry.always, hypothesis), judge.rows)
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
-    nothing = refitted(inquiry, [], judge.rows)
+    nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
     whole = replace(whole, acting=tuple(_as_link(evidence.robot, a) for a in whole.acting))
     ends = intervals(evidence, whole)
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
@@ -95,14 +95,14 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             status="named",
             alternatives=_alternatives(rivals),
             parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate)),
-            gain=_gains(inquiry, hypothesis, (i,)),
+            gain=_gains(inquiry, hypothesis, (i,), after),
             rejected=_rejected(evidence.robot, candidate.key, rivals),
             advice=effect.advice,
             evidence=_facts(evidence, terms[i]),
         )
         partner = _partner(hypothesis, i)
         if partner is not None and abs(ends[partner][_OFFSET][0]) < ends[i][_COULOMB][0]:
-            finding = _asymmetric(inquiry, hypothesis, whole, finding, i, partner)
+            finding = _asymmetric(inquiry, hypothesis, whole, finding, i, partner, after)
             terms[i] = terms[i] + terms[partner]
             acting += [whole.acting[i], whole.acting[partner]]
         elif _is_offset_of(hypothesis, i, ends):
@@ -146,11 +146,11 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
 _OFFSET, _COULOMB = "offset", "coulomb"
 
 
-def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> dict[str, Gain]:
-    """Held-out error of every joint that gains by these candidates, without and with them."""
+def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
+    """Held-out error of every joint that gains by these candidates, without and with them, which leaves `after`."""
     evidence = inquiry.evidence
     rows = judged(evidence)
-    after, before = left(inquiry, hypothesis, without)
+    before = left(inquiry, tuple(c for k, c in enumerate(hypothesis) if k not in without))
     numbers, of = np.unique(evidence.block[rows], return_inverse=True)
     draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
     gains = {}
@@ -250,7 +250,7 @@ def _is_offset_of(hypothesis: Hypothesis, i: int, ends: Sequence[Mapping[str, tu
     return k is not None and abs(ends[i][_OFFSET][0]) < ends[k][_COULOMB][0]
 
 
-def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, partner: int) -> Finding:
+def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, partner: int, after) -> Finding:
     """Coulomb friction beside an offset: the same torque as friction that differs by direction."""
     asymmetric = EFFECTS["asymmetric_coulomb_friction"]
     at = {(number, name): k for k, (number, name, _) in enumerate(whole.labels)}
@@ -267,7 +267,7 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
         effect=asymmetric.name,
         alternatives=(("coulomb_friction", "torque_offset"), *(a for a in finding.alternatives)),
         parameters=_quantities(asymmetric, level, _slides(inquiry.evidence.robot, hypothesis[i])),
-        gain=_gains(inquiry, hypothesis, (i, partner)),
+        gain=_gains(inquiry, hypothesis, (i, partner), after),
         advice=asymmetric.advice,
         evidence={
             **finding.evidence,

@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence, trial
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES
-from invdyn_cli.diagnosis.search import Hypothesis, Judge, parameters_of, read_all, search
+from invdyn_cli.diagnosis.search import WHOLE, Hypothesis, Judge, parameters_of, read_all, search
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect
@@ -172,7 +172,7 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
     hypothesis does: others bend where their straight line does not."""
     made: list[Candidate] = []
     for i, found in enumerate(hypothesis):
-        if found.effect.point not in ("body", "motion"):
+        if found.effect.point not in WHOLE:
             continue
         others = (*always, *hypothesis[:i], *hypothesis[i + 1 :])
         without, now = judge.quick(others)[0], judge.quick((*always, *hypothesis))[0]

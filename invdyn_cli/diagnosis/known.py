@@ -30,8 +30,7 @@ COUNTS = {"com": 3, "moment": 3, "inertia": 6}
 def is_common(candidate: Candidate) -> bool:
     """Whether an earlier log of the same robot is allowed to show it beside its nominal model: what is linear in its
     parameters, and the ripples that were found."""
-    fixed = any(columns[0] for columns in candidate.columns.values())
-    return not fixed and (not candidate.shape or candidate.effect.name == "torque_ripple")
+    return not candidate.is_trial and (not candidate.shape or candidate.effect.name == "torque_ripple")
 
 
 def read(
@@ -93,9 +92,8 @@ def allowed_for(pool: Sequence[Candidate], allowed: Sequence[tuple[str, int | No
     made: dict[tuple, Candidate] = {}
     for c in pool:
         if is_allowed(c, allowed):
-            fixed = any(columns[0] for columns in c.columns.values())
             free = replace(c, columns={j: ((), columns[1]) for j, columns in c.columns.items()})
-            made.setdefault((*c.key, None if fixed else tuple(c.shape.items())), free)
+            made.setdefault((*c.key, None if c.is_trial else tuple(c.shape.items())), free)
     return tuple(made.values())
 
 

@@ -51,9 +51,9 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
     hypothesis, said = inquiry.hypothesis, []
     exact = [_exactly(inquiry, k) for k in range(len(hypothesis))]
     while hypothesis:
-        worst = None
+        worst, after = None, left(inquiry, hypothesis)
         for i in range(len(hypothesis)):
-            why = _fails(inquiry, exact, hypothesis, i)
+            why = _fails(inquiry, exact, hypothesis, i, after)
             if why is not None and (worst is None or why[0] < worst[1][0]):
                 worst = i, why
         if worst is None:
@@ -66,15 +66,18 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
     return hypothesis, tuple(said)
 
 
-def _fails(inquiry: Inquiry, exact, hypothesis: Hypothesis, i: int) -> tuple[float, str] | None:
+def _fails(
+    inquiry: Inquiry, exact: Sequence[tuple[bool, float]], hypothesis: Hypothesis, i: int, after: np.ndarray
+) -> tuple[float, str] | None:
     """Why a candidate may not be claimed, with how much it explains; None if it may.
 
     Args:
         exact: `_exactly` of every candidate of the inquiry.
+        after: what the hypothesis leaves.
     """
     evidence, weights = inquiry.evidence, inquiry.noise.weights
     rows = judged(evidence)
-    after, before = left(inquiry, hypothesis, (i,))
+    before = left(inquiry, hypothesis[:i] + hypothesis[i + 1 :])
     valid = evidence.valid & rows[:, None]
     own = [j in hypothesis[i].columns for j in range(evidence.dofs)]
     squares = np.sum((before**2 - after**2) * valid, axis=0) * own
@@ -128,11 +131,7 @@ def _exactly(inquiry: Inquiry, place: int) -> tuple[bool, float]:
     return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(float(remains.sum()), 1e-300)
 
 
-def left(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (R, n) of a hypothesis, and of what remains of it, both fitted on the data that chose."""
-    judge = inquiry.judge
-    out = []
-    for kept in (hypothesis, tuple(c for k, c in enumerate(hypothesis) if k not in without)):
-        theta = judge.verdict((*inquiry.always, *kept)).theta
-        out.append(inquiry.evidence.left((*inquiry.always, *kept), theta))
-    return out[0], out[1]
+def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
+    """Residual (R, n) of a hypothesis fitted on the data that chose."""
+    every = (*inquiry.always, *hypothesis)
+    return inquiry.evidence.left(every, inquiry.judge.verdict(every).theta)
