@@ -203,18 +203,19 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
             ]
             if name in ("azimuth", "phase"):
                 away = [(x + np.pi) % (2 * np.pi) - np.pi for x in away]
-            by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(away[1] ** 2, axis=0))
-            error = np.hypot(np.maximum(reach(away[0], share), by_noise), 2 * _systematic(evidence, a, name, value))
+            error = np.hypot(reach(away[0], away[1], share), 2 * _systematic(evidence, a, name, value))
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
     return out
 
 
-def reach(replicas: np.ndarray, share: float = 0.95) -> np.ndarray:
-    """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958)."""
+def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
+    """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958); at least that of the moves (m, …)
+    that the noise leaves unknown."""
     count = len(replicas)
     spread = np.sqrt((count - 1) / count * np.sum((replicas - replicas.mean(0)) ** 2, axis=0))
-    return stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread
+    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(unknown**2, axis=0))
+    return np.maximum(stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread, by_noise)
 
 
 def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:

@@ -259,8 +259,7 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
     for name, sign in (("positive", 1.0), ("negative", -1.0)):
         value = whole.theta[both[0]] + sign * whole.theta[both[1]]
         each = whole.replicas[:, both[0]] + sign * whole.replicas[:, both[1]]
-        by_noise = whole.unknown[:, both[0]] + sign * whole.unknown[:, both[1]]
-        error = max(float(reach(each)), 1.96 * float(np.sqrt(np.sum(by_noise**2))))
+        error = float(reach(each, whole.unknown[:, both[0]] + sign * whole.unknown[:, both[1]]))
         level[name] = (value, value - error, value + error)
     return replace(
         finding,
