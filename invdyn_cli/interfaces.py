@@ -127,8 +127,9 @@ Parameters = Mapping[str, Any]
 
 
 class AbstractEffect(abc.ABC):
-    """A physical cause that a simulation may lack. It acts at one of four points, composed in this order: on the
-    motion, on the bodies, on a joint's torque, on the channel (logged -> delivered); each has its class below.
+    """A physical cause that a simulation may lack. It acts at one of six points, composed in this order: on the
+    motion, on the bodies, in the gear, as a force from outside, on a joint's torque, on the channel (logged ->
+    delivered); each has its class below.
 
     Its formula appears twice: linear for the search (`basis`, and `read` back into parameters), which tries the
     nonlinear parameters that `shapes` lists, and as it stands (`term` and the like) for the extended model. Array
@@ -141,9 +142,13 @@ class AbstractEffect(abc.ABC):
     reference: ClassVar[str]
     parameters: ClassVar[Mapping[str, Parameter]]
     point: ClassVar[str]
-    """Where it acts: torque, channel, body or motion; its base class says so."""
+    """Where it acts: motion, body, gear, force, torque or channel; its base class says so."""
     sides: ClassVar[tuple[str, ...]] = ("link", "motor", "command", "unknown")
     """Torque sides on which it shows."""
+    position_sides: ClassVar[tuple[str, ...]] = ("link", "motor", "unknown")
+    """Position sides on which it shows."""
+    passing: ClassVar[bool] = False
+    """Whether it comes and goes: it acts in a window of time, which is found with it."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Sets of effects that theory allows to stand for it on some logs."""
     contains: ClassVar[tuple[str, ...]] = ()
@@ -179,6 +184,10 @@ class AbstractTorqueEffect(AbstractEffect):
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         """Values of the nonlinear parameters to try on this motion."""
         return ({},)
+
+    def shape_of(self, parameters: Parameters) -> Parameters:
+        """The nonlinear ones of these parameters, as `shapes` has them."""
+        return {name: parameters[name] for name in self.nonlinear}
 
     @abc.abstractmethod
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
@@ -238,6 +247,55 @@ class AbstractMotionEffect(AbstractEffect):
     @abc.abstractmethod
     def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
         """The true motion of a logged one, (n, *batch) arrays."""
+
+
+class AbstractGearEffect(AbstractEffect):
+    """An effect between motor and link, that lets the link move against the motor whose angle is logged."""
+
+    point = "gear"
+    position_sides = ("motor", "unknown")
+
+    @abc.abstractmethod
+    def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
+        """Parameters to try on these loads and inertias (T,); each gets a free small correction."""
+
+    @abc.abstractmethod
+    def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
+        """The link's angle less the motor's (T,) [rad; m], and its second derivative.
+
+        Args:
+            load: (T,) torque [N m; N] that would keep the link on the motor's motion.
+            inertia: (T,) [kg m^2; kg] that the joint carries.
+            rate: [Hz].
+        """
+
+    def softness(self, parameters: Parameters) -> float:
+        """The one number that the deflection grows with, nearly in proportion."""
+        (value,) = parameters.values()
+        return value
+
+    def of_softness(self, softness: float) -> dict[str, float]:
+        """The parameters of that number."""
+        (name,) = self.parameters
+        return {name: softness}
+
+
+class AbstractForceEffect(AbstractEffect):
+    """A force on the arm from outside, linear in its parameters."""
+
+    point = "force"
+
+    @abc.abstractmethod
+    def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
+        """(k, n, T) torques that hold the arm against unit forces, of a motion (n, T)."""
+
+    @abc.abstractmethod
+    def read(self, coefficients: Sequence[float]) -> dict[str, Any]:
+        """Parameters from the columns' coefficients."""
+
+    @abc.abstractmethod
+    def coefficients(self, parameters: Parameters) -> list[float]:
+        """The coefficients that `read` makes these parameters from."""
 
 
 class AbstractCheck(abc.ABC):

@@ -6,25 +6,17 @@ fitted (its small correction). All that the search asks can be answered from the
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.recording import ROLES, Piece, Recording
-from invdyn_cli.effects.composition import Acting, changed, chunked, kinematics_of, rebuilt, rigid_torque, sign_of
+from invdyn_cli.effects.composition import Acting, When, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
-    AbstractBodyEffect,
-    AbstractChannelEffect,
     AbstractEffect,
-    AbstractMotionEffect,
-    AbstractTorqueEffect,
     JointState,
     Parameters,
 )
-from invdyn_cli.maths import rigid_body
 from invdyn_cli.types import Array, Robot
 
 BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
@@ -46,12 +38,6 @@ STICK_TIME = 0.005
 """[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
 the jump is allowed for, as a free column of its own."""
 
-ZEROS = (-0.04, 0.04)
-"""[rad] Encoder offsets at which the torque is taken anew: far from zero it is no straight line of the offset."""
-
-STEP = 1e-3
-"""Relative step of finite differences in a channel's parameters, and the step [rad] in an encoder's zero."""
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -60,7 +46,7 @@ class Candidate:
     `columns[j]` = (fixed columns, free columns) of row j; free columns are in the order of the coefficients, one for
     each; behind those that the effect reads there may be one that only mends the timing of its reversals. `precision`
     (k,) is what is known of the coefficients beforehand: 1 / scale^2. `quiet` is the share of a white noise's variance
-    that a channel effect takes away, which is no merit of it.
+    that a channel effect takes away, which is no merit of it. `when` is the window of what comes and goes.
     """
 
     effect: AbstractEffect
@@ -69,11 +55,12 @@ class Candidate:
     columns: dict[int, tuple[tuple[int, ...], tuple[int, ...]]]
     precision: np.ndarray
     quiet: float = 0.0
+    when: When | None = None
 
     @property
-    def key(self) -> tuple[str, int | None]:
-        """The effect's name and its joint."""
-        return self.effect.name, self.joint
+    def key(self) -> tuple:
+        """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
+        return Acting(self.effect, self.joint, {}, self.when).key
 
     @property
     def is_trial(self) -> bool:
@@ -89,6 +76,7 @@ class Evidence:
         tables: per row (R, columns).
         valid: (R, n) rows at which a joint moved (its friction is known).
         block, role, piece: (R,) block number, index into ROLES, piece number.
+        kept: what candidates are made from and is dear to compute.
     """
 
     robot: Robot
@@ -103,6 +91,7 @@ class Evidence:
     candidates: list[Candidate] = field(default_factory=list)
     states: list[list[JointState]] = field(default_factory=list)
     reference_rows: np.ndarray | None = None
+    kept: dict[tuple, list] = field(default_factory=dict)
 
     def left(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
@@ -139,8 +128,8 @@ def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[t
         start += len(c.precision)
 
 
-def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect], side: str) -> Evidence:
-    """The evidence of a recording for all effects that show on this torque side."""
+def started(robot: Robot, recording: Recording) -> Evidence:
+    """The evidence of a recording before anybody has an idea: what was logged, and what the nominal model says."""
     n = robot.dofs
     rows, states, nominal = [], [], []
     total = sum(p.t[-1] - p.t[0] for p in recording.pieces)
@@ -163,165 +152,10 @@ def gather(robot: Robot, recording: Recording, effects: Sequence[AbstractEffect]
     rest = np.minimum(REST_SPEED, REST_SHARE * np.quantile(np.abs(speeds), 0.9, axis=1))
     rest[np.ptp(angles, axis=1) < HELD] = np.inf
     moving = np.concatenate([_moving(p, recording, rest) for p in recording.pieces], axis=1)
-    evidence = Evidence(
+    return Evidence(
         robot, recording, [np.array((tau[j] - torque[j])[:, None]) for j in range(n)], moving.T, blocks, role, piece_of,
         tau.T, torque.T, states=states,
     )  # fmt: skip
-    falls = np.linalg.norm(robot.gravity) > 0
-    effects = [e for e in effects if side in e.sides and (falls or e.name != "base_tilt")]
-    _add_bodies(evidence, effects)
-    for effect in effects:
-        for joint in range(n):
-            if isinstance(effect, AbstractTorqueEffect):
-                # what the shapes depend on is the same for all pieces: the longest one tells
-                longest = max((s[joint] for s in states), key=lambda s: len(s.t))
-                for shape in effect.shapes(longest):
-                    evidence.candidates.append(torque_candidate(evidence, effect, joint, shape))
-            elif isinstance(effect, AbstractChannelEffect):
-                logged = np.concatenate([p.tau[joint] for p in recording.pieces])
-                for shape in effect.shapes(logged, recording.filter.rate):
-                    if shape.get("limit", np.inf) < 6 * recording.torque_noise[joint]:
-                        continue  # a limit within the noise
-                    evidence.candidates.append(channel_candidate(evidence, effect, joint, shape))
-    return evidence
-
-
-def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: int, shape: Parameters) -> Candidate:
-    """A joint's torque effect with these nonlinear parameters, its columns added to the table."""
-    parts, precision = [], np.zeros(len(effect.basis(evidence.states[0][joint], shape)))
-    for s in evidence.states:
-        columns = list(effect.basis(s[joint], shape))
-        if effect.name in DRY:
-            columns.append(np.gradient(columns[0]) * evidence.recording.filter.rate)
-        parts.append(np.stack(columns))
-    numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
-    if len(numbers) > len(precision):
-        level = np.sqrt(np.mean(evidence.tables[joint][:, 0] ** 2))
-        unit = np.sqrt(np.mean(np.concatenate([p[0] for p in parts], axis=-1) ** 2))
-        precision = np.append(precision, 1 / max(STICK_TIME * level / max(unit, 1e-12), 1e-12) ** 2)
-    return Candidate(effect, joint, shape, {joint: ((), numbers)}, precision)
-
-
-def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: int, shape: Parameters) -> Candidate:
-    """A joint's channel effect at these parameters: what it changes of the logged torque (fixed), and the change with
-    each parameter (free). A gain acts on the model's torque, which has no noise."""
-    rate = evidence.recording.filter.rate
-    if effect.name == "torque_gain_error":
-        made = [c for c in evidence.candidates if c.key == (effect.name, joint)]
-        if made:
-            return made[0]
-        parts = [s[joint].transmitted[None] for s in evidence.states]
-        (column,) = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
-        return Candidate(effect, joint, shape, {joint: ((), (column,))}, np.zeros(1))
-
-    def changed(parameters: Parameters) -> np.ndarray:
-        parts = [p.tau[joint] - effect.delivered(parameters, p.tau[joint], rate) for p in evidence.recording.pieces]
-        return filtered(evidence.recording, parts, joint)
-
-    fixed = changed(shape)
-    # its correction may take it farther than the trial
-    quiet = _quiet(evidence, effect, joint, {k: 1.5 * v + 0.006 if k != "limit" else v for k, v in shape.items()})
-    free = []
-    for name, value in shape.items():
-        step = max(STEP * abs(value), 2e-4)
-        up, down = value + step, max(value - step, effect.parameters[name].lower)
-        free.append((changed({**shape, name: up}) - changed({**shape, name: down})) / (up - down))
-    numbers = evidence.append(joint, [fixed, *free])
-    # the correction reaches about as far as the next trial; beyond, the straight line is no longer true
-    reach = [0.3 * v + 0.004 if effect.parameters[name].unit == "s" else 0.15 * v for name, v in shape.items()]
-    return Candidate(effect, joint, shape, {joint: (numbers[:1], numbers[1:])}, 1 / np.square(reach), quiet)
-
-
-def _quiet(evidence: Evidence, effect: AbstractChannelEffect, joint: int, shape: Parameters) -> float:
-    """Share of white noise that a channel effect takes away from a joint's logged torque."""
-    rate, noise = evidence.recording.filter.rate, np.random.default_rng(0)
-    before, after = [], []
-    for p in evidence.recording.pieces:
-        size = 1e-6 * (np.std(p.tau[joint]) + 1e-12)
-        e = size * noise.normal(size=len(p.t))
-        change = effect.delivered(shape, p.tau[joint] + e, rate) - effect.delivered(shape, p.tau[joint], rate)
-        before.append(e)
-        after.append(change)
-    spread = [np.var(filtered(evidence.recording, x, joint)) for x in (after, before)]
-    return float(max(0.0, 1 - spread[0] / max(spread[1], 1e-300)))
-
-
-def body_candidate(
-    evidence: Evidence, effect: AbstractBodyEffect | AbstractMotionEffect, joint: int | None, at: Parameters
-) -> Candidate:
-    """A body or motion effect linearised at parameters that were found already: the change so far is fixed."""
-    base = next(c for c in evidence.candidates if c.key == (effect.name, joint) and not c.shape)
-    acting = (Acting(effect, joint, at),)
-    changes = [
-        rigid_torque(*changed(evidence.robot, acting, piece.motion)) - np.stack([s.transmitted for s in states])
-        for piece, states in zip(evidence.recording.pieces, evidence.states, strict=True)
-    ]
-    change = filtered(evidence.recording, changes)
-    columns = {j: (evidence.append(j, [change[j]]), free) for j, (_, free) in base.columns.items()}
-    return replace(base, shape=at, columns=columns)
-
-
-def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
-    robot, recording, n = evidence.robot, evidence.recording, evidence.dofs
-    bodies = [e for e in effects if isinstance(e, AbstractBodyEffect)]
-    if bodies:
-        _add_changes(evidence, bodies)
-    for effect in effects:
-        if isinstance(effect, AbstractMotionEffect):
-            for joint in range(n):
-                change = []
-                for piece in recording.pieces:
-                    ends = [rigid_torque(robot, effect.true({"offset": x}, piece.motion, joint)) for x in (STEP, -STEP)]
-                    change.append((ends[0] - ends[1]) / (2 * STEP))
-                columns = filtered(recording, change)
-                where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}
-                evidence.candidates.append(Candidate(effect, joint, {}, where, np.array([1 / 0.3**2])))
-                for offset in ZEROS:
-                    evidence.candidates.append(body_candidate(evidence, effect, joint, {"offset": offset}))
-
-
-def _add_changes(evidence: Evidence, bodies: Sequence[AbstractBodyEffect]) -> None:
-    """Candidates that change inertials or gravity."""
-    robot, recording, n = evidence.robot, evidence.recording, evidence.dofs
-    places = [(e, j) for e in bodies for j in (range(n) if e.name == "link_inertia_error" else (None,))]
-    directions = [e.directions(robot, j) for e, j in places]
-    moves = np.stack([inertial.reshape(-1) for d in directions for inertial, _, _ in d])
-    falls = np.stack([gravity for d in directions for _, gravity, _ in d])
-    own = moves.any(axis=1)
-    kinematics, inertial = kinematics_of(robot), jnp.asarray(robot.inertial)
-    linear = partial(body_columns, kinematics, jnp.asarray(robot.gravity), jnp.asarray(moves[own]))
-    gravity = partial(gravity_columns, kinematics, inertial, jnp.asarray(falls[~own]))
-    parts: list[np.ndarray] = []
-    for piece in recording.pieces:
-        motion = piece.q, piece.qd, piece.qdd
-        columns = np.empty((len(moves), n, len(piece.t)))
-        columns[own] = chunked(linear, *motion)
-        columns[~own] = chunked(gravity, *motion)
-        parts.append(columns)
-    columns = filtered(recording, parts)  # (directions, n, rows)
-    k = 0
-    for (effect, joint), direction in zip(places, directions, strict=True):
-        precision = np.array([1 / scale**2 for *_, scale in direction])
-        where = {j: ((), evidence.append(j, list(columns[k : k + len(direction), j]))) for j in range(n)}
-        evidence.candidates.append(Candidate(effect, joint, {}, where, precision))
-        k += len(direction)
-
-
-@jax.jit
-def body_columns(kinematics, gravity, moves, q, qd, qdd):
-    """Torque (k, n, T) of unit moves (k, 10 n) of the inertials."""
-    robot = rebuilt(kinematics, jnp.zeros((q.shape[0], 10)), gravity)
-    rows = rigid_body.regressor(robot, q, qd, qdd)
-    return jnp.tensordot(moves, rows.reshape(-1, *rows.shape[2:]), 1)
-
-
-@jax.jit
-def gravity_columns(kinematics, inertial, falls, q, qd, qdd):
-    """Torque (k, n, T) at rest of unit moves (k, 3) of gravity."""
-    still = jnp.zeros_like(q)
-    return jax.vmap(lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still))(
-        falls
-    )
 
 
 def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list[JointState]:
@@ -355,18 +189,3 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
 def _last_block(t: np.ndarray, length: float) -> int:
     """Number of the last block of a piece: an incomplete one belongs to the one before."""
     return max(0, int((t[-1] - t[0] + 1e-9) // length) - 1)
-
-
-def trial_at(evidence: Evidence, acting: Acting) -> Candidate:
-    """The candidate of an effect at parameters that were found: its nonlinear ones tried there and nowhere else."""
-    effect, joint = acting.effect, acting.joint
-    if isinstance(effect, AbstractBodyEffect | AbstractMotionEffect):
-        return body_candidate(evidence, effect, joint, acting.parameters)
-    assert joint is not None
-    if isinstance(effect, AbstractChannelEffect):
-        return channel_candidate(evidence, effect, joint, acting.parameters)
-    assert isinstance(effect, AbstractTorqueEffect)
-    shape = {name: acting.parameters[name] for name in effect.nonlinear}
-    if not shape:
-        return next(c for c in evidence.candidates if c.key == (effect.name, joint))
-    return torque_candidate(evidence, effect, joint, shape)

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from invdyn_cli.diagnosis.candidates import passing_columns
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.search import LEAST_PRECISION, WHOLE, solved
-from invdyn_cli.effects.composition import Acting, changed, joint_terms, rigid_torque
+from invdyn_cli.effects.composition import Acting, channel, joint_terms, link_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
+    AbstractForceEffect,
     AbstractTorqueEffect,
     Parameter,
 )
@@ -24,6 +26,9 @@ from invdyn_cli.interfaces import (
 STEPS = 4
 """Newton steps at most: columns start within a few percent."""
 
+
+EDGES = ("start", "end")
+"""Coordinates of a window [s]."""
 
 SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 """Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the
@@ -83,7 +88,8 @@ class Model:
                 self._bodies.clear()
             robot = self.evidence.robot
             self._bodies[key] = [
-                rigid_torque(*changed(robot, whole, piece.motion)) for piece in self.evidence.recording.pieces
+                link_torque(robot, whole, piece.motion, self.evidence.recording.stretch(piece))
+                for piece in self.evidence.recording.pieces
             ]
         return key
 
@@ -105,7 +111,7 @@ class Model:
                     if a.effect.name == "torque_saturation":  # what was asked for beyond the limit, no model can know
                         logged = a.effect.delivered(a.parameters, logged, self.rate)
                     else:
-                        tau = np.asarray(a.effect.logged(a.parameters, tau, self.rate))
+                        tau = np.asarray(channel([a], j, tau, self.evidence.recording.stretch(piece)))
                 parts.append(logged - tau)
             self._rows[key] = filtered(self.evidence.recording, parts, j)
         return self._rows[key]
@@ -113,7 +119,8 @@ class Model:
 
 def _keys(acting: Sequence[Acting]) -> tuple:
     return tuple(
-        (a.effect.name, a.joint, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items())) for a in acting
+        (a.effect.name, a.joint, a.when, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items()))
+        for a in acting
     )
 
 
@@ -238,24 +245,33 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
             gains[a.joint] /= a.parameters["gain"]
     for i, (number, name, index) in enumerate(labels):
         a = acting[number]
+        if not name and a.when is not None:
+            if index == 0:
+                passing = passing_columns(evidence, a.effect, a.joint, a.when)
+            out[i] = (gains[:, None] * passing[index]).T
+            continue
         if not name:  # torque is linear in a body's coordinates, and its columns are there already
             columns = next(c.columns for c in evidence.candidates if c.key == (a.effect.name, a.joint))
             for j, (_, free) in columns.items():
                 out[i, :, j] = gains[j] * evidence.tables[j][:, free[index]]
             continue
-        step = _step(a, name, theta[i])
+        step = _step(a, name, theta[i], evidence.recording.filter.rate)
         moved = theta.copy()
         moved[i] += step
         out[i] = (residual - model.residual(_with(evidence, acting, labels, moved))) / step
     return out
 
 
-def _step(acting: Acting, name: str, value: float) -> float:
+def _step(acting: Acting, name: str, value: float, rate: float) -> float:
+    if name in EDGES:
+        return 1 / rate
+    if acting.effect.point == "gear":
+        return 3e-2 * value
     if name in ("delay", "time_constant") and acting.effect.point == "channel":
         return 2e-4
     if acting.effect.point == "motion":
         return 1e-4
-    if name == "velocity":
+    if name in ("velocity", "stiffness"):
         return 1e-2 * value
     return 1e-4 * max(abs(value), 1e-2)
 
@@ -289,17 +305,30 @@ def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, n
 
 
 def _flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
-    """All coordinates in one row, and what each is: (effect number, parameter or "" for a body's coordinate, index)."""
+    """All coordinates in one row, and what each is: (effect number, parameter or "" for what torque is linear in,
+    index)."""
     values, labels = [], []
     for number, a in enumerate(acting):
-        if isinstance(a.effect, AbstractBodyEffect):
-            row = a.effect.coefficients(a.parameters, evidence.robot, a.joint)
+        row = _coordinates(evidence, a)
+        if row is not None:
             values += row
             labels += [(number, "", index) for index in range(len(row))]
         else:
             values += [float(x) for x in a.parameters.values()]
             labels += [(number, name, 0) for name in a.parameters]
+        if a.when is not None:
+            values += [a.when.start, a.when.end]
+            labels += [(number, name, 0) for name in EDGES]
     return np.array(values), tuple(labels)
+
+
+def _coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
+    """What the torque is linear in, of bodies and forces."""
+    if isinstance(acting.effect, AbstractBodyEffect):
+        return acting.effect.coefficients(acting.parameters, evidence.robot, acting.joint)
+    if isinstance(acting.effect, AbstractForceEffect):
+        return acting.effect.coefficients(acting.parameters)
+    return None
 
 
 def _with(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
@@ -307,25 +336,30 @@ def _with(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarra
     made = []
     for number, a in enumerate(acting):
         own = {(name, index): x for (k, name, index), x in zip(labels, theta, strict=True) if k == number}
+        linear = [x for (name, _), x in own.items() if not name]
+        if a.when is not None:
+            a = replace(a, when=a.when._replace(**{name: float(own[name, 0]) for name in EDGES}))
         if isinstance(a.effect, AbstractBodyEffect):
-            made.append(replace(a, parameters=a.effect.read(list(own.values()), evidence.robot, a.joint)))
+            made.append(replace(a, parameters=a.effect.read(linear, evidence.robot, a.joint)))
+        elif isinstance(a.effect, AbstractForceEffect):
+            made.append(replace(a, parameters=a.effect.read(linear)))
         else:
-            made.append(replace(a, parameters={name: float(x) for (name, _), x in own.items()}))
+            made.append(replace(a, parameters={name: float(x) for (name, _), x in own.items() if name not in EDGES}))
     return tuple(made)
 
 
 def _inside(acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
     """Parameters moved back to where they are physics at all."""
-    bounds = [acting[number].effect.parameters[name] if name else Parameter("") for number, name, _ in labels]
+    bounds = [acting[number].effect.parameters.get(name, Parameter("")) for number, name, _ in labels]
     return np.clip(theta, [b.lower for b in bounds], [b.upper for b in bounds])
 
 
 def _precision(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
     """What is known of coordinates beforehand: what the data do not show of a body stays near zero."""
     out = []
-    for number, _, index in labels:
+    for number, name, index in labels:
         effect = acting[number].effect
-        if isinstance(effect, AbstractBodyEffect):
+        if isinstance(effect, AbstractBodyEffect) and not name:
             out.append(1 / effect.directions(evidence.robot, acting[number].joint)[index][2] ** 2)
         else:
             out.append(0.0)

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.evidence import STEP, body_columns, filtered, gravity_columns, joint_states
+from invdyn_cli.diagnosis.candidates import STEP, body_columns, gravity_columns
+from invdyn_cli.diagnosis.evidence import filtered, joint_states
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis import known, naming, noise
-from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence, trial_at
+from invdyn_cli.diagnosis.candidates import trial_at
+from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES

@@ -12,7 +12,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.recording import Recording
-from invdyn_cli.effects.composition import Acting, changed, rigid_torque, sign_of
+from invdyn_cli.effects.composition import Acting, changed, link_torque, rigid_torque, sign_of
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
@@ -109,7 +109,7 @@ def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravi
     for piece in recording.pieces:
         tau = piece.tau.copy()
         actual, motion = changed(robot, facts, piece.motion)
-        body = rigid_torque(actual, motion)
+        body = link_torque(robot, facts, piece.motion, recording.stretch(piece))
         for one in facts:
             j = one.joint
             if isinstance(one.effect, AbstractChannelEffect):

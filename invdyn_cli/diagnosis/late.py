@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn_cli.diagnosis import naming
-from invdyn_cli.diagnosis.evidence import Evidence, trial_at
+from invdyn_cli.diagnosis.candidates import trial_at
+from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search import Hypothesis, Judge
 from invdyn_cli.interfaces import AbstractEffect

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.evidence import Candidate, Evidence, torque_candidate
+from invdyn_cli.diagnosis.candidates import torque_candidate
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.maths.statistics import autocorrelation_time
 
@@ -47,7 +48,7 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         used = rows & evidence.valid[:, j]
         if used.sum() < max(50, MOVES * rows.sum()):
             continue
-        columns = sorted({i for c in evidence.candidates if _plain(c, j) for i in c.columns[j][1]})
+        columns = sorted({i for c in evidence.candidates if _plain(c, j) for i in _free(c, j)})
         x, y = evidence.tables[j][:, columns], evidence.tables[j][:, 0]
         scale = np.sqrt(np.mean(x[used] ** 2, axis=0))
         x = x[:, scale > 0] / scale[scale > 0]
@@ -75,9 +76,17 @@ def _plain(candidate: Candidate, joint: int) -> bool:
     if joint not in candidate.columns:
         return False
     name, shape = candidate.effect.name, candidate.shape
+    if candidate.effect.point == "gear":
+        return candidate.joint == joint
     if name == "stribeck_friction":
         return 0.02 < shape["velocity"] < 0.1
     return name not in ("torque_delay", "actuator_lag", "torque_saturation")  # their columns hold the noise itself
+
+
+def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
+    """Columns of a candidate that may have any factor here: what a gear does at a trial is one of them."""
+    fixed, free = candidate.columns[joint]
+    return (*fixed, *free) if candidate.effect.point == "gear" else free
 
 
 def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis import doctor, findings, hold, known, repeats, unexplained, wording
-from invdyn_cli.diagnosis.evidence import Evidence, gather
+from invdyn_cli.diagnosis.candidates import gather
+from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.inquiry import inquire
 from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Window, prepare
 from invdyn_cli.diagnosis.support import judged

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import signal
 from scipy.interpolate import make_interp_spline
 
+from invdyn_cli.effects.composition import Stretch
 from invdyn_cli.errors import LogError
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.maths.signals import lowpass, settling
@@ -142,6 +143,10 @@ class Recording:
     torque_noise: np.ndarray
     notes: tuple[str, ...] = ()
     details: Mapping[str, object] = field(default_factory=dict)
+
+    def stretch(self, piece: Piece) -> Stretch:
+        """Where and when a piece was."""
+        return Stretch(piece.trajectory, piece.t, self.filter.rate)
 
 
 def prepare(

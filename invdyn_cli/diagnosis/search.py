@@ -12,7 +12,13 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from invdyn_cli.diagnosis.evidence import DRY, Candidate, Evidence, shared_out
-from invdyn_cli.interfaces import AbstractBodyEffect, AbstractChannelEffect, AbstractTorqueEffect
+from invdyn_cli.interfaces import (
+    AbstractBodyEffect,
+    AbstractChannelEffect,
+    AbstractForceEffect,
+    AbstractGearEffect,
+    AbstractTorqueEffect,
+)
 
 FOLDS = 8
 """Parts of the blocks that are held out in turn."""
@@ -35,7 +41,7 @@ CANCELLED = 3.0
 """Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
 other effects take back: of two that cancel each other, neither is known."""
 
-WHOLE = {"body", "motion"}
+WHOLE = {"body", "motion", "gear", "force"}
 """Points at which an effect reaches more than its own joint."""
 
 LEAST_PRECISION = 1e-9
@@ -168,7 +174,7 @@ class Judge:
         return sum(
             PRICE_OF_EFFECT
             + PRICE_OF_COEFFICIENT * self.freedom(c)
-            + self.least[c.joint if c.effect.point in ("torque", "channel") else None]
+            + self.least[c.joint if c.effect.point in ("torque", "channel", "gear") else None]
             + (c.quiet * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2 if c.quiet else 0.0)
             for c in hypothesis
         )
@@ -182,7 +188,7 @@ class Judge:
             why = candidate.effect.refuse(parameters)
             if why:
                 return f"{candidate.effect.title}: {why}"
-            if candidate.effect.point == "channel":
+            if candidate.effect.point in ("channel", "gear"):
                 if np.any(own**2 * candidate.precision > FARTHEST**2):
                     return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
             elif any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
@@ -219,10 +225,14 @@ def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndar
 def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
     """Parameters of one candidate from its coefficients."""
     effect, shape = candidate.effect, candidate.shape
-    if effect.name == "torque_gain_error":
+    if effect.name in ("torque_gain_error", "torque_gain_change"):
         return {"gain": float(1 / max(1 + coefficients[0], 1e-3))}
     if effect.name == "encoder_offset":
         return {"offset": float(shape.get("offset", 0.0) + coefficients[0])}
+    if isinstance(effect, AbstractGearEffect):
+        return effect.of_softness(effect.softness(shape) + float(coefficients[0]))
+    if isinstance(effect, AbstractForceEffect):
+        return effect.read([float(c) for c in coefficients])
     if isinstance(effect, AbstractChannelEffect):
         return {name: float(value + c) for (name, value), c in zip(shape.items(), coefficients, strict=True)}
     if isinstance(effect, AbstractBodyEffect):

@@ -71,6 +71,28 @@ class TorqueOffset(AbstractTorqueEffect):
 
 
 @dataclass(frozen=True)
+class TorqueOffsetDrift(AbstractTorqueEffect):
+    """A zero that wanders while a trajectory lasts."""
+
+    name = "torque_offset_drift"
+    title = "drift of the torque offset"
+    equation = "rate t"
+    reference = "Albu-Schäffer, Haddadin, Ott, Stemmer, Wimböck and Hirzinger, Industrial Robot 2007"
+    parameters = {"rate": Parameter("N m/s")}
+    confounders = (("torque_offset",), ("thermal_friction_drift",), ("joint_spring",))
+    advice = "the same postures again after some minutes"
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        return parameters["rate"] * state.t
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        return (state.t,)
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        return {"rate": coefficients[0]}
+
+
+@dataclass(frozen=True)
 class TorqueGainError(AbstractChannelEffect):
     """Wrong torque constant, drive gain or sensor gain."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from invdyn_cli.effects import actuator, friction, load, transmission
+from invdyn_cli.effects import actuator, friction, gear, load, passing, transmission
 from invdyn_cli.interfaces import AbstractEffect
 
 EFFECTS: Mapping[str, AbstractEffect] = {
@@ -14,16 +14,23 @@ EFFECTS: Mapping[str, AbstractEffect] = {
         friction.StribeckFriction(),
         friction.LoadDependentFriction(),
         friction.QuadraticFriction(),
+        friction.PreslidingHysteresis(),
         friction.ThermalFrictionDrift(),
+        actuator.TorqueOffsetDrift(),
+        gear.Backlash(),
+        gear.JointElasticity(),
         transmission.TorqueRipple(),
         transmission.JointSpring(),
         actuator.RotorInertia(),
         actuator.TorqueGainError(),
+        passing.TorqueGainChange(),
         actuator.TorqueOffset(),
         actuator.TorqueDelay(),
         actuator.ActuatorLag(),
         actuator.TorqueSaturation(),
         load.Payload(),
+        passing.PayloadChange(),
+        passing.ExternalContact(),
         load.LinkInertiaError(),
         load.BaseTilt(),
         load.EncoderOffset(),

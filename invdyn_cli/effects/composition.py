@@ -1,11 +1,13 @@
 """A robot with effects on it: from a motion to the torque that is logged, effects composed in one fixed order.
 
-logged = channel(torque terms + inverse dynamics of (changed bodies, true motion)).
+logged = channel(torque terms + forces + inverse dynamics of (changed bodies, true motion behind the gear)). What comes
+and goes is there with the weight of its window, 0 to 1.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,8 @@ from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractEffect,
+    AbstractForceEffect,
+    AbstractGearEffect,
     AbstractMotionEffect,
     AbstractTorqueEffect,
     JointState,
@@ -25,18 +29,56 @@ from invdyn_cli.maths import rigid_body
 from invdyn_cli.types import Array, Motion, Robot
 
 
+class When(NamedTuple):
+    """The window of what comes and goes: trajectory, start and end [s] from its first sample; `number` tells several
+    such effects of a log apart."""
+
+    trajectory: str
+    start: float
+    end: float
+    number: int = 0
+
+
 @dataclass(frozen=True)
 class Acting:
-    """An effect at work: on a joint (None: the whole arm), with these parameters."""
+    """An effect at work: on a joint (None: the whole arm), with these parameters, in a window (None: always)."""
 
     effect: AbstractEffect
     joint: int | None
     parameters: Parameters
+    when: When | None = None
+
+    @property
+    def key(self) -> tuple:
+        """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
+        return self.effect.name, self.joint, *(() if self.when is None else (self.when.number,))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Where and when a motion was: its trajectory, t (T,) [s] from its first sample, rate [Hz]."""
+
+    trajectory: str | None
+    t: np.ndarray
+    rate: float
+
+
+def weight(when: When | None, stretch: Stretch) -> np.ndarray | float:
+    """How much (T,) of an effect is there: 1 in its window, 0 elsewhere, straight lines of a sample between."""
+    if when is None:
+        return 1.0
+    if stretch.trajectory != when.trajectory:
+        return 0.0
+    begun, over = ((stretch.t - x) * stretch.rate + 0.5 for x in (when.start, when.end))
+    return np.clip(begun, 0, 1) - np.clip(over, 0, 1)
 
 
 def changed(robot: Robot, acting: Sequence[Acting], motion: Motion) -> tuple[Robot, Motion]:
-    """The robot with the body effects among `acting`, and the true motion (n, *batch) of a logged one; numpy or jax."""
+    """The robot with the lasting body effects among `acting`, and the true motion (n, *batch) of a logged one, up to
+    the gear; numpy or jax."""
     for one in acting:
+        if one.when is not None:
+            continue
         if isinstance(one.effect, AbstractMotionEffect):
             assert one.joint is not None
             motion = one.effect.true(one.parameters, motion, one.joint)
@@ -51,6 +93,43 @@ def body_torque(robot: Robot, acting: Sequence[Acting], motion: Motion) -> Array
     return rigid_body.inverse_dynamics(robot, robot.inertial, motion.q, motion.qd, motion.qdd)
 
 
+def link_torque(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch) -> np.ndarray:
+    """Torque (n, T) [N m; N] that moves the links along a logged motion (n, T), with the motion, body, gear and force
+    effects among `acting`; numpy in and out."""
+    robot, motion = changed(robot, acting, motion)
+    for one in acting:
+        if isinstance(one.effect, AbstractGearEffect):
+            motion = _behind(robot, one, motion, stretch)
+    torque = rigid_torque(robot, motion)
+    for one in acting:
+        share = weight(one.when, stretch)
+        if isinstance(one.effect, AbstractForceEffect) and np.any(share):
+            columns = one.effect.basis(robot, one.joint, motion)
+            torque = torque + share * np.tensordot(one.effect.coefficients(one.parameters), columns, 1)
+        elif isinstance(one.effect, AbstractBodyEffect) and one.when is not None and np.any(share):
+            other = one.effect.changed(one.parameters, robot, one.joint)
+            torque = torque + share * (rigid_torque(other, motion) - rigid_torque(robot, motion))
+    return torque
+
+
+def _behind(robot: Robot, one: Acting, motion: Motion, stretch: Stretch) -> Motion:
+    """The motion (n, T) of the links behind a gear that yields."""
+    assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
+    load = rigid_torque(robot, motion)[one.joint]
+    inertia = inertia_column(robot, motion.q, one.joint)[one.joint]
+    b, b2 = one.effect.deflection(one.parameters, load, inertia, stretch.rate)
+    b1 = np.gradient(b) * stretch.rate
+    own = (np.arange(len(motion.q)) == one.joint)[:, None]
+    return Motion(motion.q + own * b, motion.qd + own * b1, motion.qdd + own * b2)
+
+
+def inertia_column(robot: Robot, q: Array, joint: int) -> np.ndarray:
+    """Torques (n, T) for unit acceleration of a joint, at rest in postures q (n, T) [kg m^2; kg]."""
+    still = np.zeros_like(q)
+    unit = still + (np.arange(len(still)) == joint)[:, None]
+    return rigid_torque(replace(robot, gravity=np.zeros(3)), Motion(q, still, unit))
+
+
 def joint_terms(acting: Sequence[Acting], joint: int, state: JointState) -> list[Array]:
     """What each torque effect on a joint adds, shape of the state's arrays."""
     return [
@@ -60,11 +139,12 @@ def joint_terms(acting: Sequence[Acting], joint: int, state: JointState) -> list
     ]
 
 
-def channel(acting: Sequence[Acting], joint: int, tau: Array, rate: float) -> Array:
-    """What is logged where tau (T,) reaches a joint, at `rate` [Hz]."""
+def channel(acting: Sequence[Acting], joint: int, tau: Array, stretch: Stretch) -> Array:
+    """What is logged where tau (T,) reaches a joint."""
     for one in acting:
         if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:
-            tau = one.effect.logged(one.parameters, tau, rate)
+            logged = one.effect.logged(one.parameters, tau, stretch.rate)
+            tau = logged if one.when is None else tau + weight(one.when, stretch) * (logged - tau)
     return tau
 
 

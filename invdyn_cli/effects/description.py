@@ -8,7 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, body_torque, changed, channel, joint_terms, rigid_torque, sign_of
+from invdyn_cli.effects.composition import (
+    Acting,
+    Stretch,
+    When,
+    body_torque,
+    channel,
+    joint_terms,
+    link_torque,
+    sign_of,
+)
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import JointState
 from invdyn_cli.types import Array, Motion, Robot
@@ -37,7 +46,8 @@ class ExtendedModel:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, motion: Motion, t: Array | float = 0.0) -> Array:
-        """Torque (n,) of one sample, without what a single sample cannot show (delay and lag); pure jax."""
+        """Torque (n,) of one sample, without what a single sample cannot show: delay, lag, gear, what comes and goes;
+        bristles are bent to their end. Pure jax."""
         body = body_torque(self.robot, self.acting, motion)
         out = []
         for j in range(self.robot.dofs):
@@ -45,27 +55,32 @@ class ExtendedModel:
             state = JointState(jnp.asarray(t), q, qd, qdd, sign_of(qd, SHARP), body[j])
             tau = body[j] + sum(joint_terms(self.acting, j, state))
             for one in self.acting:
-                if one.joint == j and one.effect.name in ("torque_gain_error", "torque_saturation"):
+                if one.joint == j and one.effect.name in ("torque_gain_error", "torque_saturation") and not one.when:
                     tau = one.effect.logged(one.parameters, tau, 1.0)  # type: ignore[attr-defined]
             out.append(tau)
         return jnp.stack(out)
 
-    def predict(self, q: Array, qd: Array, qdd: Array, t: Array | None = None) -> np.ndarray:
-        """Logged torque (T, n) [N m; N] of one recording (T, n), delays and lags included.
+    def predict(
+        self, q: Array, qd: Array, qdd: Array, t: Array | None = None, trajectory: str | None = None
+    ) -> np.ndarray:
+        """Logged torque (T, n) [N m; N] of one recording (T, n), with all that has a memory.
 
         Args:
             t: (T,) [s]; None: the clock that makes qd the derivative of q.
+            trajectory: name of the log's own trajectory that this is: what came and went there does so again; None: it
+                does not.
         """
         q, qd, qdd = (np.asarray(x, float).T for x in (q, qd, qdd))
         t = period_of(q, qd) * np.arange(q.shape[1]) if t is None else np.asarray(t, float)
         t = t - t[:1]
         rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
-        body = rigid_torque(*changed(self.robot, self.acting, Motion(q, qd, qdd)))
+        stretch = Stretch(trajectory, t, float(rate))
+        body = link_torque(self.robot, self.acting, Motion(q, qd, qdd), stretch)
         out = np.empty_like(body)
         for j in range(len(body)):
             state = JointState(t, q[j], qd[j], qdd[j], sign_of(qd[j], SHARP), body[j])
             tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, state))
-            out[j] = channel(self.acting, j, tau, rate) if len(t) > 3 else tau
+            out[j] = channel(self.acting, j, tau, stretch) if len(t) > 3 else tau
         return out.T
 
 
@@ -89,6 +104,7 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
                 "effect": one.effect.name,
                 "acts_on": one.effect.point,
                 "joint": None if one.joint is None else model.robot.joints[one.joint],
+                **({} if one.when is None else {"trajectory": one.when.trajectory, "window": list(one.when[1:3])}),
                 "parameters": {
                     name: {
                         "value": _plain(value),
@@ -103,7 +119,7 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
         "schema": SCHEMA,
         "robot": robot,
         "urdf": model.robot.urdf,
-        "order": ["motion", "body", "torque", "channel"],
+        "order": ["motion", "body", "gear", "force", "torque", "channel"],
         "effects": rows,
         "filter": dict(model.filter),
         "provenance": dict(model.provenance),
@@ -125,13 +141,17 @@ def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
             values[name] = tuple(stored["robot"][name])
         robot = Robot(**values, urdf=stored.get("urdf", ""))
         acting, intervals = [], []
-        for row in stored["effects"]:
+        for number, row in enumerate(stored["effects"]):
             name = row["effect"]
             if name not in EFFECTS:
                 raise UsageError(f"{where}: no effect {name!r}{closest(name, EFFECTS)}; allowed: {listed(EFFECTS)}")
             joint = None if row["joint"] is None else robot.joints.index(row["joint"])
             parameters = {k: _numbers(v["value"]) for k, v in row["parameters"].items()}
-            acting.append(Acting(EFFECTS[name], joint, parameters))
+            when = None
+            if EFFECTS[name].passing:
+                start, end = row["window"]
+                when = When(row["trajectory"], float(start), float(end), number)
+            acting.append(Acting(EFFECTS[name], joint, parameters, when))
             ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
             intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})
     except (KeyError, TypeError, ValueError) as error:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.evidence import BLOCK, gather
+from invdyn_cli.diagnosis.candidates import gather
+from invdyn_cli.diagnosis.evidence import BLOCK
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.simulation.references import PickPlace

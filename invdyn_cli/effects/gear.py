@@ -1,0 +1,133 @@
+"""Gear: what lets the link move against the motor, gear play and elasticity.
+
+The motor's angle is logged; the link follows it with a deflection, and the motor feels the inverse dynamics of the
+link's motion. Load is the torque that would keep the link on the motor's motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.interfaces import AbstractGearEffect, Parameter, Parameters
+from invdyn_cli.types import Array
+
+
+@dataclass(frozen=True)
+class Backlash(AbstractGearEffect):
+    """Play of the gear: where the transmitted torque changes its sign the link falls free until the other flank of the
+    teeth takes it up.
+
+    Attributes:
+        gaps: to try [rad]; the found one is refined between them.
+    """
+
+    gaps: tuple[float, ...] = (0.0004, 0.0008, 0.0016, 0.0032, 0.0064, 0.0128)
+
+    name = "backlash"
+    title = "backlash"
+    equation = "link free of the motor within ±gap/2"
+    reference = "Nordin and Gutman, Automatica 2002"
+    parameters = {"gap": Parameter("rad", 0.0, 0.1)}
+    confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
+    advice = "the same slow motion with the load always pulling to one side, and through its zero; a link encoder"
+    picture = "load"
+
+    def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
+        return [{"gap": x} for x in self.gaps]
+
+    def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
+        b = _within_gap(np.asarray(load), np.asarray(inertia), parameters["gap"], rate)
+        return b, _twice_differentiated(b, rate)
+
+
+@dataclass(frozen=True)
+class JointElasticity(AbstractGearEffect):
+    """A gear that yields: a spring between motor and link, with a little damping of its own.
+
+    Attributes:
+        resonances: of the link on its spring, motor held, to try [Hz]; the found stiffness is refined between them.
+        damping_ratio: of that resonance.
+    """
+
+    resonances: tuple[float, ...] = (6.0, 9.0, 13.0, 20.0, 30.0)
+    damping_ratio: float = 0.02
+
+    name = "joint_elasticity"
+    title = "joint elasticity"
+    equation = "torque = stiffness (motor angle − link angle)"
+    reference = "Spong, ASME JDSMC 1987"
+    parameters = {"stiffness": Parameter("N m/rad", 1.0)}
+    confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
+    advice = "a chirp up to the resonance: phase of a delay grows as a line, that of a spring with its square"
+    picture = "load"
+
+    def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
+        return [{"stiffness": float(np.median(inertia)) * (2 * np.pi * f) ** 2} for f in self.resonances]
+
+    def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
+        return _on_spring(np.asarray(load), np.asarray(inertia), parameters["stiffness"], self.damping_ratio, rate)
+
+    def softness(self, parameters: Parameters) -> float:
+        return 1 / parameters["stiffness"]
+
+    def of_softness(self, softness: float) -> dict[str, float]:
+        return {"stiffness": float(1 / max(softness, 1e-9))}
+
+
+def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) -> np.ndarray:
+    """Deflection (T,) of a link that is pushed by one flank or the other, or falls: inertia times its acceleration
+    against the motor is then -load. Flanks take it up without bouncing."""
+    step, half = 1 / rate, gap / 2
+    side = np.where(load > 0, -half, half)
+    turns = np.flatnonzero(np.diff(side) != 0) + 1
+    out = np.empty(len(load))
+    fall = (-load / inertia).tolist()
+    k, end, at = 0, len(load), float(side[0])
+    while k < end:
+        later = turns[np.searchsorted(turns, k) :]
+        leaves = next((int(x) for x in later if side[x] != at), end) if side[k] == at else k
+        out[k:leaves] = at
+        k, b, speed = leaves, at, 0.0
+        while k < end:
+            now, before = fall[k], fall[k - 1] if k else fall[k]
+            b += speed * step + (2 * before + now) / 6 * step * step
+            speed += (before + now) / 2 * step
+            out[k] = b
+            k += 1
+            if abs(b) >= half:
+                out[k - 1] = at = half if b > 0 else -half
+                break
+    return out
+
+
+def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: float, rate: float):
+    """Deflection (T,) of a link on a spring and its second derivative: inertia b'' + damping b' + stiffness b = -load,
+    exact for loads that run in straight lines between samples; it starts at rest."""
+    omega = np.sqrt(stiffness / inertia)
+    swing, fade = omega * np.sqrt(1 - ratio**2), ratio * omega
+    step = 1 / rate
+    cosine, sine = np.cos(swing * step), np.sin(swing * step)
+    decay = np.exp(-fade * step)
+    kept = decay * (cosine + fade / swing * sine), decay * sine / swing
+    lost = -decay * omega**2 * sine / swing, decay * (cosine - fade / swing * sine)
+    rest = -load / stiffness
+    slope = np.diff(rest, append=rest[-1]) * rate
+    rows = np.stack([*kept, *lost, rest, slope, 2 * ratio / omega]).T.tolist()
+    b, speed = float(rest[0]), 0.0
+    deflections, speeds = [], []
+    for bb, bv, vb, vv, aim, drift, late in rows:
+        deflections.append(b)
+        speeds.append(speed)
+        off, lag = b - aim + late * drift, speed - drift  # of the course that the load's straight line would keep up
+        b = aim + drift * step - late * drift + bb * off + bv * lag
+        speed = drift + vb * off + vv * lag
+    b, speed = np.array(deflections), np.array(speeds)
+    return b, -load / inertia - 2 * ratio * omega * speed - omega**2 * b
+
+
+def _twice_differentiated(b: np.ndarray, rate: float) -> np.ndarray:
+    """Second differences (T,), in which a blow between two samples has its whole momentum."""
+    out = np.zeros_like(b)
+    out[1:-1] = (b[2:] - 2 * b[1:-1] + b[:-2]) * rate**2
+    return out

@@ -1,0 +1,104 @@
+"""What comes and goes: effects that act in a window of time, which is found with them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.effects.actuator import TorqueGainError
+from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.effects.load import Payload
+from invdyn_cli.interfaces import (
+    AbstractBodyEffect,
+    AbstractChannelEffect,
+    AbstractForceEffect,
+    Parameter,
+    Parameters,
+)
+from invdyn_cli.types import Array, Motion, Robot
+
+_LOAD, _GAIN = Payload(), TorqueGainError()
+
+
+@dataclass(frozen=True)
+class PayloadChange(AbstractBodyEffect):
+    """A body that is taken up and put down."""
+
+    name = "payload_change"
+    title = "payload taken up"
+    equation = "a body of this mass at com in the frame of the last moving joint, for a time"
+    reference = "Gaz and De Luca, IROS 2017"
+    parameters = Payload.parameters
+    passing = True
+    confounders = (("external_contact",), ("torque_gain_change",))
+    advice = "the load held through several postures, turned by the wrist: weight and centre of mass move as one body"
+    picture = "t"
+
+    def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
+        return _LOAD.changed(parameters, robot, joint)
+
+    def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
+        return _LOAD.directions(robot, joint)
+
+    def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
+        return _LOAD.read(coefficients, robot, joint)
+
+    def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        return _LOAD.coefficients(parameters, robot, joint)
+
+
+@dataclass(frozen=True)
+class TorqueGainChange(AbstractChannelEffect):
+    """A drive that gives more or less than before: weakened, derated, at another temperature."""
+
+    name = "torque_gain_change"
+    title = "change of the torque gain"
+    equation = "delivered = gain · logged, for a time"
+    reference = "Gautier and Briot, ASME JDSMC 2014"
+    parameters = TorqueGainError.parameters
+    passing = True
+    confounders = (("payload_change",), ("external_contact",))
+    advice = "the same trajectory before and after the change"
+    picture = "t"
+
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        return _GAIN.shapes(tau, rate)
+
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return _GAIN.delivered(parameters, tau, rate)
+
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return _GAIN.logged(parameters, tau, rate)
+
+
+@dataclass(frozen=True)
+class ExternalContact(AbstractForceEffect):
+    """A force that something outside exerts on the arm, constant in the base frame, at the origin of a joint's frame.
+
+    Joints whose axes meet there feel the same whichever of their frames it acts on: the outermost of them is named.
+    """
+
+    name = "external_contact"
+    title = "external contact"
+    equation = "−Jᵀ force, J of the joint frame's origin, for a time"
+    reference = "Haddadin, De Luca and Albu-Schäffer, IEEE T-RO 2017"
+    parameters = {"force": Parameter("N")}
+    passing = True
+    confounders = (("external_contact",), ("payload_change",), ("torque_gain_change",))
+    advice = "a force sensor or a camera at the contact; the contact held while the arm moves on"
+    picture = "t"
+
+    def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
+        assert joint is not None
+        weight = np.zeros((robot.dofs, 10))
+        weight[joint, 0] = 1.0  # holding a unit mass against gravity along an axis takes -J' axis
+        still = np.zeros_like(motion.q)
+        held = Motion(motion.q, still, still)
+        return np.stack([rigid_torque(replace(robot, inertial=weight, gravity=axis), held) for axis in np.eye(3)])
+
+    def read(self, coefficients: Sequence[float]) -> dict[str, Any]:
+        return {"force": np.asarray(coefficients, float)}
+
+    def coefficients(self, parameters: Parameters) -> list[float]:
+        return [float(x) for x in parameters["force"]]
