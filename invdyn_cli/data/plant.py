@@ -14,7 +14,7 @@ from invdyn_cli.interfaces import AbstractSource, Progress, silent
 from invdyn_cli.logfile import POSITION_SIDES, Log
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import Hidden, refuse
-from invdyn_cli.simulation.plant import SOURCE, record, refuse_clock
+from invdyn_cli.simulation.plant import SOURCE, record, refuse_clock, refuse_events, refuse_link_encoder
 from invdyn_cli.simulation.references import AbstractReference, ConstantSpeed, Multisine, PickPlace
 from invdyn_cli.simulation.sensors import SIDES, Noise
 from invdyn_cli.types import Robot, Splits
@@ -27,7 +27,8 @@ class Plant(AbstractSource):
     """Recordings trajectory_1, trajectory_2, … of one simulated arm.
 
     Attributes:
-        effects: what is hidden in it, each {"effect": name, "joint": name, parameter: value, …}, see docs/plant.md.
+        effects: what is hidden in it, each {"effect": name, "joint": name, parameter: value, …}, see docs/plant.md;
+            what comes and goes also has a "window": [from, to] [s], and may have a "trajectory".
         reference: "multisine", "pick_place", "constant_speed", or such an object with options of its own.
         trajectories, duration: how many, of how long [s].
         rate: [Hz] of the controller and the log.
@@ -36,7 +37,8 @@ class Plant(AbstractSource):
             each joint; velocity_noise=None logs no velocities.
         position_quantum, torque_quantum: [rad; m], [N m; N] whole steps of what is measured; 0: none.
         torque_side: command, motor (what was asked for) or link (behind friction and gear).
-        position_side: motor, link or unknown: what the log says; the gear is stiff.
+        position_side: motor, link (behind the gear) or unknown (the motor's, too).
+        link_encoder: log the links' angles beside the motors'.
         control_frequency: [Hz] bandwidth of the feedback; None: 4, less where torques come late.
         controller_knows: "arm" (what is hidden, too) or "nominal".
         seed: of references and noise; trajectories count on from it.
@@ -57,6 +59,7 @@ class Plant(AbstractSource):
     torque_quantum: float | Sequence[float] = 0.0
     torque_side: Literal["command", "motor", "link"] = "command"
     position_side: Literal["motor", "link", "unknown"] = "unknown"
+    link_encoder: bool = False
     control_frequency: float | None = None
     controller_knows: Literal["arm", "nominal"] = "arm"
     seed: int = 0
@@ -95,6 +98,8 @@ class Plant(AbstractSource):
             if getattr(self, name) not in allowed:
                 raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {listed(allowed)}")
         refuse_clock(self.duration, self.rate, self.substeps)
+        refuse_link_encoder(self.link_encoder, self.position_side)
+        refuse_events(self.hidden(), self.duration, [f"trajectory_{i + 1}" for i in range(self.trajectories)])
         self._control()
         self._conditioning().refuse_options()
 
@@ -123,6 +128,7 @@ class Plant(AbstractSource):
             rate=self.rate,
             torque_side=self.torque_side,
             position_side=self.position_side,
+            link_encoder=self.link_encoder,
             seed=self.seed,
             noise=Noise(
                 position=self.position_noise,

@@ -1,4 +1,5 @@
-"""types.Robot -> MuJoCo: the same joints, frames, inertials and gravity; no friction, no limits, no contacts.
+"""types.Robot -> MuJoCo: the same joints, frames, inertials and gravity; no friction, no limits, no contacts. A joint
+whose gear yields is two in series on one axis: the motor's, and behind it the gear's.
 
 The compiler of MuJoCo refuses links that no real body could be (no mass, a broken triangle inequality), which URDFs are
 full of. So it is given placeholders, and the true numbers are set behind it: all that the equations of motion need is a
@@ -20,21 +21,36 @@ LEAST_INERTIA = 1e-6
 POSTURES = 64
 """So many random postures are looked at for the smallest inertia."""
 
+GEAR = "_gear"
+"""Behind a joint's name: the gear's degree of freedom."""
+
 
 @dataclass(frozen=True)
 class Body:
-    """A solid sphere, mass [kg] and radius [m], its centre at `com` (3,) [m] in the last moving joint's frame."""
+    """A solid sphere, mass [kg] and radius [m], its centre at `com` (3,) [m] in the frame of a joint, of the last one
+    unless `joint` is another column."""
 
     mass: float
     com: Sequence[float]
     radius: float
+    joint: int = -1
 
 
 @dataclass(frozen=True)
 class Arm:
-    """A MuJoCo model whose n degrees of freedom are the robot's joints, in its order; `notes` say what was added."""
+    """A MuJoCo model of a robot with n joints, g of which have a gear that yields.
+
+    Attributes:
+        model: its n + g degrees of freedom are the robot's joints, in its order, a gear's behind its motor's.
+        motor: (n,) the degree of freedom of each joint's motor, whose angle is the link's unless the gear yields.
+        geared, gear: (g,) columns of the joints that have a gear, and its degree of freedom: link less motor angle.
+        notes: what was added.
+    """
 
     model: mujoco.MjModel
+    motor: np.ndarray
+    geared: np.ndarray
+    gear: np.ndarray
     notes: tuple[str, ...] = ()
 
 
@@ -45,6 +61,7 @@ def build(
     gravity: np.ndarray | None = None,
     carried: Sequence[Body] = (),
     armature: np.ndarray | None = None,
+    geared: Sequence[int] = (),
     timestep: float = 2.5e-4,
 ) -> Arm:
     """The arm.
@@ -53,8 +70,9 @@ def build(
         robot: kinematics, and inertials and gravity unless the next two are given.
         inertial: (n, 10) in place of the robot's, as `types.Robot` has them.
         gravity: (3,) [m/s^2] in place of the robot's.
-        carried: bodies welded to the link behind the last moving joint.
+        carried: bodies welded to links, "carried_0" and so on.
         armature: (n,) [kg m^2; kg] rotor inertias.
+        geared: columns of the joints with a gear that yields, as yet by any angle and without force.
         timestep: [s].
     """
     spec = mujoco.MjSpec()
@@ -67,11 +85,13 @@ def build(
         frame = {"pos": np.asarray(robot.translation[i]), "quat": _quaternion(np.asarray(robot.rotation[i]))}
         bodies.append(_body(parent, f"link_{i}", solids[i], **frame))
         slides = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
-        bodies[i].add_joint(name=name, type=slides, axis=np.asarray(robot.axis[i]))
+        bodies[i].add_joint(name=name, type=slides, axis=np.asarray(robot.axis[i]), armature=float(i in geared))
+        if i in geared:
+            bodies[i].add_joint(name=f"{name}{GEAR}", type=slides, axis=np.asarray(robot.axis[i]), armature=1.0)
     for i, body in enumerate(carried):
         sphere = np.full(3, 0.4 * body.mass * body.radius**2)
         solids.append((body.mass, np.asarray(body.com, float), np.array([1.0, 0, 0, 0]), sphere))
-        _body(bodies[-1], f"carried_{i}", solids[-1])
+        _body(bodies[body.joint], f"carried_{i}", solids[-1])
     spec.option.timestep = timestep
     spec.option.gravity = np.asarray(robot.gravity if gravity is None else gravity)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -81,13 +101,16 @@ def build(
     for name, (mass, _, _, principal) in zip(names, solids, strict=True):
         body = model.body(name).id
         model.body_mass[body], model.body_inertia[body] = mass, principal
+    motor = np.array([model.joint(name).dofadr[0] for name in robot.joints], int)
+    gear = np.array([model.joint(f"{robot.joints[i]}{GEAR}").dofadr[0] for i in geared], int)
+    model.dof_armature[:] = 0.0
     if armature is not None:
-        model.dof_armature[:] = armature
+        model.dof_armature[motor] = armature
     # Friction as stiff as the solver goes: a joint that shall stick creeps at 1e-6 rad/s, not at 1e-2 as by default.
     model.dof_solref[:] = 2 * timestep, 1
     model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    return Arm(model, _mended(model, robot))
+    return Arm(model, motor, np.array(geared, int), gear, _mended(model, gear))
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData, q: np.ndarray) -> np.ndarray:
@@ -99,6 +122,14 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData, q: np.ndarray) -> np
     full = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return full
+
+
+def mass_matrices(model: mujoco.MjModel, gear: np.ndarray) -> np.ndarray:
+    """(POSTURES, nv, nv) [kg m^2; kg] at random postures of the joints, the gears straight."""
+    data, draw = mujoco.MjData(model), np.random.default_rng(0)
+    span = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, 0.5, np.pi)
+    span[gear] = 0.0
+    return np.array([mass_matrix(model, data, draw.uniform(-span, span)) for _ in range(POSTURES)])
 
 
 def _solid(row: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
@@ -126,16 +157,14 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     return quaternion
 
 
-def _mended(model: mujoco.MjModel, robot: Robot) -> tuple[str, ...]:
+def _mended(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, ...]:
     """Add the inertia that joints lack for a positive definite mass matrix, in place; words on what was added."""
-    data, draw = mujoco.MjData(model), np.random.default_rng(0)
-    span = np.where(robot.prismatic, 0.5, np.pi)
-    matrices = np.array([mass_matrix(model, data, draw.uniform(-span, span)) for _ in range(POSTURES)])
-    lack = np.maximum(0.0, LEAST_INERTIA - np.diagonal(matrices, axis1=1, axis2=2).min(0))
-    lack += max(0.0, LEAST_INERTIA / 10 - float(np.linalg.eigvalsh(matrices + np.diag(lack)).min()))
+    found = mass_matrices(model, gear)
+    lack = np.maximum(0.0, LEAST_INERTIA - np.diagonal(found, axis1=1, axis2=2).min(0))
+    lack += max(0.0, LEAST_INERTIA / 10 - float(np.linalg.eigvalsh(found + np.diag(lack)).min()))
     if not lack.any():
         return ()
     model.dof_armature[:] += lack
-    mujoco.mj_setConst(model, data)
-    added = ", ".join(f"{joint} {x:.2g}" for joint, x in zip(robot.joints, lack, strict=True) if x)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    added = ", ".join(f"{model.joint(i).name} {x:.2g}" for i, x in enumerate(lack) if x)
     return (f"inertia added where links have too little to be moved [kg m^2; kg]: {added}",)

@@ -7,9 +7,17 @@ first-order low-pass. Inertia inside the feedback makes all joints equally fast.
 of a shoulder's, though: no feedback of this bandwidth holds it against a friction that the controller knows nothing
 of. Hence the controller is commissioned on the arm as it is, unless it is told to know the nominal one alone. The log
 is right either way: which torque moved the arm does not depend on who asked for it.
+
+The controller's arm is stiff. Where a gear yields, the feedback moves the rotor alone at first: with the inertia M_i of
+the whole link in it, and samples of T seconds, it would swing. So M, in the feedback, becomes S M S, with
+
+    S_i = min(1, sqrt(J_i / (4 D w T) / M_i)),   J_i the rotor's inertia,
+
+half of what the rotor alone still bears.
 """
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -70,15 +78,25 @@ class Controller:
         model: the arm that it knows, without dry friction.
         build: what it knows beside the model: dry friction, ripple, offsets, gains.
         latency: [s] with which torques arrive, at worst.
+        rotors: [kg m^2; kg] by column, of the joints whose gear yields.
         wanted: the reference, at `rate` [Hz].
     """
 
     def __init__(
-        self, control: Control, model: mujoco.MjModel, build: Build, latency: float, wanted: Motion, rate: float
+        self,
+        control: Control,
+        model: mujoco.MjModel,
+        build: Build,
+        latency: float,
+        wanted: Motion,
+        rate: float,
+        rotors: Mapping[int, float],
     ) -> None:
         frequency = control.frequency or min(FASTEST, LATE / max(latency, 1e-9))
         omega = 2 * np.pi * frequency
         self._stiffness, self._damping = omega**2, 2 * control.damping_ratio * omega
+        late = 2 * self._damping * (1 / rate + latency)
+        self._bearable = {joint: rotor / late for joint, rotor in rotors.items()}
         self._follow = 1 - np.exp(-2 * np.pi * control.velocity_cutoff / rate)
         self._model, self._build, self._rate = model, build, rate
         self._q, self._qd, self._qdd = (np.asarray(x) for x in (wanted.q, wanted.qd, wanted.qdd))
@@ -87,6 +105,8 @@ class Controller:
         self._inverse = self._data.qfrc_inverse
         self._direction = np.tanh(self._qd / SMOOTH)
         self._friction = build.offset + build.friction * self._direction
+        for x in build.bristles:
+            self._friction[:, x.joint] += x.coulomb * self._direction[:, x.joint]
         t = np.arange(len(self._q)) / rate
         for i, damping in build.drags:
             self._friction[:, i] += damping(t, self._qd[:, i]) * self._qd[:, i]
@@ -101,12 +121,25 @@ class Controller:
         self._qpos[:] = q - build.encoder
         self._qvel[:] = self._qd[row]
         self._qacc[:] = self._qdd[row]
-        self._qacc += self._stiffness * (self._q[row] - q) + self._damping * (self._qd[row] - self._velocity)
+        feedback = self._stiffness * (self._q[row] - q) + self._damping * (self._qd[row] - self._velocity)
+        if not self._bearable:
+            self._qacc += feedback
         mujoco.mj_inverse(self._model, self._data)
         tau = self._inverse + self._friction[row]
+        if self._bearable:
+            tau += self._softened(feedback)
         for i, level in build.levels:
             load = self._inverse[i] + self._data.qfrc_passive[i] - build.armature[i] * self._qacc[i]
             tau[i] += level(self._velocity[i], load) * self._direction[row, i]
         for i, force in build.forces:
             tau[i] += force(row / self._rate, self._qpos[i], self._velocity[i])
         return tau / build.gain
+
+    def _softened(self, feedback: np.ndarray) -> np.ndarray:
+        """S M S (n, n) times accelerations (n,), where the last inverse dynamics was."""
+        scale, product = np.ones(len(feedback)), np.empty(len(feedback))
+        for i, inertia in self._bearable.items():
+            mujoco.mj_mulM(self._model, self._data, product, np.eye(len(feedback))[i])
+            scale[i] = np.sqrt(min(1.0, inertia / product[i]))
+        mujoco.mj_mulM(self._model, self._data, product, scale * feedback)
+        return scale * product

@@ -1,7 +1,8 @@
 """From the commanded torque to the next state: the channel in between, and what MuJoCo does not integrate by itself.
 
 A tick is so many steps of constant command. Where an effect changes from step to step, torques, friction and damping
-are set before each step; else MuJoCo takes all steps of a tick at once.
+are set before each step; else MuJoCo takes all steps of a tick at once. Arrays (n,) are of the motors unless they are
+said to be of the links.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -10,6 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from invdyn_cli.simulation import gear
+from invdyn_cli.simulation.arm import Arm, mass_matrices
+from invdyn_cli.simulation.bristles import Bristles
+from invdyn_cli.simulation.events import Stage
 from invdyn_cli.simulation.hidden import Build
 
 
@@ -21,13 +26,14 @@ class Drive:
     steps are of second order, `qvel` is the velocity of that instant, and a torque acts from when it is logged.
     """
 
-    def __init__(self, model: mujoco.MjModel, build: Build, substeps: int, *, sense: bool = False) -> None:
-        self.sense, self.felt, self._felt_last = sense, np.zeros(model.nv), np.zeros(model.nv)
-        self.model, self.build, self.substeps = model, build, substeps
+    def __init__(self, arm: Arm, build: Build, substeps: int, *, sense: bool = False) -> None:
+        model, n = arm.model, len(arm.motor)
+        self.sense, self.felt, self._felt_last = sense, np.zeros(n), np.zeros(n)
+        self.arm, self.model, self.build, self.substeps = arm, model, build, substeps
         self.data: Any = mujoco.MjData(model)
-        self.qpos, self.qvel, self.applied = self.data.qpos, self.data.qvel, self.data.qfrc_applied
+        self._qpos, self._qvel, self._applied = self.data.qpos, self.data.qvel, self.data.qfrc_applied
+        self._motor = arm.motor if len(arm.gear) else slice(None)  # a slice gives views, and there is nothing to pick
         self.step = float(model.opt.timestep)
-        n = model.nv
         self._columns = np.arange(n)
         self._late = np.round(build.delay / self.step).astype(int)
         self._forget = np.where(build.lag > 0, np.exp(-self.step / np.where(build.lag > 0, build.lag, 1.0)), 0.0)
@@ -37,42 +43,78 @@ class Drive:
         self._limits = bool(np.isfinite(build.limit).any())
         self._offsets = bool(build.offset.any())
         self._between = bool(self._late.any() or build.lag.any())
-        self._laws = bool(build.drags or build.forces or build.customs)
-        self._stepwise = self._between or self._laws or bool(build.levels) or sense
+        self._laws = bool(build.drags or build.forces or build.customs or build.bristles)
+        self._bristles = self._bristled()
+        self._stops = gear.Stops(arm, build.gears, self.data)
+        self._stage = Stage(build.events, model, self.data, len(build.carried)) if build.events else None
+        changing = self._between or self._laws or bool(build.levels) or sense
+        self._stepwise = changing or bool(self._stops) or self._stage is not None
 
     def start(self, q: np.ndarray) -> None:
-        """At rest at q (n,)."""
-        self.qpos[:] = q
-        self.qvel[:] = 0.0
+        """At rest with the motors at q (n,), and the gears where the weight of the links holds them."""
+        self._qpos[self._motor] = q
+        self._qvel[:] = 0.0
+        gear.loaded(self.arm, self.build.gears, self.data)
 
-    def measured_q(self) -> np.ndarray:
-        """True q (n,) at the beginning of the next tick."""
-        return self.qpos - (self.step / 2) * self.qvel
+    def q(self, *, link: bool = False) -> np.ndarray:
+        """True angles (n,) [rad; m] of the motors, or of the links, at the beginning of the next tick."""
+        return self._of(self._qpos - (self.step / 2) * self._qvel, link)
+
+    def qd(self, *, link: bool = False) -> np.ndarray:
+        """True velocities (n,) [rad/s; m/s] then, of the motors or of the links."""
+        return self._of(self._qvel, link)
 
     def advance(self, commands: np.ndarray, k: int, t: float) -> None:
         """One tick from t [s] on, under commands[k] (n,) and what came before it in commands (..., n)."""
         model, data = self.model, self.data
         if not self._stepwise:
-            self.applied[:] = self._delivered(commands[k])
+            self._applied[self._motor] = self._delivered(commands[k], t)
             mujoco.mj_step(model, data, self.substeps)
             return
         for step in range(self.substeps):
+            now = t + step * self.step
+            if self._stage is not None:
+                self._stage.put(now + self.step / 2)
             if self.build.levels:
                 self._put_friction()
-            self.applied[:] = self._delivered(self._arriving(commands, k, step) if self._between else commands[k])
-            if self._laws:
-                self._put_laws(t + step * self.step)
+            torque = self._delivered(self._arriving(commands, k, step) if self._between else commands[k], now)
+            self._applied[self._motor] = self._under_laws(torque, now) if self._laws else torque
+            if self._stops:
+                self._stops.look_ahead()
             mujoco.mj_step(model, data)
+            if self._bristles is not None:
+                self._bristles.advance(self._qvel[self._motor][self._bristles.joints])
             if self.sense and step == 0:
-                now = self.transmitted()
-                self.felt, self._felt_last = (self._felt_last + now) / 2, now
+                felt = self.transmitted()
+                self.felt, self._felt_last = (self._felt_last + felt) / 2, felt
         if self.sense:
             self._felt_last = self.transmitted()
 
     def transmitted(self) -> np.ndarray:
-        """Torque (n,) that reached the links in the last step: what arrived, less friction, springs and rotors."""
+        """Torque (n,) that reached the links in the last step: what arrived, less friction, springs and rotors; through
+        a gear that yields, what that passed on."""
         data = self.data
-        return self.applied + data.qfrc_passive + data.qfrc_constraint - self.model.dof_armature * data.qacc
+        felt = self._applied + data.qfrc_passive + data.qfrc_constraint - self.model.dof_armature * data.qacc
+        if not len(self.arm.gear):
+            return felt
+        links = felt[self._motor]
+        links[self.arm.geared] = felt[self.arm.gear]
+        return links
+
+    def _of(self, state: np.ndarray, link: bool) -> np.ndarray:
+        """Of positions or velocities (nv,) those of the motors or the links (n,)."""
+        own = state[self._motor]
+        if link and len(self.arm.gear):
+            own[self.arm.geared] += state[self.arm.gear]
+        return own
+
+    def _bristled(self) -> Bristles | None:
+        """The bristles, on the least inertia that each of their joints moves when all others are free."""
+        if not self.build.bristles:
+            return None
+        inverse = np.linalg.inv(mass_matrices(self.model, self.arm.gear))
+        least = 1 / np.diagonal(inverse, axis1=1, axis2=2).max(0)
+        return Bristles(self.build.bristles, least[self.arm.motor[[x.joint for x in self.build.bristles]]], self.step)
 
     def _arriving(self, commands: np.ndarray, k: int, step: int) -> np.ndarray:
         """Commands behind delays and lags: the mean over this step."""
@@ -87,33 +129,42 @@ class Drive:
         self._lagging = now + self._forget * lead
         return now + self._share * lead
 
-    def _delivered(self, arriving: np.ndarray) -> np.ndarray:
-        """Gain, then limits, then what is taken away."""
+    def _delivered(self, arriving: np.ndarray, t: float) -> np.ndarray:
+        """Gain, then limits, then what is taken away, in the step from t [s] on."""
         if self._gains:
             arriving = self.build.gain * arriving
+        if self._stage is not None:
+            arriving = self._stage.delivered(arriving, t + self.step / 2)
         if self._limits:
             arriving = np.clip(arriving, -self.build.limit, self.build.limit)
         return arriving - self.build.offset if self._offsets else arriving
 
     def _put_friction(self) -> None:
         """Dry friction of the next step, by the velocity before it and the torque that the last one transmitted."""
-        friction, load = self.build.friction.copy(), self.transmitted()
+        friction, load, qd = self.build.friction.copy(), self.transmitted(), self.qd()
         for i, level in self.build.levels:
-            friction[i] += level(float(self.qvel[i]), float(load[i]))
-        self.model.dof_frictionloss[:] = friction
+            friction[i] += level(float(qd[i]), float(load[i]))
+        self.model.dof_frictionloss[self._motor] = friction
 
-    def _put_laws(self, t: float) -> None:
-        """Damping and forces that depend on the state, for the next step."""
-        build, model = self.build, self.model
-        if build.drags:
-            damping = build.damping.copy()
-            for i, law in build.drags:
-                damping[i] += law(t, float(self.qvel[i]))
-            model.dof_damping[:] = damping
+    def _under_laws(self, torque: np.ndarray, t: float) -> np.ndarray:
+        """What is left of a torque (n,) by forces that depend on the state, for the step from t [s] on; sets damping
+        that does."""
+        build, torque = self.build, torque.copy()
+        q, qd = self._of(self._qpos, False), self.qd()
+        damping = build.damping.copy()
+        for i, law in build.drags:
+            damping[i] += law(t, float(qd[i]))
+        if self._bristles is not None:
+            joints = self._bristles.joints
+            np.add.at(damping, joints, self._bristles.damping(qd[joints]))
+            np.subtract.at(torque, joints, self._bristles.force)
+        if build.drags or self._bristles is not None:
+            self.model.dof_damping[self._motor] = damping
         for i, force in build.forces:
-            self.applied[i] -= force(t, float(self.qpos[i]), float(self.qvel[i]))
+            torque[i] -= force(t, float(q[i]), float(qd[i]))
         for i, force in build.customs:
             if i is None:
-                self.applied -= force(t, self.qpos.copy(), self.qvel.copy())
+                torque -= force(t, q.copy(), qd.copy())
             else:
-                self.applied[i] -= force(t, float(self.qpos[i]), float(self.qvel[i]))
+                torque[i] -= force(t, float(q[i]), float(qd[i]))
+        return torque

@@ -1,8 +1,8 @@
 """What can be built into the arm: effects by name, with the parameters and signs of DESIGN, section 6.
 
 Logged torque = nominal torque + the effect's term: the joint receives what is logged less the term. `assemble` turns
-effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies), and
-into the few laws that it does not have, which `drive` puts into every step.
+effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies, gears),
+and into the few laws and events that it does not have, which `drive` puts into every step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,10 +13,14 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.simulation import gear
 from invdyn_cli.simulation.arm import Body
+from invdyn_cli.simulation.bristles import Bristle
+from invdyn_cli.simulation.events import Contact, Events, GainChange, Load, window_of
 from invdyn_cli.types import Robot
 
 ABOVE, FROM, NUMBER, VECTOR, FUNCTION = "a number above 0", "a number from 0", "a number", "three numbers", "a function"
+WINDOW, NAME = "two times [s], [from, to]", "a trajectory's name"
 STANDARD_GRAVITY = 9.81
 """[m/s^2] of a tilted base, as DESIGN has it."""
 
@@ -31,6 +35,10 @@ class Kind:
     of_joint: bool | None = True
 
 
+def _event(needed: Mapping[str, str], optional: Mapping[str, str] | None = None, of_joint: bool = True) -> Kind:
+    return Kind({**needed, "window": WINDOW}, {"trajectory": NAME, **(optional or {})}, of_joint)
+
+
 KINDS = {
     "viscous_friction": Kind({"damping": FROM}),
     "coulomb_friction": Kind({"coulomb": FROM}),
@@ -38,17 +46,23 @@ KINDS = {
     "stribeck_friction": Kind({"coulomb": FROM, "static": FROM, "velocity": ABOVE}),
     "load_dependent_friction": Kind({"mu": FROM}),
     "quadratic_friction": Kind({"drag": FROM}),
+    "presliding_hysteresis": Kind({"coulomb": FROM, "stiffness": ABOVE}),
     "thermal_friction_drift": Kind({"cold": FROM, "warm": FROM, "time_constant": ABOVE}),
+    "backlash": Kind({"gap": ABOVE}, {"rotor": ABOVE}),
+    "joint_elasticity": Kind({"stiffness": ABOVE}, {"damping": FROM, "rotor": ABOVE}),
     "torque_ripple": Kind({"amplitude": NUMBER, "cycles": ABOVE, "phase": NUMBER}),
     "joint_spring": Kind({"stiffness": FROM, "rest": NUMBER}),
     "rotor_inertia": Kind({"armature": FROM}),
     "torque_gain_error": Kind({"gain": ABOVE}),
+    "torque_gain_change": _event({"gain": ABOVE}),
     "torque_offset": Kind({"offset": NUMBER}),
     "torque_offset_drift": Kind({"rate": NUMBER}),
     "torque_delay": Kind({"delay": FROM}),
     "actuator_lag": Kind({"time_constant": ABOVE}),
     "torque_saturation": Kind({"limit": ABOVE}),
     "payload": Kind({"mass": ABOVE, "com": VECTOR}, {"radius": FROM}, of_joint=False),
+    "payload_change": _event({"mass": ABOVE, "com": VECTOR}, {"radius": FROM, "ramp": FROM}, of_joint=False),
+    "external_contact": _event({"force": VECTOR}),
     "link_inertia_error": Kind({}, {"mass": NUMBER, "com": VECTOR, "inertia": NUMBER}),
     "base_tilt": Kind({"angle": NUMBER, "azimuth": NUMBER}, of_joint=False),
     "encoder_offset": Kind({"offset": NUMBER}),
@@ -69,7 +83,8 @@ class Hidden:
             that moves the link.
         parameters: by name, in the units of DESIGN. payload: also `radius` [m] of the sphere that it is (0.02).
             link_inertia_error: `mass` [kg] and `com` (3,) [m, in the joint's frame] are what is added to the nominal
-            ones, `inertia` [-] is the relative change of the inertia about the centre of mass.
+            ones, `inertia` [-] is the relative change of the inertia about the centre of mass. What comes and goes
+            has a `window` (2,) [s], and a `trajectory` if it is not in all.
     """
 
     effect: str
@@ -94,6 +109,9 @@ class Build:
         drags: (joint, law(t, qd) -> damping [N m s/rad]).
         forces: (joint, law(t, q, qd) -> term [N m]), known to a commissioned controller.
         customs: likewise, (None: all joints at once), known to nobody.
+        bristles: friction that is a spring before it slides.
+        gears: play and springs between motor and link, one on a joint at most.
+        events: what comes and goes, known to nobody.
     """
 
     inertial: np.ndarray
@@ -114,10 +132,15 @@ class Build:
     drags: list[tuple[int, Callable]] = field(default_factory=list)
     forces: list[tuple[int, Callable]] = field(default_factory=list)
     customs: list[tuple[int | None, Callable]] = field(default_factory=list)
+    bristles: list[Bristle] = field(default_factory=list)
+    gears: list[gear.Gear] = field(default_factory=list)
+    events: Events = field(default_factory=Events)
 
 
-def assemble(robot: Robot, hidden: Sequence[Hidden] = ()) -> Build:
-    """The effects as numbers and laws; several of one kind on one joint add up.
+def assemble(robot: Robot, hidden: Sequence[Hidden] = (), trajectory: str | None = None) -> Build:
+    """The effects as numbers and laws; several of one kind on one joint add up, but gears.
+
+    `trajectory` leaves out what happens in others only.
 
     Raises:
         UsageError: for an effect, a joint or a parameter that is not known, is missing, or out of range.
@@ -139,7 +162,8 @@ def assemble(robot: Robot, hidden: Sequence[Hidden] = ()) -> Build:
     )
     for one in hidden:
         refuse(one, robot)
-        _put(build, one, None if one.joint is None else robot.joints.index(one.joint))
+        if trajectory is None or one.parameters.get("trajectory") in (None, trajectory):
+            _put(build, one, None if one.joint is None else robot.joints.index(one.joint), robot)
     return build
 
 
@@ -165,23 +189,30 @@ def refuse(one: Hidden, robot: Robot | None = None) -> None:
     for name, value in one.parameters.items():
         if not _suits(value, known[name]):
             raise UsageError(f"{one.effect}: {name}={value}; allowed: {known[name]}")
+    if "window" in one.parameters:
+        window_of(one.effect, one.parameters["window"], float(one.parameters.get("ramp", 0.0)))
 
 
 def _suits(value: Any, allowed: str) -> bool:
     if allowed == FUNCTION:
         return callable(value)
+    if allowed == NAME:
+        return value is None or isinstance(value, str)
     try:
         numbers = np.asarray(value, float)
     except (TypeError, ValueError):
         return False
-    if numbers.shape != ((3,) if allowed == VECTOR else ()) or not np.isfinite(numbers).all():
+    if numbers.shape != {VECTOR: (3,), WINDOW: (2,)}.get(allowed, ()) or not np.isfinite(numbers).all():
         return False
     return bool(np.all(numbers > 0 if allowed == ABOVE else numbers >= 0 if allowed == FROM else True))
 
 
-def _put(build: Build, one: Hidden, i: Any) -> None:
+def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
     """Add an effect to the build, in place; `i` is the joint's column."""
-    p: dict[str, Any] = {k: v if callable(v) or np.ndim(v) else float(v) for k, v in one.parameters.items()}
+    given = {k: v for k, v in one.parameters.items() if k not in ("window", "trajectory")}
+    p: dict[str, Any] = {k: v if callable(v) or np.ndim(v) else float(v) for k, v in given.items()}
+    if "window" in one.parameters:
+        return _put_event(build.events, one, i, p)
     match one.effect:
         case "viscous_friction":
             build.damping[i] += p["damping"]
@@ -198,6 +229,14 @@ def _put(build: Build, one: Hidden, i: Any) -> None:
             build.drags.append((i, partial(_quadratic, **p)))
         case "thermal_friction_drift":
             build.drags.append((i, partial(_thermal, **p)))
+        case "presliding_hysteresis":
+            if p["coulomb"] > 0:
+                build.bristles.append(Bristle(i, **p))
+        case "backlash" | "joint_elasticity":
+            if any(x.joint == i for x in build.gears):
+                raise UsageError(f"{one.effect} on {one.joint}, whose gear yields already; allowed: one such effect")
+            build.gears.append(gear.chosen(robot, i, **p))
+            build.armature[i] += build.gears[-1].rotor
         case "torque_ripple":
             build.forces.append((i, partial(_ripple, **p)))
         case "joint_spring":
@@ -229,6 +268,18 @@ def _put(build: Build, one: Hidden, i: Any) -> None:
             build.encoder[i] += p["offset"]
         case "custom":
             build.customs.append((i, p["force"]))
+
+
+def _put_event(events: Events, one: Hidden, i: Any, p: dict[str, Any]) -> None:
+    """Add what comes and goes, in place."""
+    window = window_of(one.effect, one.parameters["window"], p.get("ramp", 0.0))
+    match one.effect:
+        case "torque_gain_change":
+            events.gains.append(GainChange(i, p["gain"], window))
+        case "payload_change":
+            events.loads.append(Load(Body(p["mass"], p["com"], p.get("radius", 0.02)), window))
+        case "external_contact":
+            events.contacts.append(Contact(i, np.asarray(p["force"], float), window))
 
 
 def _stribeck(qd, load, coulomb: float, static: float, velocity: float):

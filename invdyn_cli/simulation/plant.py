@@ -17,10 +17,12 @@ import numpy as np
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.logfile import Log, RawTrajectory
-from invdyn_cli.simulation.arm import build
+from invdyn_cli.simulation import gear
+from invdyn_cli.simulation.arm import Arm, build
 from invdyn_cli.simulation.control import Control, Controller
 from invdyn_cli.simulation.drive import Drive
-from invdyn_cli.simulation.hidden import Build, Hidden, assemble
+from invdyn_cli.simulation.events import refuse_outside, refuse_trajectory
+from invdyn_cli.simulation.hidden import Build, Hidden, assemble, refuse
 from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side, stepped
 from invdyn_cli.types import Motion, Robot
@@ -43,6 +45,8 @@ def simulate(
     control: Control = USUAL,
     seed: int = 0,
     torque_side: Side = "command",
+    position_side: str = "unknown",
+    link_encoder: bool = False,
     name: str = "trajectory_1",
     progress: Progress = silent,
 ) -> RawTrajectory:
@@ -59,6 +63,8 @@ def simulate(
         control: the controller.
         seed: of the reference and the noise.
         torque_side: what is logged as torque, see `sensors.Side`.
+        position_side: "link": the links' angles are logged; else the motors', which the controller sees in any case.
+        link_encoder: log the links' angles as well, beside the motors' (position_side="motor").
         name: the trajectory's.
 
     Raises:
@@ -69,26 +75,29 @@ def simulate(
         raise UsageError(f"torque_side={torque_side!r}; allowed: {listed(SIDES)}")
     for sensor in fields(noise):
         noise.of(sensor.name, robot.dofs)
-    made, step = assemble(robot, hidden), 1 / (rate * substeps)
+    refuse_link_encoder(link_encoder, position_side)
+    refuse_events(hidden, duration)
+    made, step = assemble(robot, hidden, name), 1 / (rate * substeps)
     wanted = reference.motion(robot, duration, rate, seed)
-    arm = build(
-        robot,
-        inertial=made.inertial,
-        gravity=made.gravity,
-        carried=made.carried,
-        armature=made.armature,
-        timestep=step,
-    )
-    _set_joints(arm.model, made)
+    parts = {"inertial": made.inertial, "gravity": made.gravity, "armature": made.armature, "timestep": step}
+    geared = [x.joint for x in made.gears]
+    arm = build(robot, carried=[*made.carried, *made.events.bodies()], geared=geared, **parts)
+    _set_joints(arm, made)
+    gear.put(arm, made.gears)
     known = arm.model if control.knows == "arm" else build(robot, timestep=step).model
+    if control.knows == "arm" and geared:
+        stiff = build(robot, carried=made.carried, **parts)
+        _set_joints(stiff, made)
+        known = stiff.model
     known_build = made if control.knows == "arm" else assemble(robot)
     latency = float((made.delay + made.lag).max())
-    controller = Controller(control, copy.copy(known), known_build, latency, wanted, rate)
-    arm.model.dof_frictionloss[:] = made.friction
-    drive = Drive(arm.model, made, substeps, sense=torque_side == "link")
+    rotors = {x.joint: x.rotor for x in made.gears}
+    controller = Controller(control, copy.copy(known), known_build, latency, wanted, rate, rotors)
+    arm.model.dof_frictionloss[arm.motor] = made.friction
+    drive = Drive(arm, made, substeps, sense=torque_side == "link")
     noises = np.random.default_rng([seed, 1])
     with _quiet():
-        logged = _run(drive, controller, wanted, noise, control, noises, rate, name, progress)
+        logged = _run(drive, controller, wanted, noise, control, noises, rate, name, position_side == "link", progress)
     tau = logged["link" if torque_side == "link" else "tau"]
     tau = tau + noises.normal(size=tau.shape) * noise.of("torque", robot.dofs)
     qd = None
@@ -101,6 +110,7 @@ def simulate(
         tau=stepped(tau, noise.of("torque_quantum", robot.dofs)),
         qd=qd,
         q_ref=np.asarray(wanted.q),
+        q_link=_second_encoder(logged["q_link"], noise, seed) if link_encoder else None,
         notes="; ".join(arm.notes),
     )
 
@@ -121,14 +131,15 @@ def record(
     """A log of one recording for every reference: trajectory_1, trajectory_2, ... with seeds from `seed` on.
 
     `urdf` is the path that the log names; `options` are those of `simulate`. Positions are the same on both sides of
-    the gear as long as nothing yields; `position_side` is only what the log says.
+    the gear as long as nothing yields.
     """
+    refuse_events(hidden, options.get("duration", 60.0), [f"trajectory_{i + 1}" for i in range(len(references))])
     trajectories = []
     for i, reference in enumerate(references):
         share = _between(progress, i / len(references), (i + 1) / len(references))
         name = f"trajectory_{i + 1}"
         how = {"rate": rate, "torque_side": torque_side, "seed": seed + i, "name": name, "progress": share}
-        trajectories.append(simulate(robot, reference, hidden, **how, **options))
+        trajectories.append(simulate(robot, reference, hidden, position_side=position_side, **how, **options))
     return Log(
         robot=robot.name,
         joints=robot.joints,
@@ -150,11 +161,35 @@ def refuse_clock(duration: float, rate: float, substeps: int) -> None:
         raise UsageError(f"substeps={substeps}; allowed: a whole number from 1")
 
 
-def _set_joints(model: mujoco.MjModel, made: Build) -> None:
+def refuse_link_encoder(link_encoder: bool, position_side: str) -> None:
+    """Raise a UsageError for links' angles beside angles that are not said to be the motors'."""
+    if link_encoder and position_side != "motor":
+        got = f"link_encoder=True with position_side={position_side}"
+        raise UsageError(f"{got}; allowed: position_side=motor, where q is the motor's angle and q_link the link's")
+
+
+def refuse_events(hidden: Sequence[Hidden], duration: float, names: Sequence[str] | None = None) -> None:
+    """Raise a UsageError for events after the end of a recording [s], or in others than `names`."""
+    for one in hidden:
+        if "window" in one.parameters:
+            refuse(one)
+            refuse_outside(one.effect, float(one.parameters["window"][1]), duration)
+            if names is not None:
+                refuse_trajectory(one.effect, one.parameters.get("trajectory"), names)
+
+
+def _set_joints(arm: Arm, made: Build) -> None:
     """Damping and springs, which MuJoCo integrates by itself; dry friction comes after the feedforward."""
-    model.dof_damping[:] = made.damping
-    model.jnt_stiffness[:] = made.stiffness.reshape(model.jnt_stiffness.shape)
-    model.qpos_spring[:] = made.pull / np.where(made.stiffness > 0, made.stiffness, 1.0)
+    arm.model.dof_damping[arm.motor] = made.damping
+    arm.model.jnt_stiffness[arm.motor] = made.stiffness
+    arm.model.qpos_spring[arm.motor] = made.pull / np.where(made.stiffness > 0, made.stiffness, 1.0)
+
+
+def _second_encoder(q: np.ndarray, noise: Noise, seed: int) -> np.ndarray:
+    """Link angles (T, n) as an encoder of their own measures them, no worse than the motors'."""
+    n = q.shape[1]
+    measured = q + np.random.default_rng([seed, 2]).normal(size=q.shape) * noise.of("position", n)
+    return stepped(measured, noise.of("position_quantum", n))
 
 
 def _run(
@@ -166,40 +201,43 @@ def _run(
     noises: np.random.Generator,
     rate: float,
     name: str,
+    link: bool,
     progress: Progress,
 ) -> Mapping[str, np.ndarray]:
-    """The control loop: measured "q", true "qd", commanded "tau" and "link" torque, (T, n) each."""
+    """The control loop: measured "q", true "qd" (of the links if `link`), the links' true "q_link", commanded "tau" and
+    "link" torque, (T, n) each."""
     goal = np.asarray(wanted.q)
     samples, n = goal.shape
     before = round(control.settle * rate)
     commands = np.empty((before + samples, n))
-    q, qd, link = np.empty((3, samples, n))
+    q, qd, q_link, felt = np.empty((4, samples, n))
     errors = noises.normal(size=(before + samples, n)) * noise.of("position", n) + drive.build.encoder
     quantum = noise.of("position_quantum", n)
     drive.start(goal[0] - drive.build.encoder)
     for tick in range(before + samples):
         k = tick - before
-        measured = drive.measured_q() + errors[tick]
+        measured = drive.q() + errors[tick]
         if quantum.any():
             measured = stepped(measured, quantum)
         commands[tick] = controller.torque(max(k, 0), measured)
         if k >= 0:
-            q[k], qd[k] = measured, drive.qvel
+            q_link[k], qd[k] = drive.q(link=True), drive.qd(link=link)
+            q[k] = stepped(q_link[k] + errors[tick], quantum) if link else measured
         drive.advance(commands, tick, k / rate)
         if k >= 0 and drive.sense:
-            link[k] = drive.felt
+            felt[k] = drive.felt
         if not tick % LOOK_EVERY:
             _refuse_runaway(drive, goal[max(k, 0)] - measured, k / rate, control, name)
             progress(tick / len(commands), f"{max(k, 0) / rate:.0f} s of {name}")
     progress(1.0, name)
-    return {"q": q, "qd": qd, "tau": commands[before:], "link": link}
+    return {"q": q, "qd": qd, "q_link": q_link, "tau": commands[before:], "link": felt}
 
 
 def _refuse_runaway(drive: Drive, error: np.ndarray, t: float, control: Control, name: str) -> None:
     worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf)))
     if abs(error[worst]) <= control.largest_error:
         return
-    joint = drive.model.joint(worst).name
+    joint = drive.model.joint(int(drive.arm.motor[worst])).name
     when = f"at {t:.2f} s" if t >= 0 else "before the log begins"
     raise UsageError(
         f"{name}: the simulated arm is out of control {when}, {joint} is {error[worst]:.3g} from its "

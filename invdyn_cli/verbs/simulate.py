@@ -69,7 +69,11 @@ def write(log: Log, source: Plant, robot: Robot, folder: Path) -> None:
 
 def truth(source: Plant, robot: Robot) -> dict[str, Any]:
     """What is hidden, and all that the recording was made with."""
-    effects = [{"effect": x.effect, "joint": x.joint, "parameters": dict(x.parameters)} for x in source.hidden()]
+    effects = []
+    for x in source.hidden():
+        where = {name: x.parameters[name] for name in ("trajectory", "window") if name in x.parameters}
+        parameters = {name: value for name, value in x.parameters.items() if name not in where}
+        effects.append({"effect": x.effect, "joint": x.joint, "parameters": parameters, **where})
     return {
         "schema": "invdyn-truth/1",
         "robot": robot.name,

@@ -1,0 +1,116 @@
+"""Joints whose gear yields: the motor and the link turn on one axis, with play or a spring between them.
+
+The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's is the
+link's angle less the motor's, and carries the link: MuJoCo's joint limits stop it at either end of the play, MuJoCo's
+spring pulls it back.
+"""
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from invdyn_cli.simulation.arm import Arm, build, mass_matrix
+from invdyn_cli.simulation.references import room
+from invdyn_cli.types import Robot
+
+ROTOR = 0.03
+"""[-] Rotor inertia where none is given, of the inertia that the joint carries."""
+
+DAMPED = 0.02
+"""[-] Damping ratio of a link on its spring where no damping is given: steel, grease and bearings."""
+
+NEAR = 1e-3
+"""[-] Share of the play within which a tooth lies on: there it is held even where it does not move yet."""
+
+
+@dataclass(frozen=True)
+class Gear:
+    """What is between motor and link of one joint's column: play, or a spring.
+
+    Attributes:
+        joint: the column.
+        rotor: [kg m^2; kg] inertia of the motor.
+        gap: [rad; m] full width of the play; 0: a spring.
+        stiffness, damping: [N m/rad], [N m s/rad] of the spring.
+    """
+
+    joint: int
+    rotor: float
+    gap: float = 0.0
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
+def carried(robot: Robot) -> np.ndarray:
+    """(n,) [kg m^2; kg] inertia that each joint carries, all joints in the middle of their range, the others held."""
+    model = build(robot).model
+    return np.diagonal(mass_matrix(model, mujoco.MjData(model), room(robot)[0])).copy()
+
+
+def chosen(
+    robot: Robot,
+    joint: int,
+    *,
+    gap: float = 0.0,
+    stiffness: float = 0.0,
+    damping: float | None = None,
+    rotor: float | None = None,
+) -> Gear:
+    """A gear of this robot, its defaults as DAMPED and ROTOR have them."""
+    inertia = carried(robot)[joint]
+    if damping is None:
+        damping = 2 * DAMPED * float(np.sqrt(stiffness * inertia))
+    return Gear(joint, ROTOR * inertia if rotor is None else rotor, gap, stiffness, damping)
+
+
+def put(arm: Arm, gears: Sequence[Gear]) -> None:
+    """Set springs and stops of an arm that was built with these gears."""
+    model = arm.model
+    for dof, gear in zip(arm.gear, gears, strict=True):
+        model.jnt_stiffness[dof], model.qpos_spring[dof] = gear.stiffness, 0.0
+        model.dof_damping[dof] = gear.damping
+        if gear.gap:
+            model.jnt_limited[dof], model.jnt_range[dof] = 1, (-gear.gap / 2, gear.gap / 2)
+            model.jnt_solimp[dof] = model.dof_solimp[dof]
+
+
+def loaded(arm: Arm, gears: Sequence[Gear], data: Any) -> None:
+    """Put the gears where the weight of the links holds them at rest, the motors being where they are."""
+    for _ in range(10 if gears else 0):  # a spring yields by a hundredth of a radian: each round leaves a hundredth
+        mujoco.mj_forward(arm.model, data)
+        for dof, gear in zip(arm.gear, gears, strict=True):
+            weight = data.qfrc_bias[dof]
+            data.qpos[dof] = -np.sign(weight) * gear.gap / 2 if gear.gap else -weight / gear.stiffness
+
+
+class Stops:
+    """The ends of all plays; mutable, alive for one simulation.
+
+    MuJoCo stops a joint when it is beyond its limit, by then up to a step's way. So before each step the limit is
+    moved to where the joint is, if it would pass the end within the step, with the damping that takes it just there.
+    """
+
+    def __init__(self, arm: Arm, gears: Sequence[Gear], data: Any) -> None:
+        plays = [(dof, gear.gap / 2) for dof, gear in zip(arm.gear, gears, strict=True) if gear.gap]
+        self._plays, self._model, self._data = plays, arm.model, data
+        self._step = float(arm.model.opt.timestep)
+
+    def __bool__(self) -> bool:
+        return bool(self._plays)
+
+    def look_ahead(self) -> None:
+        """Set the limits for the next step."""
+        model, h = self._model, self._step
+        for dof, half in self._plays:
+            q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
+            left = half - (q if (qd or q) > 0 else -q)
+            way = abs(qd) * h
+            if 0 < left < max(way, NEAR * half):
+                model.jnt_margin[dof] = left + 1e-9 * half
+                model.jnt_solref[dof] = 0.0, -(1 - min(1.0, left / way if way else 1.0)) / h
+            else:
+                model.jnt_margin[dof], model.jnt_solref[dof] = 0.0, (2 * h, 1.0)
