@@ -35,7 +35,7 @@ from invdyn_cli.interfaces import (
     Parameters,
 )
 from invdyn_cli.maths import rigid_body
-from invdyn_cli.types import Robot
+from invdyn_cli.types import Array, Robot
 
 ZEROS = (-0.04, 0.04)
 """[rad] Encoder offsets at which the torque is taken anew: far from zero it is no straight line of the offset."""
@@ -207,7 +207,7 @@ def gear_candidate(
     return Candidate(effect, joint, shape, columns, np.array([1 / (0.3 * softness) ** 2]))
 
 
-def _carried(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def _carried(evidence: Evidence, joint: int) -> list[tuple[Array, Array]]:
     """Of every piece the torque (T,) that a joint transmits, and the inertia (T,) that it carries."""
     answers = _answers(evidence, joint)
     return [

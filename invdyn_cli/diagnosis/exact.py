@@ -7,6 +7,7 @@ and nothing is straightened any more. Gauss and Newton's steps with numerical sl
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -196,16 +197,17 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
 
 
 def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
-    """Every effect's parameters with the ends of their intervals, {name: (value, lower, upper)}: jackknife over blocks,
-    each replica turned into parameters, and no less than what the noise alone leaves unknown; angles do not jump."""
+    """Every effect's parameters, and the edges of its window, with the ends of their intervals, {name: (value, lower,
+    upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone leaves
+    unknown; angles do not jump."""
     replicas = [_with(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
     moved = [_with(evidence, refined.acting, refined.labels, refined.theta + row) for row in refined.unknown]
     out = []
     for number, a in enumerate(refined.acting):
         row = {}
-        for name, value in a.parameters.items():
+        for name, value in _told(a).items():
             away = [
-                np.array([np.asarray(r[number].parameters[name], float) - value for r in rows])
+                np.array([np.asarray(_told(r[number])[name], float) - value for r in rows])
                 for rows in (replicas, moved)
             ]
             if name in ("azimuth", "phase"):
@@ -214,6 +216,12 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
     return out
+
+
+def _told(acting: Acting) -> dict[str, Any]:
+    """Parameters of an effect, and the edges of its window."""
+    edges = {} if acting.when is None else {name: getattr(acting.when, name) for name in EDGES}
+    return {**acting.parameters, **edges}
 
 
 def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
@@ -231,6 +239,8 @@ def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndar
         return OWN_TIME * evidence.recording.period
     if name in ("static", "velocity"):
         return STUCK * np.abs(value)
+    if name in EDGES:
+        return 1 / evidence.recording.filter.rate
     if name in ("phase", "azimuth", "rest", "cycles"):
         return 0.0
     return SYSTEMATIC * np.abs(np.asarray(value, float) - (1.0 if name == "gain" else 0.0))

@@ -13,7 +13,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.exact import Refined, intervals, reach
+from invdyn_cli.diagnosis.exact import EDGES, Refined, intervals, reach
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.search import Hypothesis
@@ -100,6 +100,8 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             advice=effect.advice,
             evidence=_facts(evidence, terms[i]),
         )
+        if candidate.when is not None:
+            finding = _timed(finding, whole.acting[i], ends[i])
         partner = _partner(hypothesis, i)
         if partner is not None and abs(ends[partner][_OFFSET][0]) < ends[i][_COULOMB][0]:
             finding = _asymmetric(inquiry, hypothesis, whole, finding, i, partner, after)
@@ -205,7 +207,20 @@ def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool)
     return {
         name: Quantity(_plain(value), _unit(effect, name, slides), [_plain(low), _plain(high)])
         for name, (value, low, high) in ends.items()
+        if name in effect.parameters
     }
+
+
+def _timed(finding: Finding, acting: Acting, ends: Mapping[str, tuple]) -> Finding:
+    """A finding with its window, seconds from the trajectory's first sample."""
+    assert acting.when is not None
+    edges = [[_plain(x) for x in ends[name][1:]] for name in EDGES]
+    return replace(
+        finding,
+        trajectory=acting.when.trajectory,
+        window=(acting.when.start, acting.when.end),
+        evidence={**finding.evidence, "window_interval95": edges},
+    )
 
 
 def _unit(effect: AbstractEffect, name: str, slides: bool) -> str:
@@ -295,7 +310,7 @@ def _may_be_payload(ends: Mapping[str, tuple]) -> bool:
 
 def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, tuple]) -> Finding:
     """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
-    if finding.effect == "payload":
+    if finding.effect in ("payload", "payload_change"):
         finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
         nominal = float(robot.inertial[-1, 0])
         if float(ends["mass"][0]) < LIGHTER * nominal:

@@ -1,11 +1,11 @@
 """The inquiry: search and exact refinement in turn, until the set of causes stays the same."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis import known, naming, noise
+from invdyn_cli.diagnosis import events, known, naming, noise
 from invdyn_cli.diagnosis.candidates import trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
@@ -44,15 +44,51 @@ def inquire(
     allowed: Sequence[tuple[str, int | None]],
     most: int,
     compares: bool,
+    side: str = "unknown",
+    parted: bool = True,
 ) -> Inquiry:
-    """Search, refine, search again with the nonlinear parameters that were found.
+    """What acts always, and then what comes and goes beside it.
 
     Args:
         effects: the causes to look for.
         allowed: (effect, joint or None for all) that are allowed for and not reported.
         most: effects at most.
         compares: whether the recording has a reference beside it.
+        side: the torque's.
+        parted: whether a user said what chooses and what judges; it then stays so.
     """
+    inquiry = _lasting(evidence, effects, allowed, most, compares)
+    everywhere = [] if compares else events.places(evidence, effects, side)
+    windows: list[Sequence[Candidate]] = []
+    while len(windows) < events.MOST:
+        found = events.proposed(
+            inquiry.evidence, everywhere, inquiry.whole.residual, inquiry.noise.weights, len(windows)
+        )
+        if not found:
+            return inquiry
+        windows += found
+        passing = [c for window in windows for c in window]
+        evidence = inquiry.evidence
+        if not parted:
+            evidence = events.interleaved(evidence, [window[0].when for window in windows if window[0].when])
+        lasting = [c for c in evidence.candidates if c.when is None]
+        again = _lasting(replace(evidence, candidates=[*lasting, *passing]), effects, allowed, most, compares)
+        held = {c.when.number for c in again.hypothesis if c.when is not None}
+        if len(held) <= sum(c.when is not None for c in inquiry.hypothesis):
+            return inquiry
+        inquiry = again
+        windows = [w for w in windows if w[0].when is not None and w[0].when.number in held]
+    return inquiry
+
+
+def _lasting(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    compares: bool,
+) -> Inquiry:
+    """Search, refine, search again with the nonlinear parameters that were found."""
     new = evidence.role == ROLES.index("train")
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
@@ -108,7 +144,7 @@ def inquire(
 def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
     """The effects of a hypothesis with the parameters that its columns have on the data that chose it."""
     theta = judge.verdict((*hypothesis, *always)).theta
-    return [Acting(c.effect, c.joint, p) for c, p in read_all(judge.evidence, hypothesis, theta)]
+    return [Acting(c.effect, c.joint, p, c.when) for c, p in read_all(judge.evidence, hypothesis, theta)]
 
 
 CLIPPED, SELDOM, BEYOND = 0.1, 0.5, 3.0
@@ -125,13 +161,9 @@ NEARLY = 0.9
 """Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
 
 
-def _unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple[str, int | None]]:
+def _unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
     """Effects and joints whose parameters came out as no such effect has them."""
-    return {
-        (a.effect.name, a.joint)
-        for k, a in enumerate(refined.acting)
-        if not _is_likely(evidence, model, measured, refined, k)
-    }
+    return {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
 
 
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:

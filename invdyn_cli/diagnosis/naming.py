@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.search import PRICE_OF_COEFFICIENT, Hypothesis, Judge, clash
+from invdyn_cli.diagnosis.search import PRICE_OF_COEFFICIENT, Hypothesis, Judge, clash, same_window
 
 DOUBT = 0.005
 """Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
@@ -78,7 +78,7 @@ def rivals(
     for c in pool:
         if not set(c.columns) & set(own.columns):
             continue  # what another joint alone feels is no rival
-        if c.key == own.key or any(c.key == e.key or clash(e, c) for e in others):
+        if c.key == own.key or any(c.key == e.key or clash(e, c) or same_window(e, c) for e in others):
             continue
         value, _ = judge.quick((*always, *others, c))
         value -= judge.price((c,)) - PRICE_OF_COEFFICIENT * judge.freedom(c)

@@ -87,10 +87,12 @@ def diagnose(
     recording, robot = known.taken_out(recording, nominal, facts, gravity="gravity" in log.compensated)
     recording, common = hold.taken_out(robot, recording, side)
     progress(0.25, "columns")
-    evidence = gather(robot, recording, list(pool.values()), side)
+    evidence = gather(robot, recording, list(pool.values()), side, log.position_side)
     progress(0.5, "search")
     most = 3 * robot.dofs if options.most is None else options.most
-    inquiry = inquire(evidence, pool, allowed, most, any("reference" in p.role for p in recording.pieces))
+    compares = any("reference" in p.role for p in recording.pieces)
+    inquiry = inquire(evidence, pool, allowed, most, compares, side, parted=windows is not None)
+    evidence = inquiry.evidence
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)

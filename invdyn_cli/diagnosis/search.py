@@ -286,7 +286,7 @@ def _best(judge: Judge, always: Hypothesis, now: Hypothesis, moves: Iterable[Hyp
 
 def _additions(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
     for c in pool:
-        if not any(c.key == e.key or clash(e, c) for e in hypothesis):
+        if not any(c.key == e.key or clash(e, c) or same_window(e, c) for e in hypothesis):
             yield *(e for e in hypothesis if not clash(c, e)), c
 
 
@@ -298,7 +298,8 @@ def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypoth
     for i in range(len(hypothesis)):
         others = hypothesis[:i] + hypothesis[i + 1 :]
         for c in pool:
-            if c is not hypothesis[i] and not any(c.key == e.key or clash(e, c) or clash(c, e) for e in others):
+            taken = any(c.key == e.key or clash(e, c) or clash(c, e) or same_window(e, c) for e in others)
+            if c is not hypothesis[i] and not taken:
                 yield *others, c
 
 
@@ -310,13 +311,18 @@ def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypot
             continue
         others = tuple(c for m, c in enumerate(hypothesis) if m not in (i, k))
         for c in pool:
-            if c.effect.point in WHOLE and not any(c.key == e.key for e in others):
+            if c.effect.point in WHOLE and not any(c.key == e.key or same_window(e, c) for e in others):
                 yield *others, c
 
 
 def clash(whole: Candidate, part: Candidate) -> bool:
     """Whether one effect on a joint is the general case of another there."""
     return whole.joint == part.joint and part.effect.name in whole.effect.contains
+
+
+def same_window(one: Candidate, other: Candidate) -> bool:
+    """Whether two effects would come and go in the same window: one thing happened there."""
+    return one.when is not None and other.when is not None and one.when.number == other.when.number
 
 
 def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:

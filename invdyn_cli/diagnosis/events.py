@@ -1,0 +1,171 @@
+"""What comes and goes: windows of time in which another effect would explain what is left, found by trying them all.
+
+Sums over rows are kept cumulatively, so that what an effect explains in any window is one small solve. Windows on a
+coarse grid first, then each edge at every row; the exact refinement moves the edges on from there.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.candidates import passing_candidate, passing_columns
+from invdyn_cli.diagnosis.evidence import BLOCK, Candidate, Evidence
+from invdyn_cli.diagnosis.recording import ROLES
+from invdyn_cli.effects.composition import When
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
+
+GRID, CELL = 120, 0.1
+"""Edges of windows that are tried in a trajectory, and the shortest step between them [s]."""
+
+SHORTEST = 0.2
+"""[s] of a window: what is shorter is a blow, of which nothing is known but its momentum."""
+
+PRICE, PRICE_OF_COEFFICIENT = 40.0, 4.0
+"""Noise variances that a window must explain to be tried: the best of ten thousand in white noise has 25 (one
+coefficient) to 50 (ten)."""
+
+MOST = 8
+"""Windows that are tried for one log."""
+
+PARTS, FINEST = 6, 0.2
+"""Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge."""
+
+TURN = 3
+"""Every so many blocks one judges."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """An effect that may come and go, on a joint: its columns (k, n, R) and what is known of their factors (k,)."""
+
+    effect: AbstractEffect
+    joint: int | None
+    columns: np.ndarray
+    precision: np.ndarray
+
+
+def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str) -> list[Place]:
+    """Every effect that comes and goes, wherever it would be felt; what is felt alike at several joints is taken at the
+    outermost of them."""
+    made: list[Place] = []
+    loud = np.sqrt(np.mean(evidence.tau**2))
+    for effect in effects.values():
+        if not effect.passing or side not in effect.sides:
+            continue
+        whole = isinstance(effect, AbstractBodyEffect)
+        own: list[Place] = []
+        for joint in (None,) if whole else reversed(range(evidence.dofs)):
+            columns = passing_columns(evidence, effect, joint, None)
+            precision = np.zeros(len(columns))
+            if isinstance(effect, AbstractBodyEffect):
+                precision = np.array([1 / scale**2 for *_, scale in effect.directions(evidence.robot, joint)])
+            felt = np.abs(columns).max() > 1e-6 * loud
+            if felt and not any(np.allclose(columns, x.columns, atol=1e-6 * np.abs(columns).max()) for x in own):
+                own.append(Place(effect, joint, columns, precision))
+        made += own
+    return made
+
+
+def proposed(
+    evidence: Evidence, everywhere: Sequence[Place], residual: np.ndarray, weights: np.ndarray, number: int
+) -> list[list[Candidate]]:
+    """For each window in which something comes and goes, every effect that may be it; the windows that explain most of
+    a residual (R, n) first.
+
+    Args:
+        weights: (n,) of a row, in noise variances.
+        number: of the first window.
+    """
+    left, made = residual.copy(), []
+    for count in range(MOST):
+        tries = [_window(evidence, p, left, weights) for p in everywhere]
+        value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
+        if value <= PRICE or when is None:
+            break
+        left = left - explained
+        when = when._replace(number=number + count)
+        made.append([passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere])
+    return made
+
+
+def interleaved(evidence: Evidence, windows: Sequence[When]) -> Evidence:
+    """The evidence with blocks that choose and judge in turn, in every window and outside: what comes once must be in
+    both."""
+    block, role = evidence.block.copy(), evidence.role.copy()
+    t, first = evidence.on_rows("t"), 0
+    for number, piece in enumerate(evidence.recording.pieces):
+        at = evidence.piece == number
+        own = [w for w in windows if w.trajectory == piece.trajectory]
+        edges = np.unique([-np.inf, *(x for w in own for x in (w.start, w.end)), np.inf])
+        part = np.searchsorted(edges, t[at], side="right") - 1
+        mine = np.zeros(at.sum(), int)
+        turns = np.zeros(at.sum(), int)
+        for segment in np.unique(part):
+            here = part == segment
+            time = t[at][here]
+            inside = any(w.start < time.mean() < w.end for w in own)
+            length = time[-1] - time[0] + 1e-9
+            each = min(BLOCK, max(FINEST, length / PARTS)) if inside else BLOCK
+            turn = np.minimum((time - time[0]) // each, max(0, length // each - 1)).astype(int)
+            mine[here], turns[here] = first + turn, turn
+            first = int(mine[here].max()) + 1
+        block[at] = mine
+        if piece.role != "reference":
+            role[at] = np.where(turns % TURN == TURN - 1, ROLES.index("test"), ROLES.index("train"))
+    return replace(evidence, block=block, role=role)
+
+
+def _window(
+    evidence: Evidence, place: Place, left: np.ndarray, weights: np.ndarray
+) -> tuple[float, When | None, np.ndarray]:
+    """What an effect explains in its best window, less its price; the window, and its torque (R, n)."""
+    t, k = evidence.on_rows("t"), len(place.columns)
+    names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    used = evidence.valid * weights
+    best: tuple[float, When | None, np.ndarray] = -np.inf, None, left
+    for name in dict.fromkeys(names):
+        rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
+        if len(rows) < 2 * k:
+            continue
+        x, w, y, time = place.columns[:, :, rows], used[rows].T, left[rows].T, t[rows]
+        normal = np.concatenate([np.zeros((1, k, k)), np.cumsum(np.einsum("anr,bnr,nr->rab", x, x, w), axis=0)])
+        moment = np.concatenate([np.zeros((1, k)), np.cumsum(np.einsum("anr,nr->ra", x, y * w), axis=0)])
+        prior = np.diag(place.precision) + 1e-9 * np.diag(np.diag(normal[-1]) + 1e-300)
+
+        def gain(a, b, normal=normal, moment=moment, prior=prior):
+            m = moment[b] - moment[a]
+            return np.einsum("wa,wa->w", m, np.linalg.solve(normal[b] - normal[a] + prior, m[..., None])[..., 0])
+
+        step = max(CELL, (time[-1] - time[0]) / GRID)
+        grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
+        a, b = (grid[i] for i in np.triu_indices(len(grid), 1))
+        long = time[b - 1] - time[a] >= SHORTEST
+        a, b = a[long], b[long]
+        if not len(a):
+            continue
+        at = int(np.argmax(gain(a, b)))
+        a, b = _sharpened(gain, a[at], b[at], time, 2 * step)
+        value = float(gain(np.array([a]), np.array([b]))[0]) - PRICE_OF_COEFFICIENT * k
+        if value > best[0]:
+            factors = np.linalg.solve(normal[b] - normal[a] + prior, moment[b] - moment[a])
+            explained = np.zeros_like(left)
+            explained[rows[a:b]] = np.tensordot(factors, x[:, :, a:b], 1).T
+            start = time[0] if not a else (time[a - 1] + time[a]) / 2
+            end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
+            best = value, When(str(name), float(start), float(end)), explained
+    return best
+
+
+def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:
+    """Edges of a window moved to the rows that explain most, each in turn."""
+    for _ in range(2):
+        near = np.flatnonzero(np.abs(time - time[min(a, len(time) - 1)]) <= reach)
+        near = near[near < b - 1]
+        if len(near):
+            a = int(near[np.argmax(gain(near, np.full(len(near), b)))])
+        near = np.flatnonzero(np.abs(time - time[b - 1]) <= reach) + 1
+        near = near[near > a + 1]
+        if len(near):
+            b = int(near[np.argmax(gain(np.full(len(near), a), near))])
+    return a, b
