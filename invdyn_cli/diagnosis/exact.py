@@ -209,6 +209,15 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
     return out
 
 
+def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:
+    """The same with parameters moved by (k,), as far as they are physics, replicas and all."""
+    theta = _inside(refined.acting, refined.labels, refined.theta + move)
+    acting = _with(evidence, refined.acting, refined.labels, theta)
+    residual = refined.residual + model.residual(acting) - model.residual(refined.acting)
+    replicas = refined.replicas + (theta - refined.theta)
+    return replace(refined, acting=acting, theta=theta, replicas=replicas, residual=residual)
+
+
 def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
     """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958); at least that of the moves (m, …)
     that the noise leaves unknown."""
