@@ -32,9 +32,6 @@ LIGHT = 1e-3
 SURE = 2.0
 """Standard errors by which a mass is below zero to be said so."""
 
-WATER = 1000.0
-"""[kg/m^3] Density of the ball that a payload is taken for where the data do not show its inertia."""
-
 
 @dataclass(frozen=True)
 class Body:
@@ -137,7 +134,9 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
             continue
         places = np.array([k for k, (of, *_) in enumerate(refined.labels) if of == number])
         if one.effect.name == "payload":
-            bodies.append(Body("the payload", places, np.zeros(10), _ball(refined.theta[places])))
+            mass, *moment = refined.theta[places[:4]]
+            ball = pseudo_inertia.ball(mass, np.array(moment) / mass)
+            bodies.append(Body("the payload", places, np.zeros(10), ball))
             continue
         assert one.joint is not None
         own, name = nominal[one.joint], names[one.joint]
@@ -158,14 +157,6 @@ def _row(refined: Refined, body: Body) -> np.ndarray:
 
 def _can_be(refined: Refined, body: Body) -> bool:
     return pseudo_inertia.is_realisable(_row(refined, body))
-
-
-def _ball(row: np.ndarray) -> np.ndarray:
-    """A ball of water of a row's mass and centre, (10,)."""
-    mass, x, y, z = row[0], *(row[1:4] / row[0])
-    own = 0.4 * mass * (3 * mass / (4 * np.pi * WATER)) ** (2 / 3)
-    about = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
-    return np.array([*row[:4], *(mass * about + own * np.array([1, 0, 1, 0, 0, 1]))])
 
 
 def _precision(evidence: Evidence, refined: Refined, place: int) -> float:

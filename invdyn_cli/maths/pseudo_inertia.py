@@ -39,9 +39,16 @@ that, for every body, is also about all that it costs."""
 EXACT = 1e-6
 """Of the cost, to which it is found where that is more than the pull costs."""
 
+ROUNDING = 1e-13
+"""Of the largest information, in units of the reference, below which it is that of rounding errors."""
+
 STEPS, SHRINK, CLOSE, DAMPED = 50, 0.1, 1e-9, 0.25
 """Newton's steps at most for each weight of the pull, factor from one weight to the next, squared decrement to stop,
 and decrement above which steps are damped."""
+
+
+WATER = 1000.0
+"""[kg/m^3] Density of the ball that a body is taken for where nothing is known of its inertia."""
 
 
 class Consistent(NamedTuple):
@@ -67,6 +74,13 @@ def row_of(pseudo: Array) -> np.ndarray:
 
 _BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 """(10, 4, 4) pseudo inertia of each parameter alone."""
+
+
+def ball(mass: float, centre: Array) -> np.ndarray:
+    """The row (10,) of a ball of water of this mass [kg] about a centre (3,) [m]."""
+    place = np.array([*np.asarray(centre, float), 1.0])
+    radius = (3 * mass / (4 * np.pi * WATER)) ** (1 / 3)
+    return row_of(mass * (np.outer(place, place) + np.diag([radius**2 / 5] * 3 + [0.0])))
 
 
 def is_realisable(row: Array, slack: float = 0.0) -> bool:
@@ -152,7 +166,8 @@ def consistent(reference: Array, wanted: Array, information: Array, pull: float 
     units = np.array([_row_unit(row) for row in reference])
     unit = units.ravel()
     values, vectors = np.linalg.eigh(np.asarray(information, float) * np.outer(unit, unit))
-    factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+    seen = values > ROUNDING * values[-1]
+    factor = np.sqrt(values[seen])[:, None] * vectors[:, seen].T
     goal = factor @ (wanted / units).ravel()
     x = (reference / units).ravel()
     centre = np.linalg.inv(_pseudo(x))

@@ -57,6 +57,14 @@ def test_a_pseudo_inertia_and_back(seed):
     np.testing.assert_allclose(pi.pseudo_inertia(point), mass * np.outer([*place, 1], [*place, 1]), atol=1e-14)
 
 
+def test_a_ball_is_a_ball():
+    """2/5 m r^2 about every axis of its centre, with the volume of its mass of water (Archimedes)."""
+    row = pi.ball(2.0, np.array([0.1, -0.2, 0.3]))
+    radius = (0.002 / (4 / 3 * np.pi)) ** (1 / 3)
+    np.testing.assert_allclose(row[:4], [2.0, 0.2, -0.4, 0.6])
+    np.testing.assert_allclose(about_centre(row), 0.4 * 2.0 * radius**2 * np.eye(3), atol=1e-12)
+
+
 def test_realisable_is_what_bodies_have():
     """A row is called realisable where mass, inertia about the centre and its triangle inequality say so, and nowhere
     else: over bodies of points, moved by changes that make about half of them none."""
