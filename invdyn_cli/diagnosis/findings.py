@@ -188,8 +188,7 @@ def _worth(finding: Finding) -> float:
 
 
 def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
-    rms = np.sqrt(np.mean(term**2, axis=0))
-    strong = np.sqrt(np.mean(evidence.tau**2, axis=0))
+    rms, strong = (np.sqrt(np.mean(x**2, axis=0)) for x in (term, evidence.tau))
     share = rms / np.maximum(strong, 1e-300)
     names = evidence.robot.joints
     return {
