@@ -224,6 +224,15 @@ def _told(acting: Acting) -> dict[str, Any]:
     return {**acting.parameters, **edges}
 
 
+def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:
+    """The same with parameters moved by (k,), as far as they are physics, replicas and all."""
+    theta = _inside(refined.acting, refined.labels, refined.theta + move)
+    acting = _with(evidence, refined.acting, refined.labels, theta)
+    residual = refined.residual + model.residual(acting) - model.residual(refined.acting)
+    replicas = refined.replicas + (theta - refined.theta)
+    return replace(refined, acting=acting, theta=theta, replicas=replicas, residual=residual)
+
+
 def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
     """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958); at least that of the moves (m, …)
     that the noise leaves unknown."""

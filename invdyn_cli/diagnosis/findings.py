@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import EDGES, Refined, intervals, reach
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.late import LATE
+from invdyn_cli.diagnosis.realisable import realisable
 from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.diagnosis.support import held_out, judged, left, refitted, that_hold
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -81,6 +82,8 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
     nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
     whole = replace(whole, acting=tuple(_as_link(evidence.robot, a) for a in whole.acting))
+    wanted = intervals(evidence, whole)
+    whole, impossible = realisable(evidence, inquiry.model, whole, link_names(evidence.robot))
     ends = intervals(evidence, whole)
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
     claims, acting, shown = [], [], []
@@ -116,8 +119,8 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             finding = replace(finding, alternatives=(*finding.alternatives, ("asymmetric_coulomb_friction",)))
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             finding = replace(finding, alternatives=(*finding.alternatives, ("stribeck_friction",)))
-        finding = _body(finding, evidence.robot, joint, ends[i])
-        if effect is not candidate.effect and _may_be_payload(ends[i]):
+        finding = _body(finding, evidence.robot, joint, wanted[i])
+        if effect is not candidate.effect and _may_be_payload(wanted[i]):
             finding = replace(finding, alternatives=(*finding.alternatives, ("payload",)))
         if _is_vague(finding) or not held_out(evidence):
             finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
@@ -141,7 +144,7 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
         terms=tuple(shown[k] for k in order),
         before=nothing.residual,
         residual=chosen.residual,
-        notes=dropped,
+        notes=dropped + impossible,
     )
 
 
@@ -187,8 +190,7 @@ def _worth(finding: Finding) -> float:
 
 
 def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
-    rms = np.sqrt(np.mean(term**2, axis=0))
-    strong = np.sqrt(np.mean(evidence.tau**2, axis=0))
+    rms, strong = (np.sqrt(np.mean(x**2, axis=0)) for x in (term, evidence.tau))
     share = rms / np.maximum(strong, 1e-300)
     names = evidence.robot.joints
     return {

@@ -9,7 +9,7 @@ import numpy as np
 
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import CHUNK, AbstractModel, Progress, in_chunks, silent
-from invdyn_cli.maths import regression, rigid_body
+from invdyn_cli.maths import links, regression, rigid_body
 from invdyn_cli.maths.regression import Design
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
@@ -28,6 +28,8 @@ class Pest(AbstractModel):
             joint; "none" is the paper's.
         offset: adds a constant torque per joint (a sensor's or a drive's zero).
         rotor_inertia: adds a column qdd per joint (reflected rotor inertia; only where torque is taken at the motor).
+        consistent: psi is that of links that bodies can be, as near to the URDF's as the data let them, in the place of
+            the smallest psi that fits: a simulator takes it.
     """
 
     threshold: float = 1e-3
@@ -36,6 +38,7 @@ class Pest(AbstractModel):
     friction: Literal["none", "coulomb_viscous"] = "none"
     offset: bool = False
     rotor_inertia: bool = False
+    consistent: bool = False
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -81,7 +84,8 @@ class Pest(AbstractModel):
         """Least squares over all rows; standard deviations count the residuals' autocorrelation.
 
         details: rank, singular_values (descending), threshold (in use), base_parameters {names, expressions, values,
-        std}, effective_samples (n,), blocks (independent stretches).
+        std}, effective_samples (n,), blocks (independent stretches); where `consistent`, consistent {cost, chance}: the
+        rise of the squares that its links cost, in noise variances, and that which true links cost at most by chance.
 
         Raises:
             UsageError: if the dataset has no robot.
@@ -101,8 +105,17 @@ class Pest(AbstractModel):
         covariance, details = regression.uncertainty(
             design, dataset, solution, lambda done, note: progress(0.6 + 0.4 * done, f"rank {solution.rank}, {note}")
         )
-        params = {"psi": solution.psi[: 10 * n].reshape(n, 10), "extras": solution.psi[10 * n :].reshape(-1, n)}
+        params = _params(solution.psi, n)
         few = details["blocks"] < regression.FEW_BLOCKS
+        warnings = (
+            f"The residuals hold only {details['blocks']} independent stretches: standard deviations are rough.",
+        ) * few
+        if self.consistent:
+            psi, cost, chance = links.consistent(robot, solution, covariance)
+            if cost > chance:
+                change = _rms(self, _params(psi - solution.psi, n), dataset)
+                warnings += (links.sentence(cost, chance, change, dataset.joints),)
+            params, details = _params(psi, n), {**details, "consistent": {"cost": cost, "chance": chance}}
         return Fit(
             params=params,
             robot=robot,
@@ -115,11 +128,19 @@ class Pest(AbstractModel):
                 "base_parameters": regression.base_parameters(design, solution, covariance),
                 **details,
             },
-            warnings=(
-                f"The residuals hold only {details['blocks']} independent stretches: standard deviations are rough.",
-            )
-            * few,
+            warnings=warnings,
         )
+
+
+def _params(psi: np.ndarray, n: int) -> dict[str, np.ndarray]:
+    """The parameters (10 n + columns n,) as `apply` takes them."""
+    return {"psi": psi[: 10 * n].reshape(n, 10), "extras": psi[10 * n :].reshape(-1, n)}
+
+
+def _rms(model: Pest, params: PyTree, dataset: Dataset) -> np.ndarray:
+    """RMS torque (n,) [N m; N] of parameters on all trajectories."""
+    parts = (in_chunks(lambda m: _apply_rows(model, params, m, dataset.robot), x.motion) for x in dataset.trajectories)
+    return np.sqrt(sum((part**2).sum(0) for part in parts) / dataset.samples)
 
 
 @jax.jit(static_argnums=0)

@@ -15,6 +15,7 @@ import pytest
 from scipy import signal
 
 from invdyn_cli.errors import UsageError
+from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.maths.regression import Design, solve
 from invdyn_cli.models.pest import Pest
@@ -135,6 +136,45 @@ def test_clean_torques_are_learned_to_rounding(apollo4):
     train, test = random_motion(4, 1500), random_motion(4, 60, seed=1)
     fit = Pest().fit(dataset(apollo4, train, rigid_torque(apollo4, train)), KEY)
     assert nmse(rigid_torque(apollo4, test), Pest().predict(fit, test)).max() < 1e-20
+
+
+def are_bodies(psi) -> bool:
+    """Whether every link's pseudo inertia has a Cholesky factor."""
+    return all(np.linalg.eigvalsh(pseudo_inertia.pseudo_inertia(row))[0] > 0 for row in np.asarray(psi))
+
+
+def test_consistent_links_predict_alike(apollo4):
+    """Of an arm of bodies, with a sensor's noise and friction in the model, the smallest psi has links that are none;
+    the consistent ones are bodies and predict other states alike, to a twentieth of the noise, without a warning."""
+    train, test = random_motion(4, 3000), random_motion(4, 60, seed=1)
+    noise = np.array([0.5, 0.5, 0.2, 0.1])
+    tau = friction_and_more(apollo4, train) + noise * np.random.default_rng(2).normal(size=(3000, 4))
+    options = {"friction": "coulomb_viscous", "offset": True, "rotor_inertia": True}
+    free, bound = (Pest(consistent=c, **options) for c in (False, True))
+    fits = [model.fit(dataset(apollo4, train, tau), KEY) for model in (free, bound)]
+    assert not are_bodies(fits[0].params["psi"]) and are_bodies(fits[1].params["psi"])
+    assert fits[1].warnings == fits[0].warnings
+    change = free.predict(fits[0], test) - bound.predict(fits[1], test)
+    assert np.all(np.sqrt(np.mean(change**2, axis=0)) < 0.05 * noise)
+
+
+def test_consistent_links_are_the_urdfs_where_they_fit(apollo4):
+    """Without noise, of the URDF's own torques, the consistent links are the URDF's, unseen parameters and all."""
+    train = random_motion(4, 1500)
+    fit = Pest(consistent=True).fit(dataset(apollo4, train, rigid_torque(apollo4, train)), KEY)
+    size = np.abs(np.asarray(apollo4.inertial)).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(fit.params["psi"] / size, np.asarray(apollo4.inertial) / size, atol=1e-4)
+
+
+def test_it_is_said_where_the_data_want_no_bodies(apollo4):
+    """Half of the arm's torques with the sign turned round, as a wrong drive constant might: links that can be predict
+    otherwise, and a warning says by how much."""
+    train = random_motion(4, 3000)
+    tau = -0.5 * rigid_torque(apollo4, train) + 0.1 * np.random.default_rng(3).normal(size=(3000, 4))
+    fit = Pest(consistent=True).fit(dataset(apollo4, train, tau), KEY)
+    assert are_bodies(fit.params["psi"])
+    assert any("no bodies" in x for x in fit.warnings)
+    assert fit.details["consistent"]["cost"] > 100 * fit.details["consistent"]["chance"]
 
 
 def friction_and_more(robot, motion: Motion) -> np.ndarray:

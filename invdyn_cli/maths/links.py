@@ -1,0 +1,68 @@
+"""From what a regression identifies to links that can be: inertials (n, 10) that predict as the base parameters do.
+
+A log determines a few combinations of the inertials; all others are free, and bodies are chosen there.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from invdyn_cli.maths import pseudo_inertia
+from invdyn_cli.maths.regression import Solution
+from invdyn_cli.types import Array, Robot
+
+CHANCE = 1e-3
+"""How often true links cost more than what is said to be chance."""
+
+LIGHT = 1e-3
+"""Share of the arm's mass, or mass [kg], below which a link of the URDF says nothing of the real one: a kilogramme of
+water about its frame stands for it."""
+
+EXACT = 1e-6
+"""Share of the torque below which noise is not counted: what is seen beside nothing but rounding would be so sharp that
+what is not seen drowns in its rounding errors."""
+
+
+def consistent(robot: Robot, solution: Solution, covariance: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Parameters (p,) whose links can be bodies and that raise the squares least, those of the nominal links where the
+    data show nothing; what they cost in noise variances; and what true ones cost at most but for a share CHANCE.
+
+    Columns behind the inertial ones go along. The noise variance is what makes the mean cost of a true solution its
+    rank; its quantile is that of a sum of squares with the `covariance` (rank, rank) of the kept coordinates
+    (Satterthwaite 1946), which may differ between joints.
+    """
+    n = robot.dofs
+    squares = solution.singular_values[: solution.rank] ** 2
+    kept = solution.kept.T @ solution.psi
+    share = squares[:, None] * covariance
+    noise = max(float(np.trace(share)) / max(solution.rank, 1), EXACT**2 * float(squares @ kept**2), 1e-300)
+    information = (solution.kept * (squares / noise)) @ solution.kept.T
+    own, extra = np.arange(10 * n), np.arange(10 * n, len(solution.psi))
+    tied = np.linalg.pinv(information[np.ix_(extra, extra)], hermitian=True) @ information[np.ix_(extra, own)]
+    alone = information[np.ix_(own, own)] - information[np.ix_(own, extra)] @ tied
+    wanted = solution.psi[own].reshape(n, 10)
+    found = pseudo_inertia.consistent(_reference(robot), wanted, (alone + alone.T) / 2)
+    change = (found.rows - wanted).ravel()
+    psi = solution.psi + np.concatenate([change, -tied @ change])
+    mean, spread = float(np.trace(share)) / noise, float(np.trace(share @ share)) / noise**2
+    chance = spread / mean * float(stats.chi2.ppf(1 - CHANCE, mean**2 / spread)) if spread > 0 else 0.0
+    return psi, found.cost, max(chance, 1.0)
+
+
+def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[str]) -> str:
+    """That the data want links that no bodies are, with the RMS torque (n,) by which those that can be differ."""
+    worst = int(np.argmax(change))
+    return (
+        f"The data want links that no bodies are: the nearest that can be cost {cost:.3g} noise variances, chance at "
+        f"most {chance:.3g}, and {change[worst]:.2g} N m RMS on {joints[worst]}; friction, rotor inertia or an offset "
+        "that is not in the model may look like it."
+    )
+
+
+def _reference(robot: Robot) -> Array:
+    """(n, 10) the nominal links, where they are bodies, or the nearest that are."""
+    rows = np.asarray(robot.inertial)
+    least = LIGHT * max(1.0, float(rows[:, 0].sum()))
+    water = pseudo_inertia.ball(1.0, np.zeros(3))
+    return np.array([pseudo_inertia.realisable(r, pseudo_inertia.ROUND) if r[0] > least else water for r in rows])
