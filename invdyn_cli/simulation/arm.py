@@ -113,6 +113,14 @@ def build(
     return Arm(model, motor, np.array(geared, int), gear, _mended(model, gear))
 
 
+def set_joints(arm: Arm, *, damping: np.ndarray, stiffness: np.ndarray, pull: np.ndarray) -> None:
+    """Damping [N m s/rad], springs [N m/rad] and their torque at zero [N m] of the motors, (n,) each, which MuJoCo
+    integrates by itself."""
+    arm.model.dof_damping[arm.motor] = damping
+    arm.model.jnt_stiffness[arm.motor] = stiffness
+    arm.model.qpos_spring[arm.motor] = pull / np.where(stiffness > 0, stiffness, 1.0)
+
+
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData, q: np.ndarray) -> np.ndarray:
     """(n, n) [kg m^2; kg] at q (n,), rotor inertias included."""
     data.qpos[:] = q
@@ -130,6 +138,12 @@ def mass_matrices(model: mujoco.MjModel, gear: np.ndarray) -> np.ndarray:
     span = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, 0.5, np.pi)
     span[gear] = 0.0
     return np.array([mass_matrix(model, data, draw.uniform(-span, span)) for _ in range(POSTURES)])
+
+
+def lightest(arm: Arm) -> np.ndarray:
+    """(n,) [kg m^2; kg] the least inertia that each motor moves when all other joints are free."""
+    inverse = np.linalg.inv(mass_matrices(arm.model, arm.gear))
+    return (1 / np.diagonal(inverse, axis1=1, axis2=2).max(0))[arm.motor]
 
 
 def _solid(row: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:

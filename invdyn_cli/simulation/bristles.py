@@ -3,14 +3,12 @@
 force = stiffness z,   dz/dt = qd - stiffness / coulomb abs(qd) z                            (Dahl, 1968)
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from math import copysign, exp, expm1
 
 SOFT = 1.0
-"""[-] (step times natural frequency)^2 up to which the bristle is stepped explicitly, which is of second order;
-unstable from 4 on."""
+"""[-] (step times natural frequency)^2 up to which a bristle is stepped explicitly, which is of second order; unstable
+from 4 on."""
 
 
 @dataclass(frozen=True)
@@ -22,38 +20,31 @@ class Bristle:
     stiffness: float
 
 
-class Bristles:
-    """All bristles of an arm; mutable, alive for one simulation, straight in the beginning.
+class Bent:
+    """A bristle in motion; mutable, alive for one simulation, straight in the beginning.
 
     A wrist on stiff bristles can be faster than the steps of the physics. What is too fast for them gets as much
     damping, integrated implicitly, as puts that share of the force at the end of the step: stable for any stiffness.
 
     Args:
-        bristles: m of them.
-        inertia: (m,) [kg m^2; kg] the least that each joint moves.
+        bristle: it.
+        inertia: [kg m^2; kg] the least that its joint moves.
         step: [s] of the physics.
     """
 
-    def __init__(self, bristles: Sequence[Bristle], inertia: np.ndarray, step: float) -> None:
-        self.joints = np.array([x.joint for x in bristles], int)
-        self._coulomb = np.array([x.coulomb for x in bristles])
-        self._stiffness = np.array([x.stiffness for x in bristles])
-        self._step = step
-        fast = 2 * self._stiffness * step**2 / inertia  # turning back, a bent bristle is twice as stiff
-        self._ahead = step * self._stiffness * np.maximum(0.0, 0.5 * (1 - SOFT / fast))
-        self._z = np.zeros(len(bristles))
+    def __init__(self, bristle: Bristle, inertia: float, step: float) -> None:
+        self.joint, self.force = bristle.joint, 0.0
+        self._coulomb, self._way = bristle.coulomb, step * bristle.stiffness / bristle.coulomb
+        fast = 2 * bristle.stiffness * step**2 / inertia  # turning back, a bent bristle is twice as stiff
+        self._ahead = step * bristle.stiffness * max(0.0, 0.5 * (1 - SOFT / fast))
 
-    @property
-    def force(self) -> np.ndarray:
-        """(m,) [N m; N] against the motion."""
-        return self._stiffness * self._z
+    def damping(self, qd: float) -> float:
+        """[N m s/rad] by which the force grows within the next step, where that has to be counted in."""
+        if not self._ahead or not qd:
+            return self._ahead
+        return self._ahead * min(2.0, max(0.0, 1 - copysign(self.force, self.force * qd) / self._coulomb))
 
-    def damping(self, qd: np.ndarray) -> np.ndarray:
-        """(m,) [N m s/rad] by which the force grows within the next step, where that has to be counted in."""
-        return self._ahead * np.clip(1 - np.sign(qd) * self.force / self._coulomb, 0.0, 2.0)
-
-    def advance(self, qd: np.ndarray) -> None:
-        """One step at velocity qd (m,), exactly."""
-        bend = self._coulomb / self._stiffness
-        way = np.abs(qd) * self._step / bend
-        self._z = self._z * np.exp(-way) - np.sign(qd) * bend * np.expm1(-way)
+    def advance(self, qd: float) -> None:
+        """One step at velocity qd, exactly."""
+        way = self._way * abs(qd)
+        self.force = self.force * exp(-way) - copysign(self._coulomb, qd) * expm1(-way)

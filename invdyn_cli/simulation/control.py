@@ -8,16 +8,17 @@ of a shoulder's, though: no feedback of this bandwidth holds it against a fricti
 of. Hence the controller is commissioned on the arm as it is, unless it is told to know the nominal one alone. The log
 is right either way: which torque moved the arm does not depend on who asked for it.
 
-The controller's arm is stiff. Where a gear yields, the feedback moves the rotor alone at first: with the inertia M_i of
-the whole link in it, and samples of T seconds, it would swing. So M, in the feedback, becomes S M S, with
+Inertia in the feedback has two exceptions, where a motor moves less at first than in the long run, or more. Behind a
+gear that yields it moves its rotor alone: with the inertia of the whole link in the feedback, and samples of T seconds,
+it would swing. And gains that just hold a light wrist would let go of what it picks up unannounced: the feedback is
+tuned for the arm with its loads. In both cases M in the feedback becomes S M S, M of the laden arm, with
 
-    S_i = min(1, sqrt(J_i / (4 D w T) / M_i)),   J_i the rotor's inertia,
+    S_i = min(1, sqrt(J_i / (4 D w T) / M_ii)),   J_i the least that motor i moves,
 
-half of what the rotor alone still bears.
+half of what the motor still bears.
 """
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -25,8 +26,9 @@ import mujoco
 import numpy as np
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.simulation.hidden import Build
-from invdyn_cli.types import Motion
+from invdyn_cli.simulation.arm import build, lightest, mass_matrix, set_joints
+from invdyn_cli.simulation.hidden import Build, assemble
+from invdyn_cli.types import Motion, Robot
 
 FASTEST = 4.0
 """[Hz] bandwidth without delays; a position noise of 1e-5 rad then makes torques of 0.5 N m rms in a shoulder."""
@@ -69,6 +71,10 @@ class Control:
         if self.knows not in ("arm", "nominal"):
             raise UsageError(f"control.knows={self.knows!r}; allowed: arm, nominal")
 
+    def bandwidth(self, latency: float) -> float:
+        """w [rad/s], where torques come `latency` [s] late."""
+        return 2 * np.pi * (self.frequency or min(FASTEST, LATE / max(latency, 1e-9)))
+
 
 class Controller:
     """One controller at work; mutable, alive for one simulation.
@@ -78,7 +84,7 @@ class Controller:
         model: the arm that it knows, without dry friction.
         build: what it knows beside the model: dry friction, ripple, offsets, gains.
         latency: [s] with which torques arrive, at worst.
-        rotors: [kg m^2; kg] by column, of the joints whose gear yields.
+        feedback: what makes torques of the feedback's accelerations; None: the inertia of the arm that it knows.
         wanted: the reference, at `rate` [Hz].
     """
 
@@ -90,13 +96,11 @@ class Controller:
         latency: float,
         wanted: Motion,
         rate: float,
-        rotors: Mapping[int, float],
+        feedback: "Feedback | None" = None,
     ) -> None:
-        frequency = control.frequency or min(FASTEST, LATE / max(latency, 1e-9))
-        omega = 2 * np.pi * frequency
+        omega = control.bandwidth(latency)
         self._stiffness, self._damping = omega**2, 2 * control.damping_ratio * omega
-        late = 2 * self._damping * (1 / rate + latency)
-        self._bearable = {joint: rotor / late for joint, rotor in rotors.items()}
+        self._feedback = feedback
         self._follow = 1 - np.exp(-2 * np.pi * control.velocity_cutoff / rate)
         self._model, self._build, self._rate = model, build, rate
         self._q, self._qd, self._qdd = (np.asarray(x) for x in (wanted.q, wanted.qd, wanted.qdd))
@@ -122,12 +126,12 @@ class Controller:
         self._qvel[:] = self._qd[row]
         self._qacc[:] = self._qdd[row]
         feedback = self._stiffness * (self._q[row] - q) + self._damping * (self._qd[row] - self._velocity)
-        if not self._bearable:
+        if self._feedback is None:
             self._qacc += feedback
         mujoco.mj_inverse(self._model, self._data)
         tau = self._inverse + self._friction[row]
-        if self._bearable:
-            tau += self._softened(feedback)
+        if self._feedback is not None:
+            tau += self._feedback.torque(self._qpos, feedback)
         for i, level in build.levels:
             load = self._inverse[i] + self._data.qfrc_passive[i] - build.armature[i] * self._qacc[i]
             tau[i] += level(self._velocity[i], load) * self._direction[row, i]
@@ -135,11 +139,40 @@ class Controller:
             tau[i] += force(row / self._rate, self._qpos[i], self._velocity[i])
         return tau / build.gain
 
-    def _softened(self, feedback: np.ndarray) -> np.ndarray:
-        """S M S (n, n) times accelerations (n,), where the last inverse dynamics was."""
-        scale, product = np.ones(len(feedback)), np.empty(len(feedback))
-        for i, inertia in self._bearable.items():
-            mujoco.mj_mulM(self._model, self._data, product, np.eye(len(feedback))[i])
-            scale[i] = np.sqrt(min(1.0, inertia / product[i]))
-        mujoco.mj_mulM(self._model, self._data, product, scale * feedback)
-        return scale * product
+
+class Feedback:
+    """S M S times the feedback's accelerations; mutable, alive for one simulation.
+
+    Args:
+        model: the stiff arm with its loads.
+        bearable: (n,) [kg m^2; kg] largest inertia on the diagonal that each motor bears.
+    """
+
+    def __init__(self, model: mujoco.MjModel, bearable: np.ndarray) -> None:
+        self._model, self._bearable = model, bearable
+        self._data: Any = mujoco.MjData(model)
+
+    def torque(self, q: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+        """(n,) [N m; N] at q (n,)."""
+        inertia = mass_matrix(self._model, self._data, q)
+        scale = np.sqrt(np.minimum(1.0, self._bearable / np.diagonal(inertia)))
+        return scale * (inertia @ (scale * accelerations))
+
+
+def commissioned(
+    control: Control, robot: Robot, made: Build, wanted: Motion, rate: float, timestep: float
+) -> Controller:
+    """The controller of an arm with these effects in it, or of the nominal one (`control.knows`)."""
+    known = made if control.knows == "arm" else assemble(robot)
+    parts = {"inertial": known.inertial, "gravity": known.gravity, "armature": known.armature, "timestep": timestep}
+    arm = build(robot, carried=known.carried, **parts)
+    set_joints(arm, damping=known.damping, stiffness=known.stiffness, pull=known.pull)
+    latency, feedback = float((made.delay + made.lag).max()), None
+    if made.gears or made.events.loads:
+        laden = build(robot, carried=[*known.carried, *(x.body for x in made.events.loads)], **parts)
+        least = lightest(arm) if made.events.loads else np.full(robot.dofs, np.inf)
+        for gear in made.gears:
+            least[gear.joint] = min(least[gear.joint], gear.rotor)
+        swing = 4 * control.damping_ratio * control.bandwidth(latency) * (1 / rate + latency)
+        feedback = Feedback(laden.model, least / swing)
+    return Controller(control, arm.model, known, latency, wanted, rate, feedback)

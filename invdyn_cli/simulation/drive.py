@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from invdyn_cli.simulation import gear
-from invdyn_cli.simulation.arm import Arm, mass_matrices
-from invdyn_cli.simulation.bristles import Bristles
+from invdyn_cli.simulation.arm import Arm, lightest
+from invdyn_cli.simulation.bristles import Bent
 from invdyn_cli.simulation.events import Stage
 from invdyn_cli.simulation.hidden import Build
 
@@ -44,7 +44,8 @@ class Drive:
         self._offsets = bool(build.offset.any())
         self._between = bool(self._late.any() or build.lag.any())
         self._laws = bool(build.drags or build.forces or build.customs or build.bristles)
-        self._bristles = self._bristled()
+        least = lightest(arm) if build.bristles else np.zeros(n)
+        self._bristles = [Bent(x, float(least[x.joint]), self.step) for x in build.bristles]
         self._stops = gear.Stops(arm, build.gears, self.data)
         self._stage = Stage(build.events, model, self.data, len(build.carried)) if build.events else None
         changing = self._between or self._laws or bool(build.levels) or sense
@@ -82,8 +83,8 @@ class Drive:
             if self._stops:
                 self._stops.look_ahead()
             mujoco.mj_step(model, data)
-            if self._bristles is not None:
-                self._bristles.advance(self._qvel[self._motor][self._bristles.joints])
+            for bristle in self._bristles:
+                bristle.advance(float(self._qvel[self.arm.motor[bristle.joint]]))
             if self.sense and step == 0:
                 felt = self.transmitted()
                 self.felt, self._felt_last = (self._felt_last + felt) / 2, felt
@@ -107,14 +108,6 @@ class Drive:
         if link and len(self.arm.gear):
             own[self.arm.geared] += state[self.arm.gear]
         return own
-
-    def _bristled(self) -> Bristles | None:
-        """The bristles, on the least inertia that each of their joints moves when all others are free."""
-        if not self.build.bristles:
-            return None
-        inverse = np.linalg.inv(mass_matrices(self.model, self.arm.gear))
-        least = 1 / np.diagonal(inverse, axis1=1, axis2=2).max(0)
-        return Bristles(self.build.bristles, least[self.arm.motor[[x.joint for x in self.build.bristles]]], self.step)
 
     def _arriving(self, commands: np.ndarray, k: int, step: int) -> np.ndarray:
         """Commands behind delays and lags: the mean over this step."""
@@ -154,11 +147,10 @@ class Drive:
         damping = build.damping.copy()
         for i, law in build.drags:
             damping[i] += law(t, float(qd[i]))
-        if self._bristles is not None:
-            joints = self._bristles.joints
-            np.add.at(damping, joints, self._bristles.damping(qd[joints]))
-            np.subtract.at(torque, joints, self._bristles.force)
-        if build.drags or self._bristles is not None:
+        for bristle in self._bristles:
+            damping[bristle.joint] += bristle.damping(float(qd[bristle.joint]))
+            torque[bristle.joint] -= bristle.force
+        if build.drags or self._bristles:
             self.model.dof_damping[self._motor] = damping
         for i, force in build.forces:
             torque[i] -= force(t, float(q[i]), float(qd[i]))

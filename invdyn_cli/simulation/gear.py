@@ -107,10 +107,8 @@ class Stops:
         model, h = self._model, self._step
         for dof, half in self._plays:
             q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
-            left = half - (q if (qd or q) > 0 else -q)
-            way = abs(qd) * h
-            if 0 < left < max(way, NEAR * half):
-                model.jnt_margin[dof] = left + 1e-9 * half
-                model.jnt_solref[dof] = 0.0, -(1 - min(1.0, left / way if way else 1.0)) / h
-            else:
-                model.jnt_margin[dof], model.jnt_solref[dof] = 0.0, (2 * h, 1.0)
+            model.jnt_margin[dof], model.jnt_solref[dof] = 0.0, (2 * h, 1.0)
+            for left, way in ((half - q, qd * h), (half + q, -qd * h)):
+                if 0 < left < max(way, NEAR * half):
+                    model.jnt_margin[dof] = left + 1e-9 * half
+                    model.jnt_solref[dof] = 0.0, -(max(0.0, 1 - left / way) if way > 0 else 1.0) / h

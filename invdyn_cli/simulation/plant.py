@@ -5,7 +5,6 @@ next tick (zero-order hold): a torque is on average half a tick younger than its
 """
 # pyright: reportAttributeAccessIssue=false
 
-import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
@@ -18,11 +17,11 @@ from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.simulation import gear
-from invdyn_cli.simulation.arm import Arm, build
-from invdyn_cli.simulation.control import Control, Controller
+from invdyn_cli.simulation.arm import build, set_joints
+from invdyn_cli.simulation.control import Control, Controller, commissioned
 from invdyn_cli.simulation.drive import Drive
 from invdyn_cli.simulation.events import refuse_outside, refuse_trajectory
-from invdyn_cli.simulation.hidden import Build, Hidden, assemble, refuse
+from invdyn_cli.simulation.hidden import Hidden, assemble, refuse
 from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side, stepped
 from invdyn_cli.types import Motion, Robot
@@ -79,20 +78,18 @@ def simulate(
     refuse_events(hidden, duration)
     made, step = assemble(robot, hidden, name), 1 / (rate * substeps)
     wanted = reference.motion(robot, duration, rate, seed)
-    parts = {"inertial": made.inertial, "gravity": made.gravity, "armature": made.armature, "timestep": step}
-    geared = [x.joint for x in made.gears]
-    arm = build(robot, carried=[*made.carried, *made.events.bodies()], geared=geared, **parts)
-    _set_joints(arm, made)
+    arm = build(
+        robot,
+        inertial=made.inertial,
+        gravity=made.gravity,
+        carried=[*made.carried, *made.events.bodies()],
+        armature=made.armature,
+        geared=[x.joint for x in made.gears],
+        timestep=step,
+    )
+    set_joints(arm, damping=made.damping, stiffness=made.stiffness, pull=made.pull)
     gear.put(arm, made.gears)
-    known = arm.model if control.knows == "arm" else build(robot, timestep=step).model
-    if control.knows == "arm" and geared:
-        stiff = build(robot, carried=made.carried, **parts)
-        _set_joints(stiff, made)
-        known = stiff.model
-    known_build = made if control.knows == "arm" else assemble(robot)
-    latency = float((made.delay + made.lag).max())
-    rotors = {x.joint: x.rotor for x in made.gears}
-    controller = Controller(control, copy.copy(known), known_build, latency, wanted, rate, rotors)
+    controller = commissioned(control, robot, made, wanted, rate, step)
     arm.model.dof_frictionloss[arm.motor] = made.friction
     drive = Drive(arm, made, substeps, sense=torque_side == "link")
     noises = np.random.default_rng([seed, 1])
@@ -176,13 +173,6 @@ def refuse_events(hidden: Sequence[Hidden], duration: float, names: Sequence[str
             refuse_outside(one.effect, float(one.parameters["window"][1]), duration)
             if names is not None:
                 refuse_trajectory(one.effect, one.parameters.get("trajectory"), names)
-
-
-def _set_joints(arm: Arm, made: Build) -> None:
-    """Damping and springs, which MuJoCo integrates by itself; dry friction comes after the feedforward."""
-    arm.model.dof_damping[arm.motor] = made.damping
-    arm.model.jnt_stiffness[arm.motor] = made.stiffness
-    arm.model.qpos_spring[arm.motor] = made.pull / np.where(made.stiffness > 0, made.stiffness, 1.0)
 
 
 def _second_encoder(q: np.ndarray, noise: Noise, seed: int) -> np.ndarray:

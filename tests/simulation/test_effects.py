@@ -1,7 +1,6 @@
 """Every effect that can be hidden shows in the log as DESIGN, section 6, says: logged = nominal + term.
 
-The nominal torque is Pinocchio's, of the true motion (noise-free positions, differentiated); the terms are written out
-here anew. Both are filtered alike; the torque is the mean of what was held before and after t.
+The terms are written out here anew. What has memory is in test_memory.py, what comes and goes in test_events.py.
 """
 
 from collections.abc import Callable
@@ -10,28 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.signal import butter, sosfiltfilt
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import KINDS, Hidden, assemble
 from invdyn_cli.simulation.plant import simulate
 from invdyn_cli.simulation.references import Multisine
-
-RATE, SECONDS = 1000.0, 6.0
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What the term of an effect on joint column i may depend on; arrays (T, n)."""
-
-    t: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    nominal: np.ndarray
-    logged: np.ndarray
+from tests.simulation.recorded import RATE, Truth, filtered, middle, recorded, rests, rms, truth
 
 
 @dataclass(frozen=True)
@@ -88,47 +73,10 @@ CASES = (
 )
 
 
-def filtered(x: np.ndarray) -> np.ndarray:
-    """(T, n) through a zero-phase low-pass at 20 Hz, a second off either end."""
-    return sosfiltfilt(butter(4, 20.0, fs=RATE, output="sos"), x, axis=0)[1000:-1000]
-
-
-def rms(x: np.ndarray, axis=None):
-    """Root of the mean square."""
-    return np.sqrt((x**2).mean(axis))
-
-
-def rests(qd: np.ndarray) -> np.ndarray:
-    """(T - 2000,) whether a joint rests within 0.1 s, where sign(qd) is not defined and the filter carries it."""
-    slow = (np.abs(qd) < 0.01).astype(float)
-    return np.convolve(slow, np.ones(201), "same")[1000:-1000] > 0.5
-
-
-def middle(held: np.ndarray) -> np.ndarray:
-    """(T, n) torques held from t on -> their value at t, between the one before and the one after."""
-    return np.concatenate([held[:1], (held[1:] + held[:-1]) / 2])
-
-
-def truth(robot, trajectory, offset=0.0) -> Truth:
-    """The true motion by central differences, Pinocchio's torque of it, and the logged one at its middle."""
-    q = trajectory.q - offset
-    qd, qdd = np.gradient(q, 1 / RATE, axis=0), np.zeros_like(q)
-    qdd[1:-1] = np.diff(q, 2, axis=0) * RATE**2
-    model = pinocchio_model(robot)
-    data = model.createData()
-    nominal = np.array([pin.rnea(model, data, *rows) for rows in zip(q, qd, qdd, strict=True)])
-    return Truth(trajectory.t, q, qd, qdd, nominal, middle(trajectory.tau))
-
-
 @pytest.fixture(scope="module")
 def apollo():
     """All seven joints."""
     return load_urdf("apollo_arm")
-
-
-def recorded(robot, *hidden: Hidden, **options):
-    """Six seconds of a multisine."""
-    return simulate(robot, Multisine(), hidden, duration=SECONDS, rate=RATE, seed=2, **options)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.effect}-{c.joint}")
@@ -313,6 +261,8 @@ def test_refuses(hidden, said, apollo):
 
 
 def test_every_effect_is_tested():
-    """No effect can be hidden that is not recovered here."""
+    """No effect can be hidden that is not recovered here, or in the tests of memory and events."""
     other = {"torque_delay", "actuator_lag", "torque_saturation", "encoder_offset", "custom"}
-    assert {case.effect for case in CASES} | set(BODIES) | other == set(KINDS)
+    memory = {"presliding_hysteresis", "backlash", "joint_elasticity"}
+    events = {"torque_gain_change", "payload_change", "external_contact"}
+    assert {case.effect for case in CASES} | set(BODIES) | other | memory | events == set(KINDS)

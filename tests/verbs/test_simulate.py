@@ -33,6 +33,16 @@ def test_tells_the_truth(command):
     assert '"seed": 5' in json.dumps(truth["source"])
 
 
+def test_tells_when(command):
+    """What comes and goes has its window, and its trajectory where it names one, beside its parameters."""
+    contact = "effect: external_contact, joint: arm_joint_4, force: [0, 9, 0], window: [1, 2], trajectory: trajectory_2"
+    said = command("simulate", *TINY[:2], f"data.effects=[{{{contact}}}]", "hydra.run.dir=out")
+    assert said.code == 0, said.err
+    (told,) = json.loads(Path("out/truth.json").read_text())["effects"]
+    assert told["parameters"] == {"force": [0, 9, 0]}
+    assert (told["window"], told["trajectory"]) == ([1, 2], "trajectory_2")
+
+
 def test_is_read_as_a_real_log(command):
     """The log goes straight into invdyn run, with the robot that it names; an exact model of a clean log is exact."""
     assert command("simulate", "data.duration=6", "data.trajectories=2", "hydra.run.dir=out").code == 0
@@ -74,6 +84,8 @@ def test_misuse_is_one_line(command):
         (("data=real_log",), "data=plant"),
         (("data.effects=[{effect: coulomb}]",), "no effect 'coulomb'"),
         (("data.effects=[{effect: torque_offset, joint: j1, offset: 1}]",), "no joint 'j1'"),
+        (("data.effects=[{effect: payload_change, mass: 1, com: [0, 0, 0.1], window: [1, 99]}]",), "up to 30 s"),
+        (("data.link_encoder=true",), "position_side=motor"),
         (("data.effects=[{effect: torque_saturation, joint: arm_joint_2, limit: 1}]",), "out of control"),
         (("data.durations=3",), "data.duration"),
     ):
