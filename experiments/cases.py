@@ -25,6 +25,9 @@ from invdyn_cli.simulation.references import AbstractReference, ConstantSpeed, M
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Robot
 
+WHOLE_ARM = ("payload", "payload_change", "base_tilt")
+"""Effects without a joint."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -88,17 +91,27 @@ def inverse_dynamics(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarra
 
 def draw_effect(draw: np.random.Generator, scene: Scene, name: str, joint: int | None = None) -> Hidden:
     """One effect on a random joint, its size a random share of what the joint has anyway."""
-    strong = np.flatnonzero(scene.torque > 0.02 * scene.torque.max())
-    j = int(draw.choice(strong)) if joint is None else joint
-    arm = SIZES[name]
-    return Hidden(name, None if name in ("payload", "base_tilt") else scene.robot.joints[j], arm(draw, scene, j))
+    j = int(draw.choice(felt(scene, name))) if joint is None else joint
+    return Hidden(name, None if name in WHOLE_ARM else scene.robot.joints[j], SIZES[name](draw, scene, j))
+
+
+def felt(scene: Scene, name: str) -> np.ndarray:
+    """Joints on which an effect may be hidden: those that have some torque; where a gear has play, the load must change
+    its sign, and a contact needs joints before it that feel it."""
+    strong = scene.torque > 0.02 * scene.torque.max()
+    low, high = np.quantile(scene.tau, [0.1, 0.9], axis=0)
+    if name == "backlash" and np.any(strong & (low < 0) & (high > 0)):
+        strong &= (low < 0) & (high > 0)
+    if name == "external_contact":
+        strong = np.arange(scene.robot.dofs) >= min(2, scene.robot.dofs - 1)
+    return np.flatnonzero(strong)
 
 
 def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> Case:
     """The log of a scene with these effects, and noise: torque 0.2 to 2 % of each joint's, encoders of 17 to 21 bit."""
     torque = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
     noise = Noise(position=float(np.exp(draw.uniform(np.log(1e-6), np.log(1.5e-5)))), torque=tuple(torque))
-    options: dict[str, Any] = {"duration": scene.duration, "seed": scene.seed}
+    options: dict[str, Any] = {"duration": scene.duration, "seed": scene.seed, "position_side": "motor"}
     log = plant.record(scene.robot, [scene.reference], hidden, noise=noise, **options)
     share = _excess(scene.robot, log) / torque
     said = f"{scene.robot.name} {scene.robot.dofs} joints, {type(scene.reference).__name__} {scene.duration:g} s"
@@ -110,7 +123,7 @@ def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_j
     for attempt in range(20):  # an arm that loses control is no log
         draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode())])
         scene = draw_scene(draw, joints)
-        strong = np.flatnonzero(scene.torque > 0.02 * scene.torque.max())
+        strong = felt(scene, "")
         chosen: list[int | None] = [None] * len(names)
         if same_joint is not None:
             if not same_joint and len(strong) < len(names):
@@ -175,6 +188,43 @@ def _link(d: np.random.Generator, s: Scene, j: int) -> dict[str, Any]:
     }
 
 
+def _bristles(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    coulomb = _share(d) * s.torque[j]
+    return {"coulomb": coulomb, "stiffness": coulomb / float(np.exp(d.uniform(np.log(1e-3), np.log(2e-2))))}
+
+
+def _inertia(s: Scene, j: int) -> float:
+    """What a joint carries in the middle of its motion [kg m^2]."""
+    model = pinocchio_model(s.robot)
+    return float(pin.crba(model, model.createData(), np.median(s.q, axis=0))[j, j])
+
+
+def _play(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    gap = float(np.exp(d.uniform(np.log(5e-4), np.log(8e-3))))
+    return {"gap": gap, "rotor": _inertia(s, j) * d.uniform(0.03, 0.3)}
+
+
+def _spring_gear(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    inertia = _inertia(s, j)
+    return {"stiffness": inertia * (2 * np.pi * d.uniform(5, 15)) ** 2, "rotor": inertia * d.uniform(0.05, 0.5)}
+
+
+def _window(d: np.random.Generator, s: Scene, shortest: float, longest: float) -> list[float]:
+    """From some time on, for a time; one in three until the end."""
+    length = d.uniform(shortest, longest) * s.duration
+    start = d.uniform(0.1, 0.9) * (s.duration - length)
+    return [float(start), s.duration if d.random() < 1 / 3 else float(start + length)]
+
+
+def _contact(d: np.random.Generator, s: Scene, j: int) -> dict[str, Any]:
+    """A force as large as some share of the torque of the joint that feels it most, half a metre away."""
+    force = d.normal(size=3)
+    size = 4 * _share(d) * s.torque.max() / np.linalg.norm(force)
+    start = d.uniform(0.05, 0.9) * s.duration
+    end = min(start + d.uniform(0.5, 4.0), s.duration)
+    return {"force": [float(size * x) for x in force], "window": [float(start), float(end)]}
+
+
 SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]] = {
     "viscous_friction": lambda d, s, j: {"damping": _share(d) * s.torque[j] / s.speed[j]},
     "coulomb_friction": lambda d, s, j: {"coulomb": _share(d) * s.torque[j]},
@@ -186,6 +236,10 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
     "load_dependent_friction": lambda d, s, j: {"mu": float(d.uniform(0.04, 0.2))},
     "quadratic_friction": lambda d, s, j: {"drag": _share(d) * s.torque[j] / (1.7 * s.speed[j] ** 2)},
     "thermal_friction_drift": _thermal,
+    "presliding_hysteresis": _bristles,
+    "torque_offset_drift": lambda d, s, j: {"rate": 3 * _sign(d) * _share(d) * s.torque[j] / s.duration},
+    "backlash": _play,
+    "joint_elasticity": _spring_gear,
     "torque_ripple": lambda d, s, j: {
         "amplitude": 1.4 * _share(d) * s.torque[j],
         "cycles": float(np.exp(d.uniform(np.log(max(8, 2.5 * 2 * np.pi / np.ptp(s.q[:, j]))), np.log(80)))),
@@ -194,6 +248,10 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
     "joint_spring": _spring,
     "rotor_inertia": lambda d, s, j: {"armature": _share(d) * s.torque[j] / s.acceleration[j]},
     "torque_gain_error": lambda d, s, j: {"gain": float(1 + _sign(d) * d.uniform(0.05, 0.3))},
+    "torque_gain_change": lambda d, s, j: {
+        "gain": float(1 - d.uniform(0.08, 0.4)),
+        "window": _window(d, s, 0.2, 0.6),
+    },
     "torque_offset": lambda d, s, j: {"offset": _sign(d) * _share(d) * s.torque[j]},
     "torque_delay": lambda d, s, j: {"delay": float(d.uniform(0.004, 0.02))},
     "actuator_lag": lambda d, s, j: {"time_constant": float(d.uniform(0.004, 0.02))},
@@ -202,6 +260,12 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
         "mass": float(s.robot.inertial[:, 0].sum() * np.exp(d.uniform(np.log(0.02), np.log(0.15)))),
         "com": _com(d),
     },
+    "payload_change": lambda d, s, j: {
+        "mass": float(s.robot.inertial[:, 0].sum() * np.exp(d.uniform(np.log(0.02), np.log(0.12)))),
+        "com": _com(d),
+        "window": _window(d, s, 0.1, 0.5),
+    },
+    "external_contact": _contact,
     "link_inertia_error": _link,
     "base_tilt": lambda d, s, j: _tilted(d, s.robot),
     "encoder_offset": lambda d, s, j: {"offset": _sign(d) * float(d.uniform(0.01, 0.06))},

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.cases import SIZES, Case, draw_case
-from experiments.confusion import WHOLE_ARM, claims, judge, matches
+from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
+from experiments.confusion import claims, judge, matches
 from experiments.options import only_of, options_of
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.types import Diagnosis

@@ -4,14 +4,13 @@ A name is given only where data that did not choose it gain by it, no rival does
 its joint does not outweigh it.
 """
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import naming
+from invdyn_cli.diagnosis import bodies, naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import EDGES, Refined, intervals, reach
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
@@ -21,17 +20,8 @@ from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.diagnosis.support import held_out, judged, left, refitted, that_hold
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
-from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
+from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
-
-LIGHTER = 0.5
-"""Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
-
-FARTHEST_TOOL = 1.0
-"""[m] from the last link's frame, beyond which there is no payload's centre of mass."""
-
-HEAVIER = 1.0
-"""Of a link's mass, by which it may be wrong and still be called so."""
 
 UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
 """Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
@@ -39,9 +29,6 @@ effect on one joint where the learner predicts more than this share of what is l
 
 VAGUE = 0.1
 """Of a ripple's cycles, by which they may be unknown."""
-
-MANY_LINKS = 3
-"""Links with wrong inertials from which the model as a whole is in doubt."""
 
 SLIDING = {
     "N m": "N",
@@ -72,7 +59,13 @@ class Made:
     notes: tuple[str, ...]
 
 
-def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination: Examination, side: str) -> Made:
+def report(
+    inquiry: Inquiry,
+    effects: Mapping[str, AbstractEffect],
+    examination: Examination,
+    side: str,
+    position_side: str = "unknown",
+) -> Made:
     """Everything that can be claimed of a log."""
     evidence, judge = inquiry.evidence, inquiry.judge
     hypothesis, dropped = that_hold(inquiry)
@@ -81,9 +74,9 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
         chosen = refitted(inquiry, acting_of(judge, inquiry.always, hypothesis), judge.rows)
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
     nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
-    whole = replace(whole, acting=tuple(_as_link(evidence.robot, a) for a in whole.acting))
+    whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
     wanted = intervals(evidence, whole)
-    whole, impossible = realisable(evidence, inquiry.model, whole, link_names(evidence.robot))
+    whole, impossible = realisable(evidence, inquiry.model, whole, bodies.link_names(evidence.robot))
     ends = intervals(evidence, whole)
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
     claims, acting, shown = [], [], []
@@ -119,8 +112,8 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             finding = replace(finding, alternatives=(*finding.alternatives, ("asymmetric_coulomb_friction",)))
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             finding = replace(finding, alternatives=(*finding.alternatives, ("stribeck_friction",)))
-        finding = _body(finding, evidence.robot, joint, wanted[i])
-        if effect is not candidate.effect and _may_be_payload(wanted[i]):
+        finding = bodies.told(finding, evidence.robot, joint, wanted[i])
+        if effect is not candidate.effect and bodies.may_be_payload(wanted[i]):
             finding = replace(finding, alternatives=(*finding.alternatives, ("payload",)))
         if _is_vague(finding) or not held_out(evidence):
             finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
@@ -128,7 +121,7 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
             finding = replace(finding, status="ambiguous")
         claims.append(finding)
         shown.append(terms[i])
-    claims, doubt = _other_robot(claims)
+    claims, doubt = bodies.other_robot(claims)
     dropped += doubt
     if not held_out(evidence):
         dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
@@ -138,7 +131,7 @@ def report(inquiry: Inquiry, effects: Mapping[str, AbstractEffect], examination:
     ordered = tuple(claims[k] for k in order)
     by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
     return Made(
-        findings=(*ordered, *_blind(effects, ordered, examination, side)),
+        findings=(*ordered, *_blind(effects, ordered, examination, side, position_side)),
         acting=tuple(acting),
         intervals=tuple(by_acting[id(a)] for a in acting),
         terms=tuple(shown[k] for k in order),
@@ -293,52 +286,6 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
     )
 
 
-def _as_link(robot: Robot, acting: Acting) -> Acting:
-    """A payload that is no body, or farther than any tool, as the error of the last link's inertials that it is."""
-    if acting.effect.name != "payload":
-        return acting
-    mass, com = acting.parameters["mass"], acting.parameters["com"]
-    if mass > 0 and np.linalg.norm(com) <= FARTHEST_TOOL:
-        return acting
-    link, last = EFFECTS["link_inertia_error"], robot.dofs - 1
-    assert isinstance(link, AbstractBodyEffect) and isinstance(acting.effect, AbstractBodyEffect)
-    return Acting(link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last))
-
-
-def _may_be_payload(ends: Mapping[str, tuple]) -> bool:
-    """Whether a mass within its interval would make a body within reach of these first moments."""
-    return float(np.linalg.norm(ends["moment"][0])) <= FARTHEST_TOOL * float(ends["mass"][2])
-
-
-def _body(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, tuple]) -> Finding:
-    """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
-    if finding.effect in ("payload", "payload_change"):
-        finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
-        nominal = float(robot.inertial[-1, 0])
-        if float(ends["mass"][0]) < LIGHTER * nominal:
-            return replace(
-                finding,
-                alternatives=(*finding.alternatives, ("link_inertia_error",)),
-                evidence={**finding.evidence, "mass_of_last_link_kg": nominal},
-            )
-    if finding.effect == "link_inertia_error":
-        assert joint is not None
-        scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.05}
-        shown = {
-            name: q if np.all(np.asarray(q.interval95[1]) - np.asarray(q.interval95[0]) < 2 * scales[name]) else None
-            for name, q in finding.parameters.items()
-        }
-        known = {name: q or replace(finding.parameters[name], value=None, interval95=None) for name, q in shown.items()}
-        finding = replace(finding, parameters={"link": Quantity(link_names(robot)[joint], ""), **known})
-        if not -1 < float(ends["mass"][0]) / max(robot.inertial[joint, 0], 1e-9) < HEAVIER:
-            finding = replace(
-                finding,
-                alternatives=(*finding.alternatives, ("rotor_inertia",), ("torque_gain_error",)),
-                advice="a body of this mass is no body: look for what else acts on this joint and those before it",
-            )
-    return finding
-
-
 def _is_vague(finding: Finding) -> bool:
     """Whether a ripple's cycles are hardly known: another bend of the torque over the angle would do."""
     cycles = finding.parameters.get("cycles")
@@ -366,33 +313,12 @@ def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Fi
     return tuple(out)
 
 
-def _other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
-    """Where many links seem wrong, none of them is named: the whole model may be another robot's."""
-    links = [f for f in claims if f.effect == "link_inertia_error"]
-    if len(links) < MANY_LINKS:
-        return claims, ()
-    said = f"The inertials of {len(links)} links seem wrong at once: this URDF may be of another robot or another tool."
-    unsure = [
-        replace(f, status="ambiguous", alternatives=(*f.alternatives, ("link_inertia_error",))) if f in links else f
-        for f in claims
-    ]
-    return unsure, (said,)
-
-
-def link_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the links that the joints move, from the URDF; the joints' own without one."""
-    if not robot.urdf:
-        return robot.joints
-    children = {
-        joint.get("name"): child.get("link", "")
-        for joint in ET.fromstring(robot.urdf).findall("joint")
-        if (child := joint.find("child")) is not None
-    }
-    return tuple(children.get(j) or j for j in robot.joints)
-
-
 def _blind(
-    effects: Mapping[str, AbstractEffect], claims: Sequence[Finding], examination: Examination, side: str
+    effects: Mapping[str, AbstractEffect],
+    claims: Sequence[Finding],
+    examination: Examination,
+    side: str,
+    position_side: str,
 ) -> list[Finding]:
     """What this log could not have shown: no claims, but where not to look for absence."""
     claimed = {(f.effect, f.joint) for f in claims}
@@ -407,9 +333,21 @@ def _blind(
         for name, e in effects.items()
         if side not in e.sides
     ]
+    out += [
+        Finding(
+            name,
+            None,
+            "not_observable",
+            advice="angles of the motor, or of both sides of the gear",
+            evidence={"why": f"angles taken at the {position_side} do not contain it"},
+        )
+        for name, e in effects.items()
+        if position_side not in e.position_sides and side in e.sides
+    ]
     for joint, numbers in examination.excitation.items():
         for name, why in dict(numbers.get("cannot_show", {})).items():
-            if name in effects and side in effects[name].sides and (name, joint) not in claimed:
-                advice = effects[name].advice
-                out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))
+            if (name, joint) in claimed or name not in effects or name in {f.effect for f in out if f.joint is None}:
+                continue
+            advice = effects[name].advice
+            out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))
     return out

@@ -94,7 +94,7 @@ def diagnose(
     inquiry = inquire(evidence, pool, allowed, most, compares, side, parted=windows is not None)
     evidence = inquiry.evidence
     progress(0.75, "names")
-    made = findings.report(inquiry, pool, examination, side)
+    made = findings.report(inquiry, pool, examination, side, log.position_side)
     learned = unexplained.shares(evidence, made.residual, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
     restless = unexplained.beyond_noise(evidence, made.residual, judged(evidence))

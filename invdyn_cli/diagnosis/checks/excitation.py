@@ -29,6 +29,8 @@ class Excitation:
         loads: relative spread of the nominal torque that shows friction growing with load.
         range: [rad] that tells a spring from gravity's slope; `turn`: [rad] that holds a period of ripple.
         acceleration: [rad/s^2] 95th percentile that shows a rotor's inertia (ours: with 0.1 kg m^2, 0.05 N m).
+        agile: [Hz] ratio of acceleration to speed below which a gear's spring, 10 Hz or more with its link, adds less
+            than a thousandth of the inertial torque (ours).
         warm, drift: [s] that friction takes to warm up, offsets to drift.
     """
 
@@ -42,6 +44,7 @@ class Excitation:
     range: float = 0.3
     turn: float = 0.5
     acceleration: float = 0.5
+    agile: float = 0.3
     warm: float = 300.0
     drift: float = 60.0
 
@@ -130,8 +133,12 @@ class Excitation:
             if varied < self.loads:
                 why = f"the nominal torque varies by {100 * varied:.2g} %: a factor looks like an offset"
                 yield from ((effect, why) for effect in ("torque_gain_error", "torque_delay", "actuator_lag"))
-        if all(raw.q_link is None for raw in log.trajectories):
-            yield "joint_elasticity", "positions on one side of the gear alone, no q_link"
+            low, high = np.quantile(nominal, [0.02, 0.98])
+            if low * high > 0:
+                yield "backlash", f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank carries all"
+        rate = float(np.sqrt(np.mean(qdd**2) / max(np.mean(speed**2), 1e-12)) / (2 * np.pi))
+        if rate < self.agile:
+            yield "joint_elasticity", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly bends"
 
 
 MOTION = (
@@ -144,13 +151,14 @@ MOTION = (
     "presliding_hysteresis",
     "thermal_friction_drift",
     "backlash",
+    "joint_elasticity",
     "torque_ripple",
     "joint_spring",
     "rotor_inertia",
 )
 """Effects that a joint shows only while it moves."""
 
-DIRECTED = ("coulomb_friction", "asymmetric_coulomb_friction", "backlash", "presliding_hysteresis", "torque_offset")
+DIRECTED = ("coulomb_friction", "asymmetric_coulomb_friction", "presliding_hysteresis", "torque_offset")
 
 
 def condition_number(evidence: Evidence, robot: Robot) -> float:

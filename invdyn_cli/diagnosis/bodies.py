@@ -1,0 +1,95 @@
+"""Bodies in words: whether a change of the last link is a payload or another link, and what of it can be known."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.interfaces import AbstractBodyEffect
+from invdyn_cli.types import Finding, Quantity, Robot
+
+LIGHTER = 0.5
+"""Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
+
+FARTHEST_TOOL = 1.0
+"""[m] from the last link's frame, beyond which there is no payload's centre of mass."""
+
+HEAVIER = 1.0
+"""Of a link's mass, by which it may be wrong and still be called so."""
+
+MANY_LINKS = 3
+"""Links with wrong inertials from which the model as a whole is in doubt."""
+
+
+def as_link(robot: Robot, acting: Acting) -> Acting:
+    """A payload that is no body, or farther than any tool, as the error of the last link's inertials that it is."""
+    if acting.effect.name != "payload":
+        return acting
+    mass, com = acting.parameters["mass"], acting.parameters["com"]
+    if mass > 0 and np.linalg.norm(com) <= FARTHEST_TOOL:
+        return acting
+    link, last = EFFECTS["link_inertia_error"], robot.dofs - 1
+    assert isinstance(link, AbstractBodyEffect) and isinstance(acting.effect, AbstractBodyEffect)
+    return Acting(link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last))
+
+
+def may_be_payload(ends: Mapping[str, tuple]) -> bool:
+    """Whether a mass within its interval would make a body within reach of these first moments."""
+    return float(np.linalg.norm(ends["moment"][0])) <= FARTHEST_TOOL * float(ends["mass"][2])
+
+
+def told(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, tuple]) -> Finding:
+    """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
+    if finding.effect in ("payload", "payload_change"):
+        finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
+        nominal = float(robot.inertial[-1, 0])
+        if float(ends["mass"][0]) < LIGHTER * nominal:
+            return replace(
+                finding,
+                alternatives=(*finding.alternatives, ("link_inertia_error",)),
+                evidence={**finding.evidence, "mass_of_last_link_kg": nominal},
+            )
+    if finding.effect == "link_inertia_error":
+        assert joint is not None
+        scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.05}
+        shown = {
+            name: q if np.all(np.asarray(q.interval95[1]) - np.asarray(q.interval95[0]) < 2 * scales[name]) else None
+            for name, q in finding.parameters.items()
+        }
+        known = {name: q or replace(finding.parameters[name], value=None, interval95=None) for name, q in shown.items()}
+        finding = replace(finding, parameters={"link": Quantity(link_names(robot)[joint], ""), **known})
+        if not -1 < float(ends["mass"][0]) / max(robot.inertial[joint, 0], 1e-9) < HEAVIER:
+            finding = replace(
+                finding,
+                alternatives=(*finding.alternatives, ("rotor_inertia",), ("torque_gain_error",)),
+                advice="a body of this mass is no body: look for what else acts on this joint and those before it",
+            )
+    return finding
+
+
+def other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
+    """Where many links seem wrong, none of them is named: the whole model may be another robot's."""
+    links = [f for f in claims if f.effect == "link_inertia_error"]
+    if len(links) < MANY_LINKS:
+        return claims, ()
+    said = f"The inertials of {len(links)} links seem wrong at once: this URDF may be of another robot or another tool."
+    unsure = [
+        replace(f, status="ambiguous", alternatives=(*f.alternatives, ("link_inertia_error",))) if f in links else f
+        for f in claims
+    ]
+    return unsure, (said,)
+
+
+def link_names(robot: Robot) -> tuple[str, ...]:
+    """Names of the links that the joints move, from the URDF; the joints' own without one."""
+    if not robot.urdf:
+        return robot.joints
+    children = {
+        joint.get("name"): child.get("link", "")
+        for joint in ET.fromstring(robot.urdf).findall("joint")
+        if (child := joint.find("child")) is not None
+    }
+    return tuple(children.get(j) or j for j in robot.joints)
