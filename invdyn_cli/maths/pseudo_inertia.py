@@ -1,6 +1,6 @@
 """Inertial parameters that a real body could have: those whose pseudo-inertia matrix is positive semidefinite.
 
-    P = [[S, h], [h', m]],   S = tr(I)/2 1 - I                                  (Wensing, Kim and Slotine, RA-L 2018)
+P = [[S, h], [h', m]],   S = tr(I)/2 1 - I                                  (Wensing, Kim and Slotine, RA-L 2018)
 """
 
 import numpy as np

@@ -22,6 +22,7 @@ from invdyn_cli.maths.pseudo_inertia import realisable
 from invdyn_cli.simulation.arm import build, mass_matrix
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Robot
+from invdyn_cli.urdf import moving_links
 
 TIMESTEP = 5e-4
 """[s] of the file."""
@@ -309,12 +310,8 @@ def _inertial(body: ET.Element, row: np.ndarray) -> None:
 
 def _links(robot: Robot) -> list[str]:
     """The URDF's names of the links that move with the joints; link_0, … without a URDF."""
-    names = [f"link_{i}" for i in range(robot.dofs)]
-    if not robot.urdf:
-        return names
-    children = {x.get("name"): x.find("child") for x in ET.fromstring(robot.urdf).findall("joint")}
-    found = [children.get(joint) for joint in robot.joints]
-    return [own if x is None else x.get("link", own) for x, own in zip(found, names, strict=True)]
+    names = moving_links(robot.urdf, robot.joints) if robot.urdf else [""] * robot.dofs
+    return [name or f"link_{i}" for i, name in enumerate(names)]
 
 
 def _said(numbers: Any) -> str:

@@ -36,13 +36,13 @@ LOST = np.pi
 """[rad; m] Errors count at most so much: an arm that is half a turn off is lost, and by how much means nothing."""
 
 FREQUENCY, DAMPING = 3.0, 1.0
-"""[Hz], [-] of the feedback that holds the arm, for the inertia that a joint of the nominal arm carries on average."""
+"""[Hz], [-] of the feedback that holds the arm, for the least inertia that a joint of the nominal arm has."""
 
 REACH = 0.2
 """[rad; m] within which the feedback holds a joint's typical torque: a wrist's inertia alone would let a load fall."""
 
-POSTURES = 32
-"""Random postures over which that inertia is averaged."""
+POSTURES = 64
+"""Postures of the log in which that inertia is looked for."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length
         UsageError: if the file's motors are not as many as the log's joints, or a window reaches beyond the log.
     """
     samples = round(length / stretch.period)
-    if len(starts) and not (0 <= min(starts) and max(starts) + samples < len(stretch.t) and samples >= 1):
+    if len(starts) and not (min(starts) >= 0 and max(starts) + samples < len(stretch.t) and samples >= 1):
         raise UsageError(
             f"a window of {length:g} s from row {max(starts)} of {stretch.name}; allowed: within its {len(stretch.t)}"
         )
@@ -268,27 +268,31 @@ def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length
 def feedback(mjcfs: Sequence[str], stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness and damping (n,) [N m/rad, N m s/rad] of the feedback that holds all of these arms.
 
-    FREQUENCY for the inertia that each joint of the first arm carries on average, or stiffer where that would not hold
-    the joint's typical torque within REACH, but never so fast that the latest motor would make it swing (LATE).
+    FREQUENCY for the least inertia that each joint of the first arm has in the log's postures, all others being free, or
+    stiffer where that would not hold the joint's typical torque within REACH, but never so fast that the latest motor,
+    or the log's clock, would make it swing (LATE).
     """
     models: list[Any] = [mujoco.MjModel.from_xml_string(x) for x in mjcfs]
-    model, draw = models[0], np.random.default_rng(0)
+    model = models[0]
     data: Any = mujoco.MjData(model)
     columns = model.jnt_dofadr[model.actuator_trnid[:, 0]]
-    inertia = np.zeros(model.nu)
-    for _ in range(POSTURES):
-        inertia += np.diag(mass_matrix(model, data, model.qpos0 + draw.uniform(-1, 1, model.nq)))[columns] / POSTURES
+    q = np.concatenate([x.q for x in stretches])
+    posture, inertia = model.qpos0.copy(), np.full(model.nu, np.inf)
+    for row in q[np.linspace(0, len(q) - 1, POSTURES).astype(int)]:
+        posture[columns] = row
+        own = 1 / np.diag(np.linalg.inv(mass_matrix(model, data, posture)))[columns]
+        inertia = np.minimum(inertia, own)
     torque = np.sqrt(np.mean(np.concatenate([x.tau for x in stretches]) ** 2, axis=0))
     omega = np.maximum(2 * np.pi * FREQUENCY, np.sqrt(torque / REACH / inertia))
     lags = [np.where(x.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE, x.actuator_dynprm[:, 0], 0.0) for x in models]
-    latest = np.max([x.actuator_delay + lag for x, lag in zip(models, lags, strict=True)], axis=0)
-    omega = np.minimum(omega, 2 * np.pi * LATE / np.maximum(latest, 1e-9))
+    latest = max(x.period for x in stretches) + np.max(
+        [x.actuator_delay + lag for x, lag in zip(models, lags, strict=True)], axis=0
+    )
+    omega = np.minimum(omega, 2 * np.pi * LATE / latest)
     return omega**2 * inertia, 2 * DAMPING * omega * inertia
 
 
-def held(
-    mjcf: str, stretch: Stretch, stiffness: np.ndarray, damping: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def held(mjcf: str, stretch: Stretch, stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Simulated less measured positions (K, n) [rad; m], and the torques (K, n) [N m; N] that were added to the logged
     ones to hold the arm to the measured motion: stiffness (q - q_arm) + damping (qd - qd_arm), (n,) each."""
     arm = _Arm(mjcf, stretch)
@@ -301,10 +305,10 @@ def held(
             pull = stiffness * (stretch.q[row] - arm.q()) + damping * (stretch.qd[row] - arm.qd())
             arm.advance(row, pull)
             moved[k], pulled[k] = arm.q() - stretch.q[row + 1], pull
-            if not np.isfinite(moved[k]).all():
-                moved[k:], pulled[k:] = np.nan, pull
+            if not np.abs(moved[k]).max() < LOST:
+                moved[k:], pulled[k:] = LOST, pulled[k - 1] if k else 0.0
                 break
-    return _bounded(moved), np.nan_to_num(pulled, nan=0.0, posinf=0.0, neginf=0.0)
+    return _bounded(moved), pulled
 
 
 class _Arm:
