@@ -19,8 +19,9 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
     figure.suptitle(
         f"Left free for {replay.length:g} s under the logged torques", x=0.01, ha="left", fontsize=11, fontweight="bold"
     )
-    above, below = figure.subfigures(2, 1, height_ratios=(1.1, 1))
-    panels = np.atleast_1d(above.subplots(1, max(1, len(replay.traces))))
+    columns = max(1, len(replay.traces))
+    grid = figure.add_gridspec(2, columns, height_ratios=(1.1, 1))
+    panels, bars = [figure.add_subplot(grid[0, k]) for k in range(columns)], figure.add_subplot(grid[1, :])
     unit = angle_unit(diagnosis)
     for axes, trace in zip(panels, replay.traces, strict=False):
         t = 1000 * (trace.t - trace.t[0])
@@ -33,7 +34,6 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
         axes.margins(x=0.01)
     if replay.traces:
         panels[0].set_ylabel(f"{plain(replay.traces[0].joint)} [{unit[replay.traces[0].joint]}]")
-    bars = below.subplots()
     where = np.arange(len(replay.joints))
     for values, colour, side, label in (
         (replay.before, BEFORE, -0.2, "nominal arm"),

@@ -10,7 +10,7 @@ The text is written here and not by `MjSpec.to_xml`, which keeps six digits: a m
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -88,19 +88,25 @@ def written(robot: Robot, effects: Sequence[Hidden] = ()) -> tuple[str, tuple[st
     Raises:
         UsageError: for a joint that the robot does not have.
     """
-    n = robot.dofs
-    zeros: Callable[[], np.ndarray] = lambda: np.zeros(n)  # noqa: E731
+    none = np.zeros((9, robot.dofs))
     made = _Numbers(
         robot=robot,
         inertial=np.array(robot.inertial, float),
         gravity=np.array(robot.gravity, float),
         damping=np.array(robot.damping, float),
         friction=np.array(robot.friction, float),
-        gain=np.ones(n),
-        limit=np.full(n, np.inf),
-        gap=zeros(),
-        gear=np.full(n, np.inf),
-        **{x: zeros() for x in ("drag", "armature", "stiffness", "pull", "offset", "encoder", "delay", "lag")},
+        drag=none[0],
+        armature=none[1],
+        stiffness=none[2],
+        pull=none[3],
+        offset=none[4],
+        encoder=none[5],
+        delay=none[6],
+        lag=none[7],
+        gap=none[8],
+        gain=np.ones(robot.dofs),
+        limit=np.full(robot.dofs, np.inf),
+        gear=np.full(robot.dofs, np.inf),
     )
     for one in effects:
         if one.joint is not None and one.joint not in robot.joints:

@@ -268,7 +268,7 @@ def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length
 def feedback(mjcfs: Sequence[str], stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness and damping (n,) [N m/rad, N m s/rad] of the feedback that holds all of these arms.
 
-    FREQUENCY for the least inertia that each joint of the first arm has in the log's postures, all others being free, or
+    FREQUENCY for the least inertia that each joint of the first arm has in the log's postures, others being free, or
     stiffer where that would not hold the joint's typical torque within REACH, but never so fast that the latest motor,
     or the log's clock, would make it swing (LATE).
     """
