@@ -47,14 +47,19 @@ def hidden_of(model: ExtendedModel) -> tuple[Hidden, ...]:
 def exported(model: ExtendedModel) -> Export:
     """The model as MJCF and URDF."""
     text, lacks = urdf_of(model) if model.robot.urdf else ("", ())
-    return Export(*mjcf.written(model.robot, hidden_of(model)), text, lacks)
+    return Export(*mjcf.written(_bare(model.robot), hidden_of(model)), text, lacks)
+
+
+def _bare(robot: Robot) -> Robot:
+    """The robot without what <dynamics> tags say: a diagnosis does not count on them, and finds all friction anew."""
+    return replace(robot, damping=np.zeros(robot.dofs), friction=np.zeros(robot.dofs))
 
 
 def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     """The robot's URDF with other inertials, damping and friction, and what it does not hold.
 
-    A moving link's change stands on its own <inertial>, also where the robot's row is the sum of several links that are
-    fixed to each other.
+    Damping and friction are those that were found, whatever the file said before. A moving link's change stands on its
+    own <inertial>, also where the robot's row is the sum of several links that are fixed to each other.
     """
     robot, said = model.robot, []
     bodies = [x for x in model.acting if isinstance(x.effect, AbstractBodyEffect)]
@@ -68,7 +73,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
         if not np.allclose(real, new, rtol=1e-9, atol=0):
             said.append(f"{link}: its inertials are not of a real body; the nearest ones of one are written")
         change[link] = real - old
-    numbers = {x: [float(a), float(b)] for x, a, b in zip(robot.joints, robot.damping, robot.friction, strict=True)}
+    numbers = {x: [0.0, 0.0] for x in robot.joints}
     for one in model.acting:
         joint = "" if one.joint is None else robot.joints[one.joint]
         held = _put(numbers.get(joint, [0.0, 0.0]), one.effect.name, one.parameters)
@@ -134,8 +139,8 @@ def replayed(model: ExtendedModel, stretches: Sequence[Stretch], progress: Progr
     Raises:
         LogError: if no stretch is long enough, or MuJoCo refuses the arm.
     """
-    before, _ = mjcf.written(model.robot)
-    after, lacks = mjcf.written(model.robot, hidden_of(model))
+    before, _ = mjcf.written(_bare(model.robot))
+    after, lacks = mjcf.written(_bare(model.robot), hidden_of(model))
     try:
         return play(before, after, stretches, model.robot.joints, not_held=lacks, progress=progress)
     except ValueError as error:

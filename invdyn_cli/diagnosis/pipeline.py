@@ -108,7 +108,7 @@ def diagnose(
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
     )
-    again, why = _replay(model, log, measured, common) if options.replay else (None, ())
+    again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
     baseline, extended = _scores(evidence, made)
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
@@ -138,12 +138,15 @@ def diagnose(
     return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
 
 
-def _replay(model: ExtendedModel, log: Log, recording: Recording, lead: float) -> tuple[Any, tuple[str, ...]]:
+def _replay(
+    model: ExtendedModel, log: Log, recording: Recording, lead: float, progress: Progress
+) -> tuple[Any, tuple[str, ...]]:
     """The simulated arm beside the log; or None, and why."""
     why = extension.why_not(in_newton_metres(log))
     if not why:
         try:
-            return extension.replayed(model, extension.stretches_of(log, model.robot, recording, lead)), ()
+            stretches = extension.stretches_of(log, model.robot, recording, lead)
+            return extension.replayed(model, stretches, lambda done, note: progress(0.9 + 0.1 * done, note)), ()
         except LogError as error:
             why = str(error)
     return None, (f"The log was not replayed in the simulation: {why}.",)

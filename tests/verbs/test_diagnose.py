@@ -310,6 +310,7 @@ MISUSE = {
     "unknown joint": (("diagnosis.known=[coulomb_friction@elbow]",), "no joint 'elbow'"),
     "known": (("diagnosis.known=3",), "diagnosis.known=3; allowed: a list"),
     "most": (("diagnosis.most=-1",), "allowed: a whole number from 0"),
+    "replay": (("diagnosis.replay=maybe",), "diagnosis.replay=maybe; allowed: true or false"),
     "share": (("data.train_share=1",), "data.train_share=1; allowed: above 0, below 1"),
     "rate": (("diagnosis.conditioning.rate=0",), "diagnosis.conditioning.rate=0"),
     "an effect that is none": (("diagnosis.effects=[{_target_: nix.Nix}]",), "No module named 'nix'"),
