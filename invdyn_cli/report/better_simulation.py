@@ -67,7 +67,7 @@ def _held(diagnosis: Diagnosis) -> str:
     head = "".join(f"<th>{x}</th>" for x in heads)
     table = f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     note = (
-        f"RMS. Held: for {replay.held:.0f} s a weak feedback, the same for both arms, is added to the logged torques "
-        "and pulls the arm to the measured motion; torque: what it adds. A right model needs nothing."
+        f"RMS. Held: for {replay.held:.0f} s, beside the logged torques, a weak spring and damper, the same for both "
+        "arms, pull each joint to the measured motion; torque: what they give. A right model needs nothing."
     )
     return folded("joint by joint, and held", f'{table}<p class="note">{escape(note)}</p>')

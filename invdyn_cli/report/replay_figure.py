@@ -29,7 +29,7 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
         axes.plot(t, trace.after, color=AFTER, lw=1.8, label="extended arm")
         axes.plot(t, trace.measured, color=MEASURED, lw=1.2, ls="--", label="measured")
         limit_around(axes, trace.measured, np.concatenate([trace.before, trace.after]))
-        axes.set_title(f"{plain(trace.name)}, from {trace.t[0]:.4g} s")
+        axes.set_title(f"{plain(trace.name)}\nfrom {trace.t[0]:.4g} s")
         axes.set_xlabel("time in the window [ms]")
         axes.margins(x=0.01)
     if replay.traces:

@@ -1,9 +1,10 @@
 """The arm of an MJCF file beside the measured motion: left free under the logged torques for a moment at a time, and
-held by a weak controller for a whole stretch.
+held by a weak spring for a whole stretch.
 
 Free: every window begins with the measured positions and velocities, and the logged torques move the arm from there on.
-Nothing pulls it back, so that the error at the end tells what the model gets wrong. Held: to the logged torques a
-feedback is added, the same for every model; a right model needs none of it, and stays where the robot was.
+Nothing pulls it back, so that the error at the end tells what the model gets wrong. Held: a spring and a damper, the
+same for every model, pull each joint to the measured motion; a right model needs nothing of it, and stays where the
+robot was.
 
 As in `drive`, a step begins half a step before `qpos`, so that the integration is of second order.
 """
@@ -20,7 +21,6 @@ import numpy as np
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.simulation.arm import mass_matrix
-from invdyn_cli.simulation.control import LATE
 from invdyn_cli.simulation.mjcf import GEAR
 
 STEP = 1e-3
@@ -36,10 +36,10 @@ LOST = np.pi
 """[rad; m] Errors count at most so much: an arm that is half a turn off is lost, and by how much means nothing."""
 
 FREQUENCY, DAMPING = 3.0, 1.0
-"""[Hz], [-] of the feedback that holds the arm, for the least inertia that a joint of the nominal arm has."""
+"""[Hz], [-] of what holds the arm, for the least inertia that a joint of the nominal arm has."""
 
 REACH = 0.2
-"""[rad; m] within which the feedback holds a joint's typical torque: a wrist's inertia alone would let a load fall."""
+"""[rad; m] within which a joint's typical torque is held: what suits a wrist's inertia alone would let a load fall."""
 
 POSTURES = 64
 """Postures of the log in which that inertia is looked for."""
@@ -207,7 +207,7 @@ def replay(
     off = {name: np.concatenate([x[1:] for x in parts]) for name, parts in found.items()}
     ends = {name: np.array([x[-1] for x in parts]) for name, parts in found.items()}
     used = list(_shortened(stretches, longest))
-    gains = feedback((before, after), used)
+    gains = feedback(before, used)
     holds = {name: [held(text, x, *gains) for x in used] for name, text in (("before", before), ("after", after))}
     moved = {name: np.concatenate([x[0] for x in parts]) for name, parts in holds.items()}
     pulled = {name: np.concatenate([x[1] for x in parts]) for name, parts in holds.items()}
@@ -265,15 +265,13 @@ def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length
     return _bounded(out)
 
 
-def feedback(mjcfs: Sequence[str], stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness and damping (n,) [N m/rad, N m s/rad] of the feedback that holds all of these arms.
+def feedback(mjcf: str, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and damping (n,) [N m/rad, N m s/rad] of what holds an arm to the measured motion.
 
-    FREQUENCY for the least inertia that each joint of the first arm has in the log's postures, others being free, or
-    stiffer where that would not hold the joint's typical torque within REACH, but never so fast that the latest motor,
-    or the log's clock, would make it swing (LATE).
+    FREQUENCY for the least inertia that each joint has in the log's postures, others being free, or stiffer where that
+    would not hold the joint's typical torque within REACH.
     """
-    models: list[Any] = [mujoco.MjModel.from_xml_string(x) for x in mjcfs]
-    model = models[0]
+    model: Any = mujoco.MjModel.from_xml_string(mjcf)
     data: Any = mujoco.MjData(model)
     columns = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     q = np.concatenate([x.q for x in stretches])
@@ -284,28 +282,27 @@ def feedback(mjcfs: Sequence[str], stretches: Sequence[Stretch]) -> tuple[np.nda
         inertia = np.minimum(inertia, own)
     torque = np.sqrt(np.mean(np.concatenate([x.tau for x in stretches]) ** 2, axis=0))
     omega = np.maximum(2 * np.pi * FREQUENCY, np.sqrt(torque / REACH / inertia))
-    lags = [np.where(x.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE, x.actuator_dynprm[:, 0], 0.0) for x in models]
-    latest = max(x.period for x in stretches) + np.max(
-        [x.actuator_delay + lag for x, lag in zip(models, lags, strict=True)], axis=0
-    )
-    omega = np.minimum(omega, 2 * np.pi * LATE / latest)
+    omega = np.minimum(omega, 0.5 / STEP)  # beyond, a step is too long for it
     return omega**2 * inertia, 2 * DAMPING * omega * inertia
 
 
 def held(mjcf: str, stretch: Stretch, stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Simulated less measured positions (K, n) [rad; m], and the torques (K, n) [N m; N] that were added to the logged
-    ones to hold the arm to the measured motion: stiffness (q - q_arm) + damping (qd - qd_arm), (n,) each."""
+    """Simulated less measured positions (K, n) [rad; m] of an arm under the logged torques that is held to the measured
+    motion, and the torques (K, n) [N m; N] that it takes: stiffness (q - q_arm) + damping (qd - qd_arm), (n,) each.
+
+    They act on the joints themselves, as a hand would: not through the motors, which may be late or limited.
+    """
     arm = _Arm(mjcf, stretch)
     first = min(round(MEMORY / stretch.period), len(stretch.t) - 2)
     moved, pulled = np.empty((2, len(stretch.t) - 1 - first, stretch.q.shape[1]))
     with _quiet():
+        arm.hold(stiffness, damping)
         arm.start(first)
         for k in range(len(moved)):
-            row = first + k
-            pull = stiffness * (stretch.q[row] - arm.q()) + damping * (stretch.qd[row] - arm.qd())
-            arm.advance(row, pull)
-            moved[k], pulled[k] = arm.q() - stretch.q[row + 1], pull
-            if not np.abs(moved[k]).max() < LOST:
+            arm.advance(first + k)
+            moved[k] = arm.q() - stretch.q[first + k + 1]
+            pulled[k] = -stiffness * moved[k] - damping * (arm.qd() - stretch.qd[first + k + 1])
+            if not np.isfinite(moved[k]).all():
                 moved[k:], pulled[k:] = LOST, pulled[k - 1] if k else 0.0
                 break
     return _bounded(moved), pulled
@@ -344,6 +341,7 @@ class _Arm:
         ticks = stretch.t[0] + self.step * np.arange(self.substeps * (len(stretch.t) - 1))
         self.commands = np.stack([self._mean(ticks + x, i) for i, x in enumerate(late)], axis=1)
         self._late = late
+        self._hold: tuple[np.ndarray, np.ndarray] | None = None
 
     def q(self) -> np.ndarray:
         """Motors' positions (n,)."""
@@ -386,11 +384,23 @@ class _Arm:
         quarter = self.step / 4
         return (self.stretch.torque(times - quarter)[:, i] + self.stretch.torque(times + quarter)[:, i]) / 2
 
-    def advance(self, row: int, pull: np.ndarray | float = 0.0) -> None:
-        """From a row to the next, under the logged torques and `pull` (n,)."""
-        first = row * self.substeps
-        for k in range(first, first + self.substeps):
-            self.data.ctrl[:] = self.commands[k] + pull
+    def hold(self, stiffness: np.ndarray, damping: np.ndarray) -> None:
+        """From now on, a spring and a damper (n,) between each joint and the measured motion; MuJoCo integrates the
+        damper implicitly, so that it may be strong beside a wrist's inertia."""
+        self._hold = stiffness, damping
+        self.model.dof_damping[self.columns] += damping
+
+    def advance(self, row: int) -> None:
+        """From a row to the next, under the logged torques."""
+        q, qd = self.stretch.q, self.stretch.qd
+        for k in range(self.substeps):
+            if self._hold is not None:
+                share = (k + 0.5) / self.substeps  # a step begins half a step before qpos
+                wanted, speed = ((1 - share) * x[row] + share * x[row + 1] for x in (q, qd))
+                stiffness, damping = self._hold
+                pull = stiffness * (wanted - self.data.qpos[self.rows]) + damping * speed
+                self.data.qfrc_applied[self.columns] = pull
+            self.data.ctrl[:] = self.commands[row * self.substeps + k]
             mujoco.mj_step(self.model, self.data)
 
 
