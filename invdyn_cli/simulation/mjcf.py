@@ -21,6 +21,7 @@ from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.maths.pseudo_inertia import realisable
 from invdyn_cli.simulation.arm import build, mass_matrix
 from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Robot
 from invdyn_cli.urdf import moving_links
 
@@ -39,11 +40,11 @@ STOP = {"solreflimit": (4 * TIMESTEP, 1), "solimplimit": (0.99, 0.999, 0.0001, 0
 GEAR = "_gear"
 """What is behind the name of a joint's second, unmotored joint: gear play, or a spring between motor and link."""
 
-ROTOR = 0.02
+ROTOR = 0.03
 """[-] Rotor inertia that is written where a gear yields and none is known, of what the joint carries."""
 
-RINGING = 0.05
-"""[-] Damping ratio that a gear's spring gets: steel and grease."""
+RINGING = 0.02
+"""[-] Damping ratio of a link on its gear's spring, where nothing is known of it: steel and grease."""
 
 RADIUS = 0.02
 """[m] of a payload of which no inertia is said: a sphere, as `hidden` makes it."""
@@ -72,6 +73,8 @@ class _Numbers:
     limit: np.ndarray
     gap: np.ndarray
     gear: np.ndarray
+    ringing: np.ndarray
+    carried: np.ndarray
     loads: list[np.ndarray] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
 
@@ -88,7 +91,7 @@ def written(robot: Robot, effects: Sequence[Hidden] = ()) -> tuple[str, tuple[st
     Raises:
         UsageError: for a joint that the robot does not have.
     """
-    none = np.zeros((9, robot.dofs))
+    none = np.zeros((11, robot.dofs))
     made = _Numbers(
         robot=robot,
         inertial=np.array(robot.inertial, float),
@@ -104,6 +107,8 @@ def written(robot: Robot, effects: Sequence[Hidden] = ()) -> tuple[str, tuple[st
         delay=none[6],
         lag=none[7],
         gap=none[8],
+        ringing=none[9],
+        carried=none[10],
         gain=np.ones(robot.dofs),
         limit=np.full(robot.dofs, np.inf),
         gear=np.full(robot.dofs, np.inf),
@@ -174,8 +179,11 @@ def _put(made: _Numbers, one: Hidden, i: int) -> str:
             made.encoder[i] += p["offset"]
         case "backlash":
             made.gap[i] += p["gap"]
+            made.armature[i] += p.get("rotor", 0.0)
         case "joint_elasticity":
             made.gear[i] = 1 / (1 / made.gear[i] + 1 / p["stiffness"])
+            made.armature[i] += p.get("rotor", 0.0)
+            made.ringing[i] += p.get("damping", 0.0)
         case "torque_offset_drift" | "torque_gain_change" | "payload_change" | "external_contact":
             return f"{one.effect.replace('_', ' ')} is left out: an MJCF does not change with time"
         case _:
@@ -217,15 +225,16 @@ def _mend(made: _Numbers) -> None:
     arm = build(made.robot, inertial=made.inertial, armature=made.armature)
     made.said += arm.notes
     made.armature = arm.model.dof_armature.copy()
-    yields = ((made.gap > 0) | np.isfinite(made.gear)) & (made.armature == 0)
-    if yields.any():
-        carried = np.diag(mass_matrix(arm.model, mujoco.MjData(arm.model), np.zeros(made.robot.dofs)))
-        made.armature[yields] = ROTOR * carried[yields]
-        for i in np.flatnonzero(yields):
-            made.said.append(
-                f"{made.robot.joints[i]}: its rotor's inertia is not known; {made.armature[i]:.2g} kg m^2 is written, "
-                f"{ROTOR:.0%} of what the joint carries"
-            )
+    yields = (made.gap > 0) | np.isfinite(made.gear)
+    if not yields.any():
+        return
+    made.carried = np.diag(mass_matrix(arm.model, mujoco.MjData(arm.model), room(made.robot)[0])) - made.armature
+    for i in np.flatnonzero(yields & (made.armature == 0)):
+        made.armature[i] = ROTOR * made.carried[i]
+        made.said.append(
+            f"{made.robot.joints[i]}: its rotor's inertia is not known; {made.armature[i]:.2g} kg m^2 is written, "
+            f"{ROTOR:.0%} of what the joint carries"
+        )
 
 
 def _solid(load: np.ndarray) -> bool:
@@ -285,7 +294,7 @@ def _joints(made: _Numbers, i: int) -> Iterable[dict[str, Any]]:
     if made.gap[i]:
         yield {"name": name + GEAR, **place, "range": [-made.gap[i] / 2, made.gap[i] / 2], **STOP}
     if np.isfinite(made.gear[i]):
-        damping = 2 * RINGING * math.sqrt(made.gear[i] * made.armature[i])
+        damping = made.ringing[i] or 2 * RINGING * math.sqrt(made.gear[i] * made.carried[i])
         second = name + (GEAR + "_spring" if made.gap[i] else GEAR)
         yield {"name": second, **place, "stiffness": made.gear[i], "damping": damping}
 

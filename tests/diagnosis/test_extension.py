@@ -69,8 +69,8 @@ def test_no_effect_vanishes_from_the_urdf(arm):
     """Every effect of the catalogue changes the text or is said."""
     for name in EFFECTS:
         p = {k: np.asarray(v, float) if np.ndim(v) else v for k, v in PARAMETERS[name].items()}
-        p |= {"inertia": np.zeros(6)} if name == "payload" else {}
-        joint = None if name in ("payload", "base_tilt") else 1
+        p |= {"inertia": np.zeros(6)} if name.startswith("payload") else {}
+        joint = None if name in ("payload", "payload_change", "base_tilt") else 1
         text, said = urdf_of(model(arm, (name, joint, p)))
         assert said or text != arm.urdf, name
 
