@@ -8,7 +8,7 @@ SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') 
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple detection bench wheel clean
+.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple replay detection bench wheel clean
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
 OPTIONS = seed logs clean only effects noises workers folder data docs
@@ -53,6 +53,9 @@ unknown: $(INSTALLED)  ## causes that the catalogue lacks: what is said of them 
 
 multiple: $(INSTALLED)  ## several causes at once: F1 (seed=, logs=, only=)
 	$(EXPERIMENT)/multiple.py $(said)
+
+replay: $(INSTALLED)  ## two causes, diagnosed, written as MJCF, replayed in MuJoCo: by how much the error falls (seed=, logs=)
+	$(EXPERIMENT)/replay.py $(said)
 
 detection: $(INSTALLED)  ## the smallest sizes that are found, over noise, into docs/ (seed=, logs=, effects=)
 	$(EXPERIMENT)/detection.py docs=true $(said)

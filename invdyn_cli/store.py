@@ -164,7 +164,7 @@ def write_metrics(record: RunRecord, path: Path) -> None:
 def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) -> None:
     """Write diagnosis.json, aside and renamed; `files` names what lies beside it (model, urdf, mjcf, report).
 
-    "summary", "notes" and "details" are additions to the schema of the design.
+    "summary", "replay", "notes" and "details" are additions to the schema of the design.
     """
     tree = {
         "schema": DIAGNOSIS_SCHEMA,
@@ -177,6 +177,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "noise_floor": diagnosis.noise_floor,
         "unexplained": diagnosis.unexplained,
         "files": files,
+        "replay": None if diagnosis.replay is None else diagnosis.replay.as_dict(),
         "notes": diagnosis.notes,
         "details": diagnosis.details,
     }
@@ -188,6 +189,11 @@ def write_model(model: ExtendedModel, path: Path) -> None:
     """Write extended_model.json (schema invdyn-model/1), aside and renamed."""
     text = json.dumps(plain(as_dict(model)), indent=1, ensure_ascii=False, allow_nan=False)
     write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
+
+
+def write_text(text: str, path: Path) -> None:
+    """Write a text, aside and renamed, its line ends as they are."""
+    write_aside(path, lambda part: part.write_bytes(text.encode()))
 
 
 def examination_as_dict(examination: Examination) -> dict[str, Any]:

@@ -360,6 +360,7 @@ class Diagnosis:
         summary: the verdict in two sentences.
         model, fit: the extended model and its parameters, None where the log is unusable.
         signals: for the pictures, None where the log is unusable.
+        replay: the simulated arm beside the measured motion (`simulation.replay.Replay`), None where there is none.
         notes: what the user should know: what was mended, declared, left out.
         details: filter, rates, tries and other numbers worth keeping.
     """
@@ -375,5 +376,6 @@ class Diagnosis:
     model: Any = None
     fit: Fit | None = None
     signals: Signals | None = None
+    replay: Any = None
     notes: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
@@ -9,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 
@@ -135,6 +137,120 @@ def axis(joint: ET.Element) -> np.ndarray:
     if not axis.any():
         raise RobotError(f"joint {joint.get('name')!r} has an axis of length zero; allowed: a direction")
     return axis / np.linalg.norm(axis)
+
+
+def moving_links(text: str, joints: Sequence[str]) -> list[str]:
+    """The links that these joints move; each one's frame is the joint's."""
+    children = {x.get("name"): x.find("child") for x in ET.fromstring(text).findall("joint")}
+    found = [children[joint] for joint in joints]
+    return ["" if x is None else x.get("link", "") for x in found]
+
+
+def with_changes(
+    text: str, inertials: Mapping[str, np.ndarray], dynamics: Mapping[str, tuple[float, float]]
+) -> tuple[str, tuple[str, ...]]:
+    """A URDF's text with other numbers, all else byte for byte, and a sentence for what cannot be written.
+
+    Args:
+        text: the URDF.
+        inertials: link -> what is added to its own ten parameters (10,), about its frame's origin, in the order of
+            `types.Robot.inertial`; a link without <inertial> gets one.
+        dynamics: joint -> damping [N m s/rad] and friction [N m]; written where the file says otherwise.
+    """
+    raw, said, edits = text.encode(), [], []
+    places, root = _places(raw), ET.fromstring(text)
+    for link in root.findall("link"):
+        name = link.get("name", "")
+        if name not in inertials:
+            continue
+        row = _inertial_of(link) + inertials[name]
+        if not row[0] > 0:
+            said.append(f"link {name}: its own mass would be {row[0]:.3g} kg, and is left as it is")
+            continue
+        edits.append(_edit(raw, places, ("link", name), "inertial", _inertial_text(row)))
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        now = tuple(number(joint, "dynamics", key, 0.0) for key in ("damping", "friction"))
+        if name in dynamics and dynamics[name] != now:
+            damping, friction = dynamics[name]
+            tag = f'<dynamics damping="{damping!r}" friction="{friction!r}"/>'
+            edits.append(_edit(raw, places, ("joint", name), "dynamics", tag))
+    for start, end, new in sorted(edits, reverse=True):
+        raw = raw[:start] + new.encode() + raw[end:]
+    return raw.decode(), tuple(said)
+
+
+def _inertial_of(link: ET.Element) -> np.ndarray:
+    """(10,) of a link's own <inertial> about its frame's origin; zeros where it has none."""
+    if link.find("inertial") is None:
+        return np.zeros(10)
+    mass = number(link, "inertial/mass", "value")
+    x, y, z = com = _triple(link, "inertial/origin", "xyz")
+    (sr, sp, sy), (cr, cp, cy) = (f(_triple(link, "inertial/origin", "rpy")) for f in (np.sin, np.cos))
+    turn = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    xx, xy, xz, yy, yz, zz = (number(link, "inertial/inertia", k) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    about = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+    about += mass * np.array(
+        [[y * y + z * z, -x * y, -x * z], [-x * y, x * x + z * z, -y * z], [-x * z, -y * z, x * x + y * y]]
+    )
+    return np.array([mass, *(mass * com), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+
+
+def _inertial_text(row: np.ndarray) -> str:
+    mass, com = float(row[0]), row[1:4] / row[0]
+    x, y, z = com
+    own = row[4:] - mass * np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
+    inertia = " ".join(
+        f'{k}="{float(v)!r}"' for k, v in zip(("ixx", "ixy", "iyy", "ixz", "iyz", "izz"), own, strict=True)
+    )
+    place = " ".join(repr(float(v)) for v in com)
+    return f'<inertial><origin xyz="{place}" rpy="0 0 0"/><mass value="{mass!r}"/><inertia {inertia}/></inertial>'
+
+
+def _places(raw: bytes) -> dict[tuple[str, ...], tuple[int, int]]:
+    """First and last byte + 1 of links, joints and their children, by ("link", name) and ("link", name, child); of
+    several equal ones the first."""
+    parser = expat.ParserCreate("utf-8")
+    places: dict[tuple[str, ...], tuple[int, int]] = {}
+    path: list[tuple[str, ...]] = []
+    starts: list[int] = []
+
+    def open_tag(tag: str, attributes: dict[str, str]) -> None:
+        above = path[-1] if path else ()
+        path.append((tag, attributes.get("name", "")) if len(path) == 1 else (*above, tag))
+        starts.append(parser.CurrentByteIndex)
+
+    def close_tag(tag: str) -> None:
+        key, start = path.pop(), starts.pop()
+        last = start if _tag(raw, start).endswith(b"/>") else parser.CurrentByteIndex
+        places.setdefault(key, (start, last + len(_tag(raw, last))))
+
+    parser.StartElementHandler, parser.EndElementHandler = open_tag, close_tag
+    parser.Parse(raw, True)
+    return places
+
+
+def _tag(raw: bytes, start: int) -> bytes:
+    """The tag that begins at a byte; a ">" inside quotes does not end it."""
+    found = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(raw, start)
+    return found.group() if found else b""
+
+
+def _edit(raw: bytes, places: Mapping, owner: tuple[str, str], child: str, new: str) -> tuple[int, int, str]:
+    """First and last byte + 1 of what is replaced by what, so that an owner has this child."""
+    if (*owner, child) in places:
+        return (*places[*owner, child], new)
+    start, _ = places[owner]
+    tag = _tag(raw, start).decode()
+    if tag.endswith("/>"):
+        return start, start + len(tag.encode()), f"{tag[:-2]}>{new}</{owner[0]}>"
+    return start + len(tag.encode()), start + len(tag.encode()), new
 
 
 @contextmanager

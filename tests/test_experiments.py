@@ -10,6 +10,8 @@ from experiments.marked import put
 from experiments.multiple import Counted, f1
 from experiments.options import only_of, options_of
 from experiments.real_diagnosis import JOBS
+from experiments.replay import NOT_HELD, Replayed, names_of
+from experiments.replay import table as replay_table
 from invdyn_cli.verbs.launch import config_folder
 from tests.commands import ROOT
 
@@ -44,6 +46,15 @@ def test_f1_counts_pairs():
     """Two of three found and one claim beside them: precision and recall 2/3."""
     one = Counted("three", 0, ("a@1", "b@2", "c@3"), ("a@1", "b@2", "d@3"), ("c@3",), ("d@3",), 1.0)
     assert f1([one]) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
+
+
+def test_replays_are_counted():
+    """Two different effects that an MJCF holds are drawn for a log; a log counts from 80 % on."""
+    for k in range(30):
+        one, other = names_of(0, k)
+        assert one != other and not {one, other} & set(NOT_HELD)
+    logs = [Replayed(0, ("a@1", "b@2"), (), 1.0, after, 0.1, 1.0, 1.0, 1.0) for after in (0.1, 0.2, 0.3, 1.5)]
+    assert "2 of 4 logs" in replay_table(logs) and "| -50 % |" in replay_table(logs)
 
 
 @dataclass(frozen=True)

@@ -72,10 +72,15 @@ def taken_out(robot: Robot, recording: Recording, side: str) -> tuple[Recording,
     common = _median(lead, weight) if weight.any() else 0.0
     if abs(common) > MOST * recording.period:
         common = 0.0 if side == "link" else recording.period / 2
+    return moved(recording, common), float(common)
+
+
+def moved(recording: Recording, lead: float) -> Recording:
+    """The recording with torques later by `lead` [s]."""
     pieces = tuple(
-        replace(p, tau=np.stack([shifted(x, -common * recording.filter.rate) for x in p.tau])) for p in recording.pieces
+        replace(p, tau=np.stack([shifted(x, -lead * recording.filter.rate) for x in p.tau])) for p in recording.pieces
     )
-    return replace(recording, pieces=pieces), float(common)
+    return replace(recording, pieces=pieces)
 
 
 def _median(x: np.ndarray, weight: np.ndarray) -> float:

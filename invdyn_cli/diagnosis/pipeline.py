@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, findings, hold, known, repeats, unexplained, wording
+from invdyn_cli.diagnosis import doctor, extension, findings, hold, known, repeats, unexplained, wording
 from invdyn_cli.diagnosis.candidates import gather
 from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.inquiry import inquire
-from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Window, prepare
+from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Recording, Window, prepare
 from invdyn_cli.diagnosis.support import judged
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import rigid_torque
@@ -31,11 +31,13 @@ class Options:
             "effect" or "effect@joint", allowed for and not reported.
         most: effects that a diagnosis names at most; null: three for each joint.
         conditioning: rates and filters.
+        replay: whether the simulated arm is played beside the log, before and after.
     """
 
     known: Sequence[Any] = ()
     most: int | None = None
     conditioning: Conditioning = field(default_factory=Conditioning)
+    replay: bool = False
 
 
 def diagnose(
@@ -83,7 +85,7 @@ def diagnose(
     except LogError as error:
         return _unusable(examination, (*notes, str(error)))
     facts, allowed = known.read(options.known, effects, robot)
-    nominal = robot
+    nominal, measured = robot, recording
     recording, robot = known.taken_out(recording, nominal, facts, gravity="gravity" in log.compensated)
     recording, common = hold.taken_out(robot, recording, side)
     progress(0.25, "columns")
@@ -100,7 +102,7 @@ def diagnose(
     restless = unexplained.beyond_noise(evidence, made.residual, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, shares))
-    progress(0.95, "model")
+    progress(0.9, "model")
     everything = (*facts, *made.acting)
     model = ExtendedModel(
         robot=nominal,
@@ -109,6 +111,7 @@ def diagnose(
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
     )
+    again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
     baseline, extended = _scores(evidence, made)
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
@@ -123,7 +126,8 @@ def diagnose(
         unexplained=shares,
         model=model,
         signals=_signals(evidence, made),
-        notes=(*notes, *recording.notes, *made.notes),
+        replay=again,
+        notes=(*notes, *recording.notes, *made.notes, *why),
         details={
             **recording.details,
             "time_taken_out_s": common,
@@ -135,6 +139,20 @@ def diagnose(
         },
     )
     return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
+
+
+def _replay(
+    model: ExtendedModel, log: Log, recording: Recording, lead: float, progress: Progress
+) -> tuple[Any, tuple[str, ...]]:
+    """The simulated arm beside the log; or None, and why."""
+    why = extension.why_not(in_newton_metres(log))
+    if not why:
+        try:
+            stretches = extension.stretches_of(log, model.robot, recording, lead)
+            return extension.replayed(model, stretches, lambda done, note: progress(0.9 + 0.1 * done, note)), ()
+        except LogError as error:
+            why = str(error)
+    return None, (f"The log was not replayed in the simulation: {why}.",)
 
 
 def _scores(evidence: Evidence, made: findings.Made) -> list[dict[str, dict[str, float]]]:

@@ -33,6 +33,7 @@ from invdyn_cli.report.canvas import (
 from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_window
 from invdyn_cli.report.overview import overview
 from invdyn_cli.report.quantities import best_gain
+from invdyn_cli.report.replay_figure import REPLAY, replay_figure
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import EFFECTS, headline_of, picture, place, rivals_of, shortened
 from invdyn_cli.types import Diagnosis
@@ -63,15 +64,16 @@ BODIES = ("payload", "payload_change", "external_contact", "link_inertia_error",
 
 
 def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Draw the overview and every cause's picture into `folder`, once per format (png, svg, pdf): their paths.
+    """Draw the overview, the replay and every cause's picture into `folder`, once per format (png, svg, pdf).
 
-    Nothing is drawn without signals: a log that is unusable has nothing to show.
+    The paths come back. Nothing is drawn without signals: a log that is unusable has nothing to show.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     with matplotlib.rc_context(STYLE):
         drawn = [(OVERVIEW, overview(diagnosis))] if diagnosis.signals is not None else []
+        drawn += [(REPLAY, replay_figure(diagnosis))] if diagnosis.replay is not None else []
         drawn += [(picture(x.number, x.finding), draw(x)) for x in exhibits(diagnosis)]
         for name, figure in drawn:
             for suffix in formats:

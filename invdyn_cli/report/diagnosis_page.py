@@ -7,9 +7,11 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
+from invdyn_cli.report.replay_figure import REPLAY
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     EFFECTS,
@@ -72,13 +74,21 @@ caption { text-align: left; padding-bottom: .2rem; }
 """
 
 
-def write_report(diagnosis: Diagnosis, robot_name: str, figures: Iterable[str | Path], path: str | Path) -> Path:
+def write_report(
+    diagnosis: Diagnosis,
+    robot_name: str,
+    figures: Iterable[str | Path],
+    path: str | Path,
+    lacks: Mapping[str, Sequence[str]] | None = None,
+) -> Path:
     """Write the report of a diagnosis to `path`, whole or not at all; of `figures` (those of `diagnosis_figures`), the
-    PNG files are put inside."""
-    return write_whole(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures]))
+    PNG files are put inside; `lacks`: the files for simulators, and what each of them does not hold."""
+    return write_whole(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures], lacks or {}))
 
 
-def page(diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path]) -> str:
+def page(
+    diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path], lacks: Mapping[str, Sequence[str]] | None = None
+) -> str:
     """The report as HTML text."""
     drawn = {x.stem: x for x in figures if x.suffix == ".png"}
     found = claims(diagnosis)
@@ -92,6 +102,7 @@ def page(diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path]) -> str:
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
         ("Causes", _causes(diagnosis)),
         ("What is gained", picked + _errors(diagnosis)),
+        ("The better simulation", better_simulation(diagnosis, drawn.get(REPLAY), lacks or {})),
         ("The evidence", evidence),
         ("What this log could not have shown", _blind_spots(diagnosis)),
         ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),

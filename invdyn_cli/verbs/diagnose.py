@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from invdyn_cli import store
 from invdyn_cli.diagnosis import Options, diagnose
+from invdyn_cli.diagnosis.extension import Export, exported
 from invdyn_cli.diagnosis.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
@@ -25,6 +26,7 @@ from invdyn_cli.interfaces import (
     silent,
 )
 from invdyn_cli.report import diagnosis_figures, diagnosis_page, diagnosis_tables
+from invdyn_cli.report.better_simulation import replay_line
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import check, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
@@ -32,6 +34,7 @@ from invdyn_cli.verbs.material import material_of
 from invdyn_cli.verbs.run import make_robot
 
 DIAGNOSIS, MODEL, REPORT = "diagnosis.json", "extended_model.json", "report.html"
+URDF, MJCF = "extended_model.urdf", "extended_model.mjcf.xml"
 """What the files are called; diagnosis.json is written last: where it is, the diagnosis is complete."""
 
 KINDS = (AbstractTorqueEffect, AbstractChannelEffect, AbstractBodyEffect, AbstractMotionEffect)
@@ -92,17 +95,31 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
 def write(diagnosis: Diagnosis, robot_name: str, folder: Path, progress: Progress = silent) -> None:
     """All files of a diagnosis; of a log that is unusable there is no model, and nothing to draw."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (DIAGNOSIS, MODEL, REPORT):
+    for name in (DIAGNOSIS, MODEL, REPORT, URDF, MJCF):
         (folder / name).unlink(missing_ok=True)
-    files = {"report": REPORT}
+    files, lacks = {"report": REPORT}, {}
     if diagnosis.model is not None:
         store.write_model(diagnosis.model, folder / MODEL)
-        files = {"model": MODEL, **files}
+        more, lacks = _write_simulations(exported(diagnosis.model), folder)
+        files = {"model": MODEL, **more, **files}
     drawn = diagnosis_figures.draw_all(diagnosis, folder / "figures") if diagnosis.signals is not None else []
     progress(0.9, "report")
-    diagnosis_page.write_report(diagnosis, robot_name, drawn, folder / REPORT)
+    diagnosis_page.write_report(diagnosis, robot_name, drawn, folder / REPORT, lacks)
     store.write_diagnosis(diagnosis, folder / DIAGNOSIS, files)
     progress(1.0, "done")
+
+
+def _write_simulations(export: Export, folder: Path) -> tuple[dict[str, str], dict[str, Sequence[str]]]:
+    """The files for simulators, and what each of them does not hold."""
+    files, lacks = {}, {}
+    for kind, name, text, said in (
+        ("urdf", URDF, export.urdf, export.urdf_lacks),
+        ("mjcf", MJCF, export.mjcf, export.mjcf_lacks),
+    ):
+        if text:
+            store.write_text(text, folder / name)
+            files[kind], lacks[name] = name, said
+    return files, lacks
 
 
 def show(diagnosis: Diagnosis, console: Console) -> None:
@@ -113,6 +130,8 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
     else:
         console.print(diagnosis_tables.finding_table(diagnosis))
         console.print(diagnosis_tables.error_table(diagnosis))
+    if diagnosis.replay is not None:
+        console.print(escape(replay_line(diagnosis)), highlight=False)
     for note in diagnosis.notes:
         console.print(f"[dim]{escape(note)}[/]", highlight=False)
 
@@ -126,6 +145,8 @@ def options_of(config: DictConfig) -> Options:
     node = config.diagnosis
     if node.most is not None and (not isinstance(node.most, int) or isinstance(node.most, bool) or node.most < 0):
         raise UsageError(f"diagnosis.most={node.most}; allowed: a whole number from 0 up, or null")
+    if not isinstance(node.replay, bool):
+        raise UsageError(f"diagnosis.replay={node.replay}; allowed: true or false")
     conditioning = instantiate(node.conditioning)
     if not isinstance(conditioning, Conditioning):
         raise UsageError(f"diagnosis.conditioning makes a {type(conditioning).__name__}; allowed: a Conditioning")
@@ -143,7 +164,7 @@ def options_of(config: DictConfig) -> Options:
         listed_ones = [listed_ones]
     if not isinstance(listed_ones, list):
         raise UsageError(f"diagnosis.known={known}; allowed: a list of effect, effect@joint, {{effect, joint, …}}")
-    return Options(known=listed_ones, most=node.most, conditioning=conditioning)
+    return Options(known=listed_ones, most=node.most, conditioning=conditioning, replay=node.replay)
 
 
 def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:

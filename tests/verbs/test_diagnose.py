@@ -17,6 +17,7 @@ from invdyn_cli.diagnosis.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import silent
 from invdyn_cli.logfile import Log, read_log, write_log
+from invdyn_cli.report.better_simulation import MUJOCO
 from invdyn_cli.report.diagnosis_page import CHECK, COMMAND, PYTHON
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
@@ -74,7 +75,7 @@ def claims(folder: Path) -> list[tuple]:
 def test_names_the_cause_and_the_joint(diagnosed):
     """diagnosis.json, with the keys of the design, names the hidden effect, its joint and its size, nothing else."""
     tree = json.loads((diagnosed[0] / "diagnosis.json").read_text())
-    assert set(tree) == KEYS | {"summary", "notes", "details"}
+    assert set(tree) == KEYS | {"summary", "replay", "notes", "details"}
     assert tree["schema"] == "invdyn-diagnosis/1" and tree["verdict"] == "explained"
     assert claims(diagnosed[0]) == [("coulomb_friction", JOINT, "named")]
     assert tree["findings"][0]["parameters"]["coulomb"]["value"] == pytest.approx(COULOMB, rel=0.02)
@@ -86,11 +87,33 @@ def test_leaves_its_files(diagnosed):
     folder, said = diagnosed
     assert folder.relative_to(folder.parents[3]).parts[:2] == ("outputs", "diagnoses") and folder.name.endswith("-log")
     names = {p.name for p in folder.iterdir() if not p.name.startswith(".")}
-    assert names == {"diagnosis.json", "extended_model.json", "report.html", "figures"}
     files = json.loads((folder / "diagnosis.json").read_text())["files"]
-    assert files == {"model": "extended_model.json", "report": "report.html"}
-    assert {p.name for p in (folder / "figures").iterdir()} == {"overview.png", "finding_01_coulomb_friction.png"}
+    assert set(files) == {"model", "urdf", "mjcf", "report"} and names == {*files.values(), "diagnosis.json", "figures"}
+    drawn = {p.name for p in (folder / "figures").iterdir()}
+    assert drawn == {"overview.png", "replay.png", "finding_01_coulomb_friction.png"}
     assert all(word in said for word in ("Explained.", "Coulomb friction", JOINT, "RMSE nominal", "Not to be seen"))
+
+
+def test_the_simulation_is_better(diagnosed):
+    """Replayed on held-out data, the arm with the friction is off by a tenth of the nominal one's error at most, and
+    needs no torque to be held; the terminal and the report say so."""
+    folder, said = diagnosed
+    replay = json.loads((folder / "diagnosis.json").read_text())["replay"]
+    free, closed = replay["windows"], replay["closed_loop"]
+    assert free["gain"] > 0.9 and free["after"][JOINT] < 0.1 * free["before"][JOINT]
+    assert closed["torque_before"][JOINT] == pytest.approx(COULOMB, rel=0.3)
+    assert closed["torque_after"][JOINT] < 0.1 * COULOMB
+    assert replay["not_held"] == [] and "Replayed in MuJoCo: left free for 0.2 s" in said
+    assert "The better simulation" in (folder / "report.html").read_text()
+
+
+def test_simulators_load_the_files(diagnosed):
+    """MuJoCo loads the MJCF, the robot's loader the URDF; both have the friction, and are otherwise the robot."""
+    folder, _ = diagnosed
+    robot = load_urdf(folder / "extended_model.urdf", dynamics_tags="use")
+    assert robot.friction == pytest.approx([0.0, COULOMB, 0.0], rel=0.02) and not robot.damping.any()
+    text = (folder / "extended_model.mjcf.xml").read_text()
+    assert f'name="{JOINT}"' in text and text.count("frictionloss") == 1
 
 
 def test_the_model_predicts_better(diagnosed, folder, command):
@@ -118,6 +141,8 @@ def test_the_report_promises_what_works(diagnosed, folder, command):
     assert COMMAND in text and "load_model" in text
     for name in ("log.h5", "arm.urdf", "extended_model.json"):
         os.link((place if name.endswith("json") else folder) / name, name)
+    os.link(place / "extended_model.mjcf.xml", "extended_model.mjcf.xml")
+    exec(MUJOCO, {})
     for line in (COMMAND, CHECK):
         said = command(*line.split()[1:], "hydra.run.dir=tried")
         assert said.code == 0, said.err
@@ -285,6 +310,7 @@ MISUSE = {
     "unknown joint": (("diagnosis.known=[coulomb_friction@elbow]",), "no joint 'elbow'"),
     "known": (("diagnosis.known=3",), "diagnosis.known=3; allowed: a list"),
     "most": (("diagnosis.most=-1",), "allowed: a whole number from 0"),
+    "replay": (("diagnosis.replay=maybe",), "diagnosis.replay=maybe; allowed: true or false"),
     "share": (("data.train_share=1",), "data.train_share=1; allowed: above 0, below 1"),
     "rate": (("diagnosis.conditioning.rate=0",), "diagnosis.conditioning.rate=0"),
     "an effect that is none": (("diagnosis.effects=[{_target_: nix.Nix}]",), "No module named 'nix'"),

@@ -1,0 +1,59 @@
+"""The picture of the better simulation: where the simulated arm gets when it is left free, and where the robot was."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, limit_bars, plain
+from invdyn_cli.report.overview import AFTER, BEFORE, LOG_FROM
+from invdyn_cli.report.wording import joints_of, units_of
+from invdyn_cli.types import Diagnosis
+
+REPLAY = "replay"
+"""What the picture's file is called."""
+
+
+def replay_figure(diagnosis: Diagnosis) -> Figure:
+    """A few windows of the joint that gains most, and the error of every joint, nominal and extended."""
+    replay = diagnosis.replay
+    figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
+    figure.suptitle(
+        f"Left free for {replay.length:g} s under the logged torques", x=0.01, ha="left", fontsize=11, fontweight="bold"
+    )
+    columns = max(1, len(replay.traces))
+    grid = figure.add_gridspec(2, columns, height_ratios=(1.1, 1))
+    panels, bars = [figure.add_subplot(grid[0, k]) for k in range(columns)], figure.add_subplot(grid[1, :])
+    unit = angle_unit(diagnosis)
+    for axes, trace in zip(panels, replay.traces, strict=False):
+        t = 1000 * (trace.t - trace.t[0])
+        axes.plot(t, trace.before, color=BEFORE, lw=1.8, label="nominal arm")
+        axes.plot(t, trace.after, color=AFTER, lw=1.8, label="extended arm")
+        axes.plot(t, trace.measured, color=MEASURED, lw=1.2, ls="--", label="measured")
+        limit_around(axes, trace.measured, np.concatenate([trace.before, trace.after]))
+        axes.set_title(f"{plain(trace.name)}\nfrom {trace.t[0]:.4g} s")
+        axes.set_xlabel("time in the window [ms]")
+        axes.margins(x=0.01)
+    if replay.traces:
+        panels[0].set_ylabel(f"{plain(replay.traces[0].joint)} [{unit[replay.traces[0].joint]}]")
+    where = np.arange(len(replay.joints))
+    for values, colour, side, label in (
+        (replay.before, BEFORE, -0.2, "nominal arm"),
+        (replay.after, AFTER, 0.2, "extended arm"),
+    ):
+        bars.bar(where + side, values, 0.37, color=colour, label=label)
+    values = np.concatenate([replay.before, replay.after])
+    seen = values[values > 0]
+    if len(seen) and seen.max() > LOG_FROM * seen.min():
+        limit_bars(bars, values, float(np.median(seen)))
+    crowded = len(where) * max(map(len, replay.joints)) > 110
+    bars.set_xticks(where, map(plain, replay.joints), rotation=30 * crowded, ha="right" if crowded else "center")
+    bars.grid(False, axis="x")
+    bars.set_title(f"error of every joint, RMS over {replay.windows} windows")
+    bars.set_ylabel(f"[{'; '.join(dict.fromkeys(unit.values()))}]")
+    add_legend(figure, *panels, bars)
+    return figure
+
+
+def angle_unit(diagnosis: Diagnosis) -> dict[str, str]:
+    """rad, or m for a joint that slides, by joint."""
+    torque = units_of(diagnosis)
+    return {x: "m" if torque.get(x) == "N" else "rad" for x in joints_of(diagnosis)}

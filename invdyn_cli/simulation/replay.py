@@ -1,0 +1,448 @@
+"""The arm of an MJCF file beside the measured motion: left free under the logged torques for a moment at a time, and
+held by a weak spring for a whole stretch.
+
+Free: every window begins with the measured positions and velocities, and the logged torques move the arm from there on.
+Nothing pulls it back, so that the error at the end tells what the model gets wrong. Held: a spring and a damper, the
+same for every model, pull each joint to the measured motion; a right model needs nothing of it, and stays where the
+robot was.
+
+As in `drive`, a step begins half a step before `qpos`, so that the integration is of second order.
+"""
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from invdyn_cli.errors import LogError, UsageError
+from invdyn_cli.interfaces import Progress, silent
+from invdyn_cli.simulation.arm import mass_matrix
+from invdyn_cli.simulation.mjcf import GEAR
+
+STEP = 1e-3
+"""[s] Longest step of the physics."""
+
+LENGTH = 0.2
+"""[s] of a window: long enough for friction and masses to show, short enough for a start that is not quite known."""
+
+MEMORY = 0.1
+"""[s] of torque before the first window: what a late or lagging motor still has to give."""
+
+LOST = np.pi
+"""[rad; m] Errors count at most so much: an arm that is half a turn off is lost, and by how much means nothing."""
+
+FREQUENCY, DAMPING = 3.0, 1.0
+"""[Hz], [-] of what holds the arm, for the least inertia that a joint of the nominal arm has."""
+
+REACH = 0.2
+"""[rad; m] within which a joint's typical torque is held: what suits a wrist's inertia alone would let a load fall."""
+
+POSTURES = 64
+"""Postures of the log in which that inertia is looked for."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A measured stretch without gaps on an even clock: t (T,) [s], the others (T, n) [rad, rad/s, N m; m, m/s, N].
+
+    `held`: a torque acts from its t until the next one, as a controller gives it out; else it acts at its t, and in
+    straight lines between.
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+    held: bool = False
+
+    def __post_init__(self) -> None:
+        shapes = {np.shape(x) for x in (self.q, self.qd, self.tau)}
+        if len(shapes) != 1 or len(self.t) < 3 or next(iter(shapes))[:1] != np.shape(self.t):
+            got = ", ".join(str(np.shape(x)) for x in (self.t, self.q, self.qd, self.tau))
+            raise LogError(f"{self.name}: t, q, qd, tau have shapes {got}; allowed: (T,) and thrice (T, n), T from 3")
+        steps = np.diff(self.t)
+        if not np.all(np.abs(steps - self.period) < 0.01 * self.period):
+            raise LogError(f"{self.name}: the clock is uneven; allowed: steps within 1 % of {self.period:.3g} s")
+
+    @property
+    def period(self) -> float:
+        """[s] between samples."""
+        return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
+
+    def torque(self, times: np.ndarray) -> np.ndarray:
+        """(K, n) at times (K,) [s]; the ends go on."""
+        rows = (np.asarray(times) - self.t[0]) / self.period
+        if self.held:
+            return self.tau[np.clip(np.floor(rows + 1e-9).astype(int), 0, len(self.t) - 1)]
+        rows = np.clip(rows, 0, len(self.t) - 1)
+        before = np.minimum(rows.astype(int), len(self.t) - 2)
+        share = (rows - before)[:, None]
+        return (1 - share) * self.tau[before] + share * self.tau[before + 1]
+
+
+@dataclass(frozen=True)
+class Traces:
+    """One joint of a few windows, for a picture: `name` of the trajectory, t and the three positions, (K,) each."""
+
+    name: str
+    joint: str
+    t: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True)
+class Replay:
+    """How far the simulated arm gets from the measured motion, with the nominal and the better model; (n,) each.
+
+    Attributes:
+        joints: names.
+        length: [s] of a window.
+        windows: how many there were.
+        before, after: RMS over all samples of all windows [rad; m].
+        end_before, end_after: RMS at the windows' ends.
+        held: [s] that the arm was held.
+        held_before, held_after: RMS while it was held [rad; m].
+        torque_before, torque_after: RMS of the torque that holding it took [N m; N].
+        traces: of the joint that gains most.
+        not_held: what the better model's file lacks, in sentences.
+    """
+
+    joints: tuple[str, ...]
+    length: float
+    windows: int
+    before: np.ndarray
+    after: np.ndarray
+    end_before: np.ndarray
+    end_after: np.ndarray
+    held: float
+    held_before: np.ndarray
+    held_after: np.ndarray
+    torque_before: np.ndarray
+    torque_after: np.ndarray
+    traces: tuple[Traces, ...] = ()
+    not_held: tuple[str, ...] = ()
+
+    @property
+    def gain(self) -> float:
+        """Share by which the mean error of the joints falls; negative where it grows."""
+        before = float(self.before.mean())
+        return 1 - float(self.after.mean()) / before if before > 0 else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """What diagnosis.json holds under "replay"."""
+
+        def named(values: np.ndarray) -> dict[str, float]:
+            return dict(zip(self.joints, map(float, values), strict=True))
+
+        return {
+            "windows": {
+                "length_s": self.length,
+                "count": self.windows,
+                "before": named(self.before),
+                "after": named(self.after),
+                "end_before": named(self.end_before),
+                "end_after": named(self.end_after),
+                "gain": self.gain,
+            },
+            "closed_loop": {
+                "seconds": self.held,
+                "frequency_Hz": FREQUENCY,
+                "damping_ratio": DAMPING,
+                "before": named(self.held_before),
+                "after": named(self.held_after),
+                "torque_before": named(self.torque_before),
+                "torque_after": named(self.torque_after),
+            },
+            "not_held": list(self.not_held),
+        }
+
+
+def replay(
+    before: str,
+    after: str,
+    stretches: Sequence[Stretch],
+    joints: Sequence[str],
+    *,
+    length: float = LENGTH,
+    most: int = 150,
+    longest: float = 20.0,
+    pictures: int = 4,
+    not_held: Sequence[str] = (),
+    progress: Progress = silent,
+) -> Replay:
+    """Both models on the same stretches.
+
+    Args:
+        before, after: MJCF texts as `mjcf.written` gives them.
+        stretches: of the log.
+        joints: names of the columns.
+        length: [s] of a window.
+        most: windows, spread evenly over all stretches.
+        longest: [s] that the arm is held, in all.
+        pictures: windows of which traces are kept.
+        not_held: handed on.
+
+    Raises:
+        LogError: if no stretch is long enough for a window.
+    """
+    total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
+    if not total > 0:
+        raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and what a motor remembers")
+    every = max(total / most, length)
+    found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
+    where: list[tuple[Stretch, int]] = []
+    for k, stretch in enumerate(stretches):
+        starts = window_starts(stretch, length, every)
+        where += [(stretch, int(row)) for row in starts]
+        for name, text in (("before", before), ("after", after)):
+            found[name] += list(free(text, stretch, starts, length))
+        progress(0.7 * (k + 1) / len(stretches), "free for a moment")
+    off = {name: np.concatenate([x[1:] for x in parts]) for name, parts in found.items()}
+    ends = {name: np.array([x[-1] for x in parts]) for name, parts in found.items()}
+    used = list(_shortened(stretches, longest))
+    gains = feedback(before, used)
+    holds = {name: [held(text, x, *gains) for x in used] for name, text in (("before", before), ("after", after))}
+    moved = {name: np.concatenate([x[0] for x in parts]) for name, parts in holds.items()}
+    pulled = {name: np.concatenate([x[1] for x in parts]) for name, parts in holds.items()}
+    worst = int(np.argmax(_rms(off["before"]) - _rms(off["after"])))
+    return Replay(
+        joints=tuple(joints),
+        length=length,
+        windows=len(where),
+        before=_rms(off["before"]),
+        after=_rms(off["after"]),
+        end_before=_rms(ends["before"]),
+        end_after=_rms(ends["after"]),
+        held=sum(float(x.t[-1] - x.t[0]) for x in used),
+        held_before=_rms(moved["before"]),
+        held_after=_rms(moved["after"]),
+        torque_before=_rms(pulled["before"]),
+        torque_after=_rms(pulled["after"]),
+        traces=_traces(found, where, joints[worst], worst, pictures),
+        not_held=tuple(not_held),
+    )
+
+
+def window_starts(stretch: Stretch, length: float = LENGTH, every: float = LENGTH) -> np.ndarray:
+    """First rows of windows of `length` [s], one `every` [s], behind what a motor remembers."""
+    first, last = round(MEMORY / stretch.period), len(stretch.t) - 1 - round(length / stretch.period)
+    return np.arange(first, last + 1, max(1, round(every / stretch.period)))
+
+
+def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length: float = LENGTH) -> np.ndarray:
+    """Simulated less measured positions (windows, K + 1, n) [rad; m] of an arm left free under the logged torques.
+
+    Args:
+        mjcf: the arm, as `mjcf.written` gives it.
+        stretch: what was measured.
+        starts: first rows of the windows.
+        length: [s] of a window, K samples.
+
+    Raises:
+        UsageError: if the file's motors are not as many as the log's joints, or a window reaches beyond the log.
+    """
+    samples = round(length / stretch.period)
+    if len(starts) and not (min(starts) >= 0 and max(starts) + samples < len(stretch.t) and samples >= 1):
+        raise UsageError(
+            f"a window of {length:g} s from row {max(starts)} of {stretch.name}; allowed: within its {len(stretch.t)}"
+        )
+    arm = _Arm(mjcf, stretch)
+    out = np.empty((len(starts), samples + 1, stretch.q.shape[1]))
+    with _quiet():
+        for window, row in enumerate(starts):
+            arm.start(row)
+            out[window, 0] = arm.q() - stretch.q[row]
+            for k in range(samples):
+                arm.advance(row + k)
+                out[window, k + 1] = arm.q() - stretch.q[row + k + 1]
+    return _bounded(out)
+
+
+def feedback(mjcf: str, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and damping (n,) [N m/rad, N m s/rad] of what holds an arm to the measured motion.
+
+    FREQUENCY for the least inertia that each joint has in the log's postures, others being free, or stiffer where that
+    would not hold the joint's typical torque within REACH.
+    """
+    model: Any = mujoco.MjModel.from_xml_string(mjcf)
+    data: Any = mujoco.MjData(model)
+    columns = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    q = np.concatenate([x.q for x in stretches])
+    posture, inertia = model.qpos0.copy(), np.full(model.nu, np.inf)
+    for row in q[np.linspace(0, len(q) - 1, POSTURES).astype(int)]:
+        posture[columns] = row
+        own = 1 / np.diag(np.linalg.inv(mass_matrix(model, data, posture)))[columns]
+        inertia = np.minimum(inertia, own)
+    torque = np.sqrt(np.mean(np.concatenate([x.tau for x in stretches]) ** 2, axis=0))
+    omega = np.maximum(2 * np.pi * FREQUENCY, np.sqrt(torque / REACH / inertia))
+    omega = np.minimum(omega, 0.5 / STEP)  # beyond, a step is too long for it
+    return omega**2 * inertia, 2 * DAMPING * omega * inertia
+
+
+def held(mjcf: str, stretch: Stretch, stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Simulated less measured positions (K, n) [rad; m] of an arm under the logged torques that is held to the measured
+    motion, and the torques (K, n) [N m; N] that it takes: stiffness (q - q_arm) + damping (qd - qd_arm), (n,) each.
+
+    They act on the joints themselves, as a hand would: not through the motors, which may be late or limited.
+    """
+    arm = _Arm(mjcf, stretch)
+    first = min(round(MEMORY / stretch.period), len(stretch.t) - 2)
+    moved, pulled = np.empty((2, len(stretch.t) - 1 - first, stretch.q.shape[1]))
+    with _quiet():
+        arm.hold(stiffness, damping)
+        arm.start(first)
+        for k in range(len(moved)):
+            arm.advance(first + k)
+            moved[k] = arm.q() - stretch.q[first + k + 1]
+            pulled[k] = -stiffness * moved[k] - damping * (arm.qd() - stretch.qd[first + k + 1])
+            if not np.isfinite(moved[k]).all():
+                moved[k:], pulled[k:] = LOST, pulled[k - 1] if k else 0.0
+                break
+    return _bounded(moved), pulled
+
+
+class _Arm:
+    """The arm of a file on the clock of a stretch; mutable, alive for one replay."""
+
+    def __init__(self, mjcf: str, stretch: Stretch) -> None:
+        self.stretch, n = stretch, stretch.q.shape[1]
+        self.substeps = int(np.ceil(stretch.period / STEP - 1e-9))
+        self.step = stretch.period / self.substeps
+        spec: Any = mujoco.MjSpec.from_string(mjcf)
+        if len(spec.actuators) != n:
+            raise UsageError(f"the MJCF has {len(spec.actuators)} motors, the log {n} joints; allowed: as many")
+        spec.option.timestep = self.step
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        for motor in spec.actuators:
+            if motor.delay > 0:
+                motor.nsample = int(np.ceil(motor.delay / self.step)) + 2
+        model: Any = spec.compile()
+        self.model, self.data = model, mujoco.MjData(model)
+        joints = model.actuator_trnid[:, 0]
+        model.jnt_limited[joints] = False  # the log was there
+        self.rows, self.columns = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        names = [model.joint(i).name for i in range(model.njnt)]
+        self._gears = [
+            (i, names.index(names[joint] + end))
+            for i, joint in enumerate(joints)
+            for end in (GEAR, GEAR + "_spring")
+            if names[joint] + end in names
+        ]
+        self._lagging = model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE
+        # Torques of a step are those of its middle; a lag's state is asked for a whole step on.
+        late = self.step * np.where(self._lagging, 1.0, 0.5)
+        ticks = stretch.t[0] + self.step * np.arange(self.substeps * (len(stretch.t) - 1))
+        self.commands = np.stack([self._mean(ticks + x, i) for i, x in enumerate(late)], axis=1)
+        self._late = late
+        self._hold: tuple[np.ndarray, np.ndarray] | None = None
+
+    def q(self) -> np.ndarray:
+        """Motors' positions (n,)."""
+        return self.data.qpos[self.rows] - self.step / 2 * self.data.qvel[self.columns]
+
+    def qd(self) -> np.ndarray:
+        """Motors' velocities (n,)."""
+        return self.data.qvel[self.columns].copy()
+
+    def start(self, row: int) -> None:
+        """As measured at a row, gears loaded by the torque, motors with what they remember."""
+        model, data, stretch = self.model, self.data, self.stretch
+        mujoco.mj_resetData(model, data)
+        data.qpos[self.rows] = stretch.q[row] + self.step / 2 * stretch.qd[row]
+        data.qvel[self.columns] = stretch.qd[row]
+        for i, gear in self._gears:
+            torque = model.actuator_gainprm[i, 0] * stretch.tau[row, i] + model.actuator_biasprm[i, 0]
+            at = model.jnt_qposadr[gear]
+            if model.jnt_limited[gear]:
+                data.qpos[at] = -np.sign(torque) * model.jnt_range[gear, 1]
+            else:
+                data.qpos[at] = -torque / model.jnt_stiffness[gear]
+        now = stretch.t[row]
+        for i in np.flatnonzero(model.actuator_delay > 0):
+            ages = np.arange(model.actuator_history[i, 0], 0, -1) * self.step
+            past = self._mean(now - ages + self._late[i], int(i))
+            mujoco.mj_initCtrlHistory(model, data, int(i), -ages, np.ascontiguousarray(past[:, None]))
+        for i in np.flatnonzero(self._lagging):
+            data.act[model.actuator_actadr[i]] = self._lagged(now - model.actuator_delay[i] + self.step / 2, int(i))
+
+    def _lagged(self, now: float, i: int) -> float:
+        """What a first-order motor gives at a time [s], after all that went before."""
+        lag = self.model.actuator_dynprm[i, 0]
+        ages = self.step * np.arange(max(1, round(8 * lag / self.step)))
+        weights = np.exp(-ages / lag)
+        return float(weights @ self._mean(now - ages - self.step / 2, i) / weights.sum())
+
+    def _mean(self, times: np.ndarray, i: int) -> np.ndarray:
+        """A joint's torque (K,), mean over the steps about these times."""
+        quarter = self.step / 4
+        return (self.stretch.torque(times - quarter)[:, i] + self.stretch.torque(times + quarter)[:, i]) / 2
+
+    def hold(self, stiffness: np.ndarray, damping: np.ndarray) -> None:
+        """From now on, a spring and a damper (n,) between each joint and the measured motion; MuJoCo integrates the
+        damper implicitly, so that it may be strong beside a wrist's inertia."""
+        self._hold = stiffness, damping
+        self.model.dof_damping[self.columns] += damping
+
+    def advance(self, row: int) -> None:
+        """From a row to the next, under the logged torques."""
+        q, qd = self.stretch.q, self.stretch.qd
+        for k in range(self.substeps):
+            if self._hold is not None:
+                share = (k + 0.5) / self.substeps  # a step begins half a step before qpos
+                wanted, speed = ((1 - share) * x[row] + share * x[row + 1] for x in (q, qd))
+                stiffness, damping = self._hold
+                pull = stiffness * (wanted - self.data.qpos[self.rows]) + damping * speed
+                self.data.qfrc_applied[self.columns] = pull
+            self.data.ctrl[:] = self.commands[row * self.substeps + k]
+            mujoco.mj_step(self.model, self.data)
+
+
+def _last(stretch: Stretch, length: float) -> float:
+    return float(stretch.t[-1] - length)
+
+
+def _shortened(stretches: Sequence[Stretch], longest: float) -> Iterator[Stretch]:
+    """The stretches, each cut to its share of `longest` [s]."""
+    whole = [x for x in stretches if x.t[-1] - x.t[0] > 2 * MEMORY]
+    share = min(1.0, longest / sum(float(x.t[-1] - x.t[0]) for x in whole))
+    for x in whole:
+        rows = slice(0, max(round(2 * MEMORY / x.period), round(share * len(x.t))))
+        yield Stretch(x.name, x.t[rows], x.q[rows], x.qd[rows], x.tau[rows], x.held)
+
+
+def _traces(found, where, joint: str, column: int, pictures: int) -> tuple[Traces, ...]:
+    """Windows spread evenly, with the positions of one joint."""
+    chosen = np.unique(np.linspace(0, len(where) - 1, pictures + 2).round().astype(int)[1:-1])
+    out = []
+    for k in chosen:
+        stretch, row = where[k]
+        rows = slice(row, row + len(found["before"][k]))
+        measured = stretch.q[rows, column]
+        moved = [measured + found[name][k][:, column] for name in ("before", "after")]
+        out.append(Traces(stretch.name, joint, stretch.t[rows], measured, *moved))
+    return tuple(out)
+
+
+def _rms(x: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(x**2, axis=0))
+
+
+def _bounded(x: np.ndarray) -> np.ndarray:
+    return np.clip(np.nan_to_num(x, nan=LOST, posinf=LOST, neginf=-LOST), -LOST, LOST)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """An arm that flies away is told by its error; MuJoCo would write a file here."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)

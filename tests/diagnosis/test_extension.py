@@ -1,0 +1,90 @@
+"""What a diagnosis found, as files for simulators and beside the log."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from experiments.arms import random_arm
+from invdyn_cli.diagnosis.extension import exported, hidden_of, urdf_of, why_not
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.description import ExtendedModel
+from invdyn_cli.logfile import Log
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.types import Robot
+from tests.simulation.test_mjcf import PARAMETERS
+
+BODY = {"mass": 0.3, "moment": np.array([0.01, 0.0, 0.02]), "inertia": np.array([0.01, 0, 0.01, 0, 0, 0.01])}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(random_arm(np.random.default_rng(0), 3))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def arm(folder) -> Robot:
+    return load_urdf(folder / "arm.urdf")
+
+
+def model(robot: Robot, *effects: tuple[str, int | None, dict]) -> ExtendedModel:
+    return ExtendedModel(robot, tuple(Acting(EFFECTS[name], joint, p) for name, joint, p in effects))
+
+
+def test_names_and_parameters_are_handed_on(arm):
+    """An effect on a column becomes one on that joint; what is of the whole arm has none."""
+    payload = {"mass": 1.0, "com": np.zeros(3), "inertia": np.zeros(6)}
+    made = hidden_of(model(arm, ("coulomb_friction", 1, {"coulomb": 2.0}), ("payload", None, payload)))
+    assert made[0] == Hidden("coulomb_friction", "axis2", {"coulomb": 2.0})
+    assert (made[1].effect, made[1].joint) == ("payload", None)
+
+
+def test_the_urdf_holds_what_it_can(arm, tmp_path):
+    """Inertials, damping and friction come back from the file; the rest is said, and gravity as an option to load."""
+    payload = {"mass": 1.0, "com": np.array([0.0, 0.02, 0.1]), "inertia": np.full(6, 1e-3) * [1, 0, 1, 0, 0, 1]}
+    found = model(
+        arm,
+        ("viscous_friction", 0, {"damping": 0.7}),
+        ("asymmetric_coulomb_friction", 1, {"positive": 2.0, "negative": 1.0}),
+        ("link_inertia_error", 1, BODY),
+        ("payload", None, payload),
+        ("base_tilt", None, {"angle": 0.1, "azimuth": 0.0}),
+    )
+    text, said = urdf_of(found)
+    (tmp_path / "new.urdf").write_text(text)
+    new = load_urdf(tmp_path / "new.urdf", dynamics_tags="use")
+    assert new.damping == pytest.approx([0.7, 0, 0]) and new.friction == pytest.approx([0, 1.5, 0])
+    added = np.asarray(new.inertial) - arm.inertial
+    assert added[1] == pytest.approx(np.concatenate([[0.3], BODY["moment"], BODY["inertia"]]), abs=1e-12)
+    assert added[2, :4] == pytest.approx([1.0, 0.0, 0.02, 0.1], abs=1e-12)
+    assert len(said) == 2 and "mean of both ways" in said[0] and "robot.gravity=[0.97" in said[1]
+
+
+def test_no_effect_vanishes_from_the_urdf(arm):
+    """Every effect of the catalogue changes the text or is said."""
+    for name in EFFECTS:
+        p = {k: np.asarray(v, float) if np.ndim(v) else v for k, v in PARAMETERS[name].items()}
+        p |= {"inertia": np.zeros(6)} if name.startswith("payload") else {}
+        joint = None if name in ("payload", "payload_change", "base_tilt") else 1
+        text, said = urdf_of(model(arm, (name, joint, p)))
+        assert said or text != arm.urdf, name
+
+
+def test_a_robot_without_urdf_has_none(arm):
+    """A robot from elsewhere gets an MJCF and no URDF."""
+    out = exported(model(replace(arm, urdf="")))
+    assert (out.urdf, out.urdf_lacks, out.mjcf_lacks) == ("", (), ())
+    assert mujoco.MjModel.from_xml_string(out.mjcf).nu == 3
+
+
+def test_why_a_log_is_not_replayed(arm):
+    """Torques behind the gear, and currents without gains, are no motors' torques; the note says which."""
+    log = Log("arm", arm.joints, "command", "N m", 1000.0, ())
+    assert why_not(log) == "" and why_not(replace(log, torque_side="unknown")) == ""
+    assert "behind the gears" in why_not(replace(log, torque_side="link"))
+    assert "drive gains" in why_not(replace(log, torque_unit="A"))
