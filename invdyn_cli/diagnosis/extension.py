@@ -18,8 +18,9 @@ from invdyn_cli.interfaces import AbstractBodyEffect, Progress, silent
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths.pseudo_inertia import realisable
 from invdyn_cli.simulation import mjcf
+from invdyn_cli.simulation.driven import Stretch
 from invdyn_cli.simulation.hidden import Hidden
-from invdyn_cli.simulation.replay import Replay, Stretch
+from invdyn_cli.simulation.replay import Replay
 from invdyn_cli.simulation.replay import replay as play
 from invdyn_cli.types import Motion, Robot
 

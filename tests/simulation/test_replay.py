@@ -9,11 +9,12 @@ import pytest
 from experiments.arms import random_arm
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.driven import Stretch
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.mjcf import GEAR, written
 from invdyn_cli.simulation.plant import simulate
 from invdyn_cli.simulation.references import Multisine
-from invdyn_cli.simulation.replay import MEMORY, Stretch, feedback, free, held, replay, window_starts
+from invdyn_cli.simulation.replay import MEMORY, feedback, free, held, replay, window_starts
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Robot
 
