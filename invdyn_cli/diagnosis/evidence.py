@@ -7,6 +7,7 @@ fitted (its small correction). All that the search asks can be answered from the
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Candidate:
     quiet: float = 0.0
     when: When | None = None
 
-    @property
+    @cached_property
     def key(self) -> tuple:
         """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
         return Acting(self.effect, self.joint, {}, self.when).key

@@ -14,7 +14,8 @@ from scipy import stats
 
 from invdyn_cli.diagnosis.candidates import passing_columns
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.search import LEAST_PRECISION, WHOLE, solved
+from invdyn_cli.diagnosis.judge import LEAST_PRECISION, solved
+from invdyn_cli.diagnosis.search import WHOLE
 from invdyn_cli.effects.composition import Acting, channel, joint_terms, link_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,

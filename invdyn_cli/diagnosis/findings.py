@@ -14,9 +14,9 @@ from invdyn_cli.diagnosis import bodies, naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import EDGES, Refined, intervals, reach
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
+from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.realisable import realisable
-from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.diagnosis.support import held_out, judged, left, refitted, that_hold
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting

@@ -9,9 +9,10 @@ from invdyn_cli.diagnosis import events, known, naming, noise
 from invdyn_cli.diagnosis.candidates import trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_all
 from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES
-from invdyn_cli.diagnosis.search import WHOLE, Hypothesis, Judge, parameters_of, read_all, search
+from invdyn_cli.diagnosis.search import WHOLE, search
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect
@@ -72,7 +73,8 @@ def inquire(
         if not parted:
             evidence = events.interleaved(evidence, [window[0].when for window in windows if window[0].when])
         lasting = [c for c in evidence.candidates if c.when is None]
-        again = _lasting(replace(evidence, candidates=[*lasting, *passing]), effects, allowed, most, compares)
+        more = replace(evidence, candidates=[*lasting, *passing])
+        again = _lasting(more, effects, allowed, most, compares, inquiry.hypothesis)
         held = {c.when.number for c in again.hypothesis if c.when is not None}
         if len(held) <= sum(c.when is not None for c in inquiry.hypothesis):
             return inquiry
@@ -87,8 +89,9 @@ def _lasting(
     allowed: Sequence[tuple[str, int | None]],
     most: int,
     compares: bool,
+    start: Hypothesis = (),
 ) -> Inquiry:
-    """Search, refine, search again with the nonlinear parameters that were found."""
+    """Search from `start`, refine, search again with the nonlinear parameters that were found."""
     new = evidence.role == ROLES.index("train")
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
@@ -107,10 +110,11 @@ def _lasting(
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.name == "payload" for c in pool):
         pool = [c for c in pool if c.key != ("link_inertia_error", last)]
+    pool += [c for c in start if not any(c is p for p in pool)]
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
     judge.refresh()
     model = Model(evidence)
-    hypothesis = search(judge, pool, always, (), most)
+    hypothesis = search(judge, pool, always, start, most)
     for _ in range(ROUNDS + evidence.dofs):
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()

@@ -14,7 +14,7 @@ from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.candidates import trial_at
 from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
-from invdyn_cli.diagnosis.search import Hypothesis, Judge
+from invdyn_cli.diagnosis.judge import Hypothesis, Judge
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.maths.statistics import autocorrelation_time

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.search import PRICE_OF_COEFFICIENT, Hypothesis, Judge, clash, same_window
+from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
+from invdyn_cli.diagnosis.search import clash, free_beside
 
 DOUBT = 0.005
 """Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
@@ -74,14 +75,11 @@ def rivals(
     without = judge.verdict(always + others)
     whole = float(np.sum(without.blocks - now.blocks))
     mine = judge.by_row(always + hypothesis)
-    best: dict[tuple[str, int | None], tuple[float, Candidate]] = {}
-    for c in pool:
-        if not set(c.columns) & set(own.columns):
-            continue  # what another joint alone feels is no rival
-        if c.key == own.key or any(c.key == e.key or clash(e, c) or same_window(e, c) for e in others):
-            continue
-        value, _ = judge.quick((*always, *others, c))
-        value -= judge.price((c,)) - PRICE_OF_COEFFICIENT * judge.freedom(c)
+    best: dict[tuple, tuple[float, Candidate]] = {}
+    # what another joint alone feels is no rival
+    near = [c for c in free_beside(others, pool) if c.key != own.key and not c.columns.keys().isdisjoint(own.columns)]
+    for value, c in zip(judge.extended((*always, *others), near), near, strict=True):
+        value = float(value) - judge.price((c,)) + PRICE_OF_COEFFICIENT * judge.freedom(c)
         if c.key not in best or value < best[c.key][0]:
             best[c.key] = value, c
     made = []

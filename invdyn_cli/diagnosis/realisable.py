@@ -13,7 +13,7 @@ from scipy import stats
 
 from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, moved
-from invdyn_cli.diagnosis.search import RELEVANT
+from invdyn_cli.diagnosis.judge import RELEVANT
 from invdyn_cli.interfaces import AbstractBodyEffect
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent

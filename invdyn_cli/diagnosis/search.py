@@ -6,240 +6,19 @@ Forward steps, drops, swaps and merges go on until none of them helps.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 
-import numpy as np
-
-from invdyn_cli.diagnosis.evidence import DRY, Candidate, Evidence, shared_out
-from invdyn_cli.interfaces import (
-    AbstractBodyEffect,
-    AbstractChannelEffect,
-    AbstractForceEffect,
-    AbstractGearEffect,
-    AbstractTorqueEffect,
-)
-
-FOLDS = 8
-"""Parts of the blocks that are held out in turn."""
-
-PRICE_OF_EFFECT, PRICE_OF_COEFFICIENT = 12.0, 4.0
-"""In units of the noise variance: an effect must gain more. About 2 log(tries) and log(samples), as BIC has it
-(Schwarz 1978; Foster and George 1994 for the number of tries)."""
-
-RELEVANT = 0.002
-"""Share of a joint's RMS torque that an effect must be worth: an honest log of a right model leaves nearly as much by
-clocks, interpolation and filters."""
+from invdyn_cli.diagnosis.evidence import Candidate
+from invdyn_cli.diagnosis.judge import Hypothesis, Judge
 
 SHORTLIST = 10
 """Candidates of a step whose held-out loss is computed; the others gain less on the data that fits them."""
 
-FARTHEST = 1.5
-"""Reaches beyond which a channel's correction of a trial is no longer the straight line that it is taken for."""
-
-CANCELLED = 3.0
-"""Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
-other effects take back: of two that cancel each other, neither is known."""
-
 WHOLE = {"body", "motion", "gear", "force"}
 """Points at which an effect reaches more than its own joint."""
 
-LEAST_PRECISION = 1e-9
-
-Hypothesis = tuple[Candidate, ...]
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """How a hypothesis does: its `loss` with prices, the held-out loss of each block (B,), its coefficients."""
-
-    loss: float
-    blocks: np.ndarray
-    theta: np.ndarray
-
-
-class Judge:
-    """Gram matrices of the chosen rows, by block, and what they say of hypotheses.
-
-    Args:
-        rows: (R,) bool, which rows count.
-        weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
-        deviation: (n,) standard deviation of the noise [N m; N].
-        always: candidates that are part of every hypothesis.
-    """
-
-    def __init__(
-        self,
-        evidence: Evidence,
-        rows: np.ndarray,
-        weights: np.ndarray,
-        deviation: np.ndarray,
-        always: Hypothesis = (),
-    ) -> None:
-        self.evidence, self.rows, self.weights = evidence, rows, weights
-        numbers, self.block = np.unique(evidence.block[rows], return_inverse=True)
-        self.count = len(numbers)
-        self.folds = np.arange(self.count) % min(FOLDS, self.count)
-        self.grams: list[np.ndarray] = [np.empty((self.count, 0, 0))] * evidence.dofs
-        self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
-        used = evidence.valid[rows]
-        worth = weights * np.sum((RELEVANT * evidence.tau[rows]) ** 2 * used, axis=0)
-        self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
-        self.rows_worth = weights * used.sum(0)
-        self.deviation = deviation
-        self.always = always
-        self._freedom: dict[int, float] = {}
-        self.tried = 0
-
-    def refresh(self) -> None:
-        """Take in the columns that were added to the evidence since."""
-        edges = np.searchsorted(self.block, np.arange(self.count + 1))
-        for j, table in enumerate(self.evidence.tables):
-            if table.shape[1] != self.grams[j].shape[1]:
-                x = table[self.rows] * self.evidence.valid[self.rows, j : j + 1]
-                self.grams[j] = np.stack([x[a:b].T @ x[a:b] for a, b in pairwise(edges)])
-                self.totals[j] = self.grams[j].sum(0)
-
-    def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
-        return self._assembled(hypothesis, self.grams)
-
-    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray], only: int | None = None):
-        """`sums` from Gram matrices (..., columns, columns) of all rows of the arm, or of one."""
-        starts = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
-        k, shape = int(starts[-1]), grams[0].shape[:-2]
-        s, r, normal = np.zeros(shape), np.zeros((*shape, k)), np.zeros((*shape, k, k))
-        for j, gram in enumerate(grams):
-            w = self.weights[j]
-            if not w or only not in (None, j):
-                continue
-            fixed, free, place = [0], [], []
-            for c, start in zip(hypothesis, starts[:-1], strict=True):
-                if j in c.columns:
-                    fixed += c.columns[j][0]
-                    free += c.columns[j][1]
-                    place += range(start, start + len(c.precision))
-            if len(fixed) == 1 and not free:
-                s += w * gram[..., 0, 0]
-                continue
-            signs = np.array([1.0] + [-1.0] * (len(fixed) - 1))
-            columns = np.array([*fixed, *free])
-            own = gram[..., columns[:, None], columns]
-            m = len(fixed)
-            s += w * (own[..., :m, :m] @ signs @ signs)
-            if free:
-                at = np.array(place)
-                r[..., at] += w * (own[..., m:, :m] @ signs)
-                normal[..., at[:, None], at] += w * own[..., m:, m:]
-        return s, r, normal
-
-    def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
-        """Loss with prices on the data that fits the hypothesis, and its coefficients."""
-        s, r, normal = self._assembled(hypothesis, self.totals)
-        theta = solved(normal, r, _precision(hypothesis))
-        return float(s - theta @ r) + self.price(hypothesis), theta
-
-    def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
-        """The held-out judgement."""
-        s, r, normal = self.sums(hypothesis)
-        precision = _precision(hypothesis)
-        theta = solved(normal.sum(0), r.sum(0), precision)
-        blocks = np.empty(self.count)
-        for out, held in self._held_out(r, normal, precision):
-            blocks[out] = _squares(s[out], r[out], normal[out], held)
-        loss = float(blocks.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
-        return Verdict(loss, blocks, theta)
-
-    def _held_out(
-        self, r: np.ndarray, normal: np.ndarray, precision: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Blocks (B,) bool that are held out in turn, and the coefficients (k,) that the others give."""
-        for fold in range(self.folds.max() + 1):
-            out = self.folds == fold
-            others = ~out if self.folds.max() else out
-            yield out, solved(normal[others].sum(0), r[others].sum(0), precision)
-
-    def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
-        """Held-out losses (n, B) of every joint's own rows, without prices."""
-        _, r, normal = self.sums(hypothesis)
-        rows = [self._assembled(hypothesis, self.grams, j) for j in range(len(self.grams))]
-        out = np.zeros((len(self.grams), self.count))
-        for at, held in self._held_out(r, normal, _precision(hypothesis)):
-            for j, (s, own, squares) in enumerate(rows):
-                out[j, at] = _squares(s[at], own[at], squares[at], held)
-        return out
-
-    def price(self, hypothesis: Sequence[Candidate]) -> float:
-        """What a hypothesis must gain at least."""
-        return sum(
-            PRICE_OF_EFFECT
-            + PRICE_OF_COEFFICIENT * self.freedom(c)
-            + self.least[c.joint if c.effect.point in ("torque", "channel", "gear") else None]
-            + (c.quiet * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2 if c.quiet else 0.0)
-            for c in hypothesis
-        )
-
-    def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
-        """Why the coefficients of a hypothesis are no physics, "" if they are; what is always in it may be anything."""
-        for candidate, own in shared_out(hypothesis, theta):
-            if any(candidate is a for a in self.always):
-                continue
-            parameters = parameters_of(self.evidence, candidate, own)
-            why = candidate.effect.refuse(parameters)
-            if why:
-                return f"{candidate.effect.title}: {why}"
-            if candidate.effect.point in ("channel", "gear"):
-                if np.any(own**2 * candidate.precision > FARTHEST**2):
-                    return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
-            elif any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
-                return f"{candidate.effect.title}: so large that other effects would have to take most of it back"
-        return ""
-
-    def _size(self, candidate: Candidate, own: np.ndarray, j: int) -> float:
-        """Root of the sum of squares of a candidate's torque on a joint."""
-        fixed, free = candidate.columns[j]
-        columns, factors = [*fixed, *free], np.concatenate([np.ones(len(fixed)), own])
-        return float(np.sqrt(max(factors @ self.totals[j][np.ix_(columns, columns)] @ factors, 0.0)))
-
-    def _left(self, j: int) -> float:
-        """The same of what the nominal model leaves there, noise and all."""
-        return float(np.sqrt(self.totals[j][0, 0]))
-
-    def freedom(self, candidate: Candidate) -> float:
-        """How many coefficients of a candidate the data determine at all."""
-        if not candidate.precision.any():
-            return float(len(candidate.precision))
-        if id(candidate) not in self._freedom:
-            normal = self.sums((candidate,))[2].sum(0)
-            prior = np.diag(candidate.precision)
-            self._freedom[id(candidate)] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
-        return self._freedom[id(candidate)]
-
-
-def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):
-    """Every candidate of a hypothesis with its parameters, from the coefficients (k,)."""
-    for c, own in shared_out(hypothesis, theta):
-        yield c, parameters_of(evidence, c, own)
-
-
-def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
-    """Parameters of one candidate from its coefficients."""
-    effect, shape = candidate.effect, candidate.shape
-    if effect.name in ("torque_gain_error", "torque_gain_change"):
-        return {"gain": float(1 / max(1 + coefficients[0], 1e-3))}
-    if effect.name == "encoder_offset":
-        return {"offset": float(shape.get("offset", 0.0) + coefficients[0])}
-    if isinstance(effect, AbstractGearEffect):
-        return effect.of_softness(effect.softness(shape) + float(coefficients[0]))
-    if isinstance(effect, AbstractForceEffect):
-        return effect.read([float(c) for c in coefficients])
-    if isinstance(effect, AbstractChannelEffect):
-        return {name: float(value + c) for (name, value), c in zip(shape.items(), coefficients, strict=True)}
-    if isinstance(effect, AbstractBodyEffect):
-        return effect.read([float(c) for c in coefficients], evidence.robot, candidate.joint)
-    assert isinstance(effect, AbstractTorqueEffect)
-    known = [float(c) for c in coefficients]
-    return effect.read(known[:-1] if effect.name in DRY else known, shape)
+Move = tuple[Hypothesis, list[Candidate]]
+"""A hypothesis, and candidates of which one each is put beside it; none: it stands alone."""
 
 
 def search(
@@ -248,97 +27,93 @@ def search(
     """The hypothesis of least loss that steps from `start` lead to; `always` is part of it and not counted."""
     hypothesis, loss = start, judge.verdict(always + start).loss
     for _ in range(6 * most):
-        moves = list(_additions(hypothesis, pool)) if len(hypothesis) < most else []
-        better = _best(judge, always, hypothesis, moves, loss)
-        if better is None:
-            better = _best(judge, always, hypothesis, _drops(hypothesis), loss)
-        if better is None:
-            better = _best(judge, always, hypothesis, list(_swaps(hypothesis, pool)), loss)
-        if better is None:
-            better = _best(judge, always, hypothesis, list(_merges(hypothesis, pool)), loss)
+        better = _best(judge, always, _additions(hypothesis, pool), loss) if len(hypothesis) < most else None
+        for moves in (_drops, _swaps, _merges):
+            better = better or _best(judge, always, moves(hypothesis, pool), loss)
         if better is None:
             return hypothesis
         hypothesis, loss = better
     return hypothesis
 
 
-def _best(judge: Judge, always: Hypothesis, now: Hypothesis, moves: Iterable[Hypothesis], loss: float):
-    """The best of these hypotheses with its loss, if it is better than `loss`."""
-    quick = []
-    for move in moves:
-        judge.tried += 1
-        value, theta = judge.quick(always + move)
-        if value < loss:
-            quick.append((value, move, theta))
+def _best(judge: Judge, always: Hypothesis, moves: Iterable[Move], loss: float) -> tuple[Hypothesis, float] | None:
+    """The best hypothesis that one of these moves makes, with its loss, if it is better than `loss`."""
+    quick: list[tuple[float, Hypothesis]] = []
+    for base, candidates in moves:
+        judge.tried += max(1, len(candidates))
+        values = judge.extended(always + base, candidates) if candidates else [judge.quick(always + base)[0]]
+        made = [(*base, c) for c in candidates] or [base]
+        quick += [(float(value), one) for value, one in zip(values, made, strict=True) if value < loss]
     quick.sort(key=lambda x: x[0])
     found, seen = None, 0
-    for _, move, theta in quick:
-        if judge.refused(always + move, theta):
+    for _, one in quick:
+        if judge.refused(always + one, judge.quick(always + one)[1]):
             continue
-        verdict = judge.verdict(always + move)
+        verdict = judge.verdict(always + one)
         if verdict.loss < loss - 1e-6:
-            found, loss = (move, verdict.loss), verdict.loss
+            found, loss = (one, verdict.loss), verdict.loss
         seen += 1
         if seen == SHORTLIST:
             break
     return found
 
 
-def _additions(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
-    for c in pool:
-        if not any(c.key == e.key or clash(e, c) or same_window(e, c) for e in hypothesis):
-            yield *(e for e in hypothesis if not clash(c, e)), c
+def _additions(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
+    """One more effect, in the place of its special cases."""
+    groups: dict[tuple[int, ...], list[Candidate]] = {}
+    for c in free_beside(hypothesis, pool):
+        special = tuple(i for i, e in enumerate(hypothesis) if clash(c, e)) if c.effect.contains else ()
+        groups.setdefault(special, []).append(c)
+    for out, candidates in groups.items():
+        yield tuple(e for i, e in enumerate(hypothesis) if i not in out), candidates
 
 
-def _drops(hypothesis: Hypothesis) -> list[Hypothesis]:
-    return [hypothesis[:i] + hypothesis[i + 1 :] for i in range(len(hypothesis))]
-
-
-def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
+def _drops(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
+    """One effect less."""
     for i in range(len(hypothesis)):
+        yield hypothesis[:i] + hypothesis[i + 1 :], []
+
+
+def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
+    """Another effect in the place of one that is felt by a joint alike."""
+    for i, out in enumerate(hypothesis):
         others = hypothesis[:i] + hypothesis[i + 1 :]
-        for c in pool:
-            taken = any(c.key == e.key or clash(e, c) or clash(c, e) or same_window(e, c) for e in others)
-            if c is not hypothesis[i] and not taken:
-                yield *others, c
+        there = {(e.joint, e.effect.name) for e in others}
+        near = [c for c in pool if c is not out and not c.columns.keys().isdisjoint(out.columns)]
+        free = free_beside(others, near)
+        fitting = [c for c in free if not any((c.joint, name) in there for name in c.effect.contains)]
+        if fitting:
+            yield others, fitting
 
 
-def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterable[Hypothesis]:
+def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
     """One effect of the whole arm in the place of one such and another: what it does to many joints takes many others
     to imitate."""
+    whole = [c for c in pool if c.effect.point in WHOLE]
     for i, k in combinations(range(len(hypothesis)), 2):
         if not {hypothesis[i].effect.point, hypothesis[k].effect.point} & WHOLE:
             continue
         others = tuple(c for m, c in enumerate(hypothesis) if m not in (i, k))
-        for c in pool:
-            if c.effect.point in WHOLE and not any(c.key == e.key or same_window(e, c) for e in others):
-                yield *others, c
+        fitting = free_beside(others, whole)
+        if fitting:
+            yield others, fitting
+
+
+def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates that have a place beside these: that are not there yet, no special case of one, and in a window in
+    which nothing else happened."""
+    keys = {e.key for e in hypothesis}
+    special = {(e.joint, name) for e in hypothesis for name in e.effect.contains}
+    windows = {e.when.number for e in hypothesis if e.when is not None}
+    return [
+        c
+        for c in pool
+        if c.key not in keys
+        and (c.joint, c.effect.name) not in special
+        and (c.when is None or c.when.number not in windows)
+    ]
 
 
 def clash(whole: Candidate, part: Candidate) -> bool:
     """Whether one effect on a joint is the general case of another there."""
     return whole.joint == part.joint and part.effect.name in whole.effect.contains
-
-
-def same_window(one: Candidate, other: Candidate) -> bool:
-    """Whether two effects would come and go in the same window: one thing happened there."""
-    return one.when is not None and other.when is not None and one.when.number == other.when.number
-
-
-def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:
-    return np.concatenate([c.precision for c in hypothesis]) if hypothesis else np.zeros(0)
-
-
-def _squares(s: np.ndarray, r: np.ndarray, normal: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Sums of squares (B,) that coefficients (k,) leave, of blocks' s (B,), r (B, k) and N (B, k, k)."""
-    return s - 2 * r @ theta + np.einsum("a,bac,c->b", theta, normal, theta)
-
-
-def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of the normal equations with what is known beforehand."""
-    if not len(r):
-        return r
-    diagonal = np.diag(normal)
-    scale = np.sqrt(np.maximum(diagonal, 1e-300))
-    scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
-    return np.linalg.solve(scaled, r / scale) / scale

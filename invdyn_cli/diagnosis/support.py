@@ -9,9 +9,9 @@ from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.exact import Refined, refine
 from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.recording import ROLES
-from invdyn_cli.diagnosis.search import Hypothesis
 from invdyn_cli.effects.composition import Acting
 
 OUTWEIGHED = 1.0

@@ -9,8 +9,8 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.diagnosis.evidence import Evidence
+from invdyn_cli.diagnosis.judge import RELEVANT
 from invdyn_cli.diagnosis.naming import structure
-from invdyn_cli.diagnosis.search import RELEVANT
 from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.types import Dataset, Motion, Trajectory
 

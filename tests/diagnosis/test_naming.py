@@ -8,8 +8,8 @@ import pytest
 
 from invdyn_cli.diagnosis import naming, noise
 from invdyn_cli.diagnosis.evidence import Evidence
+from invdyn_cli.diagnosis.judge import Judge
 from invdyn_cli.diagnosis.recording import Filter
-from invdyn_cli.diagnosis.search import Judge
 from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw
 from tests.diagnosis.sick import motion
 

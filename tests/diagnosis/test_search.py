@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import noise
-from invdyn_cli.diagnosis.search import FOLDS, Judge, search
+from invdyn_cli.diagnosis.judge import FOLDS, Judge
+from invdyn_cli.diagnosis.search import search
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 
-NAMES = ["viscous_friction", "coulomb_friction", "joint_spring", "torque_offset", "payload", "base_tilt"]
+NAMES = [
+    "viscous_friction", "coulomb_friction", "joint_spring", "torque_offset", "payload", "base_tilt", "torque_delay",
+    "backlash",
+]  # fmt: skip
 WEIGHTS = np.array([1.0, 4.0, 0.5])
 
 
@@ -118,3 +122,15 @@ def test_what_others_would_have_to_take_back_is_refused(evidence, judge):
     left = np.sqrt(np.mean(evidence.tables[1][evidence.role == 0, 0] ** 2))
     assert "take most of it back" in judge.refused((offset,), np.array([10 * left]))
     assert judge.refused((offset,), np.array([left])) == ""
+
+
+@pytest.mark.parametrize("name", HYPOTHESES)
+def test_many_are_judged_at_once_as_one_by_one(name, evidence, judge):
+    """The losses of a hypothesis with each candidate beside it are those of fitting every such set anew, to 1e-6 of
+    what there is to explain; trials with fixed columns, of one joint and of all, among them."""
+    base = tuple(candidate(evidence, *key) for key in HYPOTHESES[name])
+    others = [c for c in evidence.candidates if not any(c is b for b in base)]
+    assert {c.is_trial for c in others} == {True, False}
+    wanted = [judge.quick((*base, c))[0] for c in others]
+    nothing = judge.quick(())[0]
+    np.testing.assert_allclose(judge.extended(base, others), wanted, rtol=0, atol=1e-6 * nothing)
