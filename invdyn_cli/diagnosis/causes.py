@@ -88,11 +88,14 @@ class Scenes:
         return JointState(self.t, q, qd, qdd, np.asarray(sign_of(qd, width)), self.torque[joint])
 
 
+Trial = tuple[Sequence["Column"], np.ndarray]
+"""Columns, and what is known of their factors beforehand, 1 / scale^2."""
+
 Column = Mapping[int, np.ndarray]
 """What a unit of something adds to the torques of some joints: joint -> (S, L)."""
 
 
-def scenes_of(robot: Robot, motions: Sequence[Motion], starts: Sequence[float], rate: float) -> Scenes:
+def scenes_of(robot: Robot, motions: Sequence[Motion], starts: Sequence[float] | np.ndarray, rate: float) -> Scenes:
     """Scenes of motions (n, L) of one length, which begin at `starts` [s]."""
     stacked = Motion(*(np.stack([np.asarray(getattr(m, x)) for m in motions], axis=1) for x in ("q", "qd", "qdd")))
     n, count, length = stacked.q.shape
@@ -118,7 +121,7 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
     return dict(enumerate(moved - scenes.torque))
 
 
-def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray) -> list[tuple[list[Column], np.ndarray]]:
+def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray) -> list[Trial]:
     """Trials of a rival: for each value of its nonlinear parameters its columns, and what is known of their factors
     beforehand, 1 / scale^2; `level` (n,) [N m; N] is the usual size of what is hidden."""
     effect, joint = cause.effect, cause.joint
@@ -206,7 +209,8 @@ def typical(effect: AbstractEffect, joint: int | None, robot: Robot, usual: Usua
     sizes["link_inertia_error"]["mass"] = float(0.2 * inertial[j, 0])
     if effect.name not in sizes:
         raise UsageError(
-            f"{effect.name} has no typical size", advice=f"its parameters: {listed(effect.parameters)}, in its unit each"
+            f"{effect.name} has no typical size",
+            advice=f"its parameters: {listed(effect.parameters)}, in its units",
         )
     return sizes[effect.name]
 
@@ -229,12 +233,15 @@ def _shapes(cause: Cause, state: JointState) -> Sequence[Parameters]:
     return effect.shapes(state)
 
 
-def _torque_columns(effect: AbstractTorqueEffect, joint: int, shape: Parameters, state: JointState, rate, level):
+def _torque_columns(
+    effect: AbstractTorqueEffect, joint: int, shape: Parameters, state: JointState, rate: float, level: np.ndarray
+) -> Trial:
     made = [np.asarray(x) * np.ones_like(state.q) for x in effect.basis(state, shape)]
     precision = np.zeros(len(made))
-    if effect.name in DRY:  # the milliseconds in which a joint that turns back sticks
-        scale = STICK_TIME * level[joint] / max(float(np.sqrt(np.mean(made[0] ** 2))), 1e-12)
-        made.append(np.gradient(made[0], axis=-1) * rate)
+    if effect.name in (*DRY, "asymmetric_coulomb_friction"):  # the milliseconds in which a joint that turns back sticks
+        jump = made[0] if effect.name in DRY else made[0] + made[1]
+        scale = STICK_TIME * level[joint] / max(float(np.sqrt(np.mean(jump**2))), 1e-12)
+        made.append(np.gradient(jump, axis=-1) * rate)
         precision = np.append(precision, 1 / max(scale, 1e-12) ** 2)
     return [{joint: x} for x in made], precision
 

@@ -7,8 +7,9 @@ in standard errors, noise's autocorrelation counted, everything behind the low-p
 by their Gram matrices, which add up: hundreds of candidates cost little.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -26,6 +27,12 @@ Side = tuple[Cause, ...]
 
 NUISANCES = ("torque_offset", "coulomb_friction", "viscous_friction")
 """What every joint has a little of, and a diagnosis must allow for."""
+
+LEAST_SIZE, LARGEST_FACTOR = 0.3, 1e3
+"""Of the largest side's size, what another is taken for at least; and the largest factor for that."""
+
+SAME = {"asymmetric_coulomb_friction": ("coulomb_friction", "torque_offset")}
+"""Effects that are the sum of others, whatever the motion."""
 
 MOST_TRIALS = 9
 """Combinations of a rival's nonlinear parameters that are tried."""
@@ -53,6 +60,8 @@ class Contest:
         usual: what the joints usually do.
         weights: (n,) 1 / (noise variance x samples that its low-pass binds together), per sample at `rate`.
         cutoffs: (n,) [Hz] of the low-pass.
+        pairs: what is compared.
+        factors: (question, side) -> factor by which a side's term is taken larger than its parameters say.
     """
 
     robot: Robot
@@ -61,7 +70,8 @@ class Contest:
     usual: Usual
     weights: np.ndarray
     cutoffs: np.ndarray
-    pairs: tuple[Pair, ...] = field(default=())
+    pairs: tuple[Pair, ...] = ()
+    factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -93,6 +103,28 @@ def sized(contest_questions: Sequence[Sequence[Side]], robot: Robot, usual: Usua
         size = max(given, default=None)
         made.append([tuple(_with_size(c, robot, usual, duration, scenes, size) for c in side) for side in sides])
     return made
+
+
+def factors(contest: Contest, evaluation: Evaluation) -> dict[tuple[int, int], float]:
+    """Factors that make the sides of a question nearly equal in size: what a poor log says of a rival's size, where it
+    stands in the place of the true cause, may be next to nothing."""
+    whole = evaluation.grams.sum(0)
+    sizes = {key: float(np.sqrt(max(whole[k, k], 0.0))) for key, k in evaluation.terms.items()}
+    out = {}
+    for (question, side), size in sizes.items():
+        largest = max(x for (q, _), x in sizes.items() if q == question)
+        out[question, side] = float(np.clip(LEAST_SIZE * largest / max(size, 1e-300), 1.0, LARGEST_FACTOR))
+    return out
+
+
+def watches_the_clock(contest: Contest, scenes: Scenes) -> bool:
+    """Whether any of the causes is another one later in the recording."""
+    later = replace(scenes, t=scenes.t + 10.0)
+    causes = [c for sides in contest.questions for side in sides for c in side]
+    both = (
+        (term(contest.robot, c, scenes), term(contest.robot, c, later)) for c in causes if c.effect.point == "torque"
+    )
+    return any(not np.array_equal(a[j], b[j]) for a, b in both for j in a)
 
 
 def _with_size(cause: Cause, robot: Robot, usual: Usual, duration: float, scenes: Scenes, size: float | None) -> Cause:
@@ -138,7 +170,7 @@ def evaluated(contest: Contest, scenes: Scenes) -> Evaluation:
         sides = contest.questions[pair.question]
         beside: list[tuple[np.ndarray, np.ndarray]] = [
             (trial[0], trial[1] + 1 / np.maximum(level[cause.joint or 0], 1e-9) ** 2 * (cause.effect.name in NUISANCES))
-            for cause in _nuisances(sides[pair.true], sides[pair.rival], robot)
+            for cause in _nuisances(sides[pair.true], sides[pair.rival])
             for trial in trials_of(cause)[:1]
         ]
         own = {c.key for c in (*sides[pair.true], *sides[pair.rival])}
@@ -160,6 +192,11 @@ def distances(contest: Contest, evaluation: Evaluation, grams: np.ndarray) -> tu
     have by themselves."""
     out, whole = [], []
     for pair in contest.pairs:
+        sides = contest.questions[pair.question]
+        if _parts(sides[pair.true]) == _parts(sides[pair.rival]):
+            out.append(np.zeros(grams.shape[:-2]))
+            whole.append(np.zeros(grams.shape[:-2]))
+            continue
         a = evaluation.terms[pair.question, pair.true]
         best = None
         s = grams[..., a, a]
@@ -173,8 +210,9 @@ def distances(contest: Contest, evaluation: Evaluation, grams: np.ndarray) -> tu
             left = np.maximum(s - np.einsum("...i,...i->...", theta, r), 0.0)
             best = left if best is None else np.minimum(best, left)
         assert best is not None
-        out.append(best)
-        whole.append(s)
+        square = contest.factors.get((pair.question, pair.true), 1.0) ** 2
+        out.append(square * best)
+        whole.append(square * s)
     return np.array(out), np.array(whole)
 
 
@@ -186,7 +224,7 @@ def _grams(contest: Contest, scenes: Scenes, table: Sequence[Column]) -> np.ndar
         if not len(ids):
             continue
         x = np.stack([np.broadcast_to(table[k][j], (count, length)) for k in ids])
-        sections = signal.butter(4, min(contest.cutoffs[j], 0.45 * scenes.rate), fs=scenes.rate, output="sos")
+        sections = _lowpass(float(min(contest.cutoffs[j], 0.45 * scenes.rate)), scenes.rate)
         x = np.asarray(signal.sosfiltfilt(sections, x, axis=-1, padlen=min(int(scenes.rate), length - 2)))
         moving = np.abs(np.asarray(scenes.motion.qd)[j]) > REST_SPEED  # at rest its friction can be anything
         x = (x * moving).transpose(1, 0, 2)
@@ -194,7 +232,12 @@ def _grams(contest: Contest, scenes: Scenes, table: Sequence[Column]) -> np.ndar
     return out
 
 
-def _nuisances(true: Side, rival: Side, robot: Robot) -> list[Cause]:
+@lru_cache(maxsize=64)
+def _lowpass(cutoff: float, rate: float) -> np.ndarray:
+    return np.asarray(signal.butter(4, cutoff, fs=rate, output="sos"))
+
+
+def _nuisances(true: Side, rival: Side) -> list[Cause]:
     """What is allowed for on the joints of two sides, but for what one of them is, or is a case of."""
     taken = {(name, c.joint) for c in (*true, *rival) for name in (c.effect.name, *c.effect.contains)}
     joints = {c.joint for c in (*true, *rival) if c.joint is not None}
@@ -209,7 +252,14 @@ def _links(true: Side, rival: Side) -> list[int]:
     return sorted({c.joint for c in both if c.joint is not None})
 
 
+def _parts(side: Side) -> set[tuple[str, int | None]]:
+    """Effects and joints, what is the same as two others taken for them: nothing in the motion parts those."""
+    return {(name, c.joint) for c in side for name in SAME.get(c.effect.name, (c.effect.name,))}
+
+
 def _holds(general: Side, special: Side) -> bool:
+    if _parts(special) == _parts(general):
+        return False  # no case of it, but the same
     return all(
         any(g.key == s.key or (g.joint == s.joint and s.effect.name in g.effect.contains) for g in general)
         for s in special

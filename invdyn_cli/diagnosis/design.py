@@ -7,11 +7,12 @@ played two or three times, so that the part of a log that chooses shows what the
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from invdyn_cli.diagnosis import contest, design_family
-from invdyn_cli.diagnosis.causes import Cause, Usual, scenes_of
+from invdyn_cli.diagnosis.causes import Cause, Scenes, Usual, scenes_of
 from invdyn_cli.diagnosis.contest import Contest, Pair, Side
 from invdyn_cli.diagnosis.design_family import Gesture, Room, drawn, joined, motion_of, room_of, seconds_between, varied
 from invdyn_cli.effects.composition import rigid_torque
@@ -32,8 +33,17 @@ GESTURE, SHORTEST = 2.0, 1.2
 ROUND = 10.0
 """[s] of a round, about."""
 
-TRIES = 60
-"""Variations that are tried."""
+TRIES, AT_ONCE, FRESH = 120, 6, 0.3
+"""Variations that are tried, how many of them at once, and the share that takes a gesture anew from the library."""
+
+ENOUGH = 1.1 * np.log(60.0**2)
+"""Worth of a design in which all pairs are sixty standard errors apart: no more is tried."""
+
+FEWEST = 8
+"""Gestures within the effort limits that a library must have."""
+
+LEAST = 0.02
+"""Share of the strongest joint's torque that a joint's usual torque is taken for at least."""
 
 APART = 10.0
 """Standard errors from which two causes are told apart: what `naming` asks of a rival is a difference of ten noise
@@ -125,69 +135,104 @@ def design(
         raise UsageError(f"duration={duration:g} s; allowed: from 5 s")
     draw = np.random.default_rng(seed)
     allowed, usual = _room_and_usual(robot, draw)
-    joints = _joints(robot, questions)
     start = (allowed.lower + allowed.upper) / 2
-    library = _library(robot, allowed, joints, draw)
-    starts = draw.uniform(0, duration, len(library))
-    scenes = scenes_of(robot, [motion_of(g, allowed, RATE) for g in library], starts, RATE)
+    library, scenes = _library(robot, allowed, _joints(robot, questions), duration, draw)
     questions = contest.sized(questions, robot, usual, duration, scenes)
     made = _contest(robot, questions, known, usual, noise, cutoffs)
     evaluation = contest.evaluated(made, scenes)
+    made = replace(made, factors=contest.factors(made, evaluation))
     squares, whole = contest.distances(made, evaluation, evaluation.grams.sum(0))
     share = np.sqrt(squares / np.maximum(whole, 1e-300))
     possible = (share > ALIKE) & (whole > 0)
-    progress(0.3, "choosing")
+    progress(0.4, "choosing")
     count = max(1, int((duration / _rounds(duration) - 0.6) / (GESTURE + 0.8)))
-    chosen = _greedy(made, evaluation, possible, count, [library[k] for k in range(len(library))])
-    state = _Search(made, allowed, start, duration, possible)
-    best = state.value(chosen)
-    for step in range(tries):
-        k = int(draw.integers(len(chosen)))
-        fresh = draw.random() < 0.3
-        other = library[int(draw.integers(len(library)))] if fresh else varied(chosen[k], allowed, draw)
-        moved = [*chosen[:k], other, *chosen[k + 1 :]]
-        value = state.value(moved)
-        if value > best:
-            best, chosen = value, moved
-        progress(0.3 + 0.7 * step / max(tries, 1), "refining")
-    squares, _ = state.squares(chosen)
-    pairs = tuple(_told(made, p, s, f, bool(o)) for p, s, f, o in zip(made.pairs, squares, share, possible, strict=True))
-    motion = state.motion(chosen, rate)
-    torque = rigid_torque(robot, motion)
-    t = np.arange(motion.q.shape[1]) / rate
-    transposed = Motion(*(np.asarray(x).T for x in (motion.q, motion.qd, motion.qdd)))
-    return Design(robot, t, transposed, pairs, allowed, torque.T, tuple(tuple(s) for s in questions))
+    chosen = _greedy(made, evaluation, possible, count, library)
+    search = _Search(made, allowed, start, duration, possible, contest.watches_the_clock(made, scenes))
+    best = search.values([chosen])[0]
+    for step in range(0, tries, AT_ONCE):
+        if best > ENOUGH:
+            break
+        moves = [_varied(chosen, library, allowed, draw) for _ in range(min(AT_ONCE, tries - step))]
+        values = search.values(moves)
+        if values.max() > best:
+            best, chosen = values.max(), moves[int(values.argmax())]
+        progress(0.4 + 0.6 * step / tries, "refining")
+    squares, _ = search.squares([chosen])
+    motion = search.motion(chosen, rate)
+    return Design(
+        robot=robot,
+        t=np.arange(motion.q.shape[1]) / rate,
+        motion=Motion(*(np.asarray(x).T for x in (motion.q, motion.qd, motion.qdd))),
+        pairs=tuple(_told(made, *one) for one in zip(made.pairs, squares[:, 0], share, possible, strict=True)),
+        room=allowed,
+        torque=rigid_torque(robot, motion).T,
+        questions=tuple(tuple(x) for x in questions),
+    )
 
 
+def _varied(
+    chosen: Sequence[Gesture], library: Sequence[Gesture], allowed: Room, draw: np.random.Generator
+) -> list[Gesture]:
+    """The list with one gesture varied, or taken anew from the library."""
+    k = int(draw.integers(len(chosen)))
+    fresh = draw.random() < FRESH
+    other = library[int(draw.integers(len(library)))] if fresh else varied(chosen[k], allowed, draw)
+    return [*chosen[:k], other, *chosen[k + 1 :]]
+
+
+@dataclass(frozen=True)
 class _Search:
-    """Values of lists of gestures."""
+    """What lists of gestures are worth."""
 
-    def __init__(self, made: Contest, allowed: Room, start: np.ndarray, duration: float, possible: np.ndarray) -> None:
-        self.made, self.allowed, self.start, self.duration = made, allowed, start, duration
-        self.possible = possible
+    made: Contest
+    allowed: Room
+    start: np.ndarray
+    duration: float
+    possible: np.ndarray
+    timed: bool
 
     def motion(self, gestures: Sequence[Gesture], rate: float) -> Motion:
-        """All rounds, stretched to the duration."""
+        """All rounds (n, T), from the first posture back to it."""
+        fitted = self.fitted(gestures)
+        return joined(fitted * _rounds(self.duration), self.allowed, self.start, rate, self.start)
+
+    def fitted(self, gestures: Sequence[Gesture]) -> list[Gesture]:
+        """The gestures of a round in order, stretched so that all rounds take the duration."""
         rounds = _rounds(self.duration)
         ordered = _ordered(gestures, self.start)
         stops = [self.start, *([g.centre for g in ordered] * rounds), self.start]
-        moves = sum(seconds_between(a, b, self.allowed) for a, b in zip(stops[:-1], stops[1:], strict=True))
+        moves = sum(seconds_between(a, b, self.allowed) for a, b in pairwise(stops))
         seconds = (self.duration - moves) / (len(ordered) * rounds)
         if seconds < SHORTEST and len(ordered) > 1:
-            return self.motion(ordered[:-1], rate)
-        stretched = [replace(g, seconds=max(seconds, SHORTEST)) for g in ordered] * rounds
-        return joined(stretched, self.allowed, self.start, rate)
+            return self.fitted(ordered[:-1])
+        return [replace(g, seconds=max(seconds, SHORTEST)) for g in ordered]
 
-    def squares(self, gestures: Sequence[Gesture]) -> tuple[np.ndarray, float]:
-        """Squared distances (P,) of all pairs, and by how much the nominal torque is beyond its limits."""
-        scenes = scenes_of(self.made.robot, [self.motion(gestures, RATE)], [0.0], RATE)
-        over = float((np.abs(scenes.torque).max(axis=(1, 2)) / self.allowed.torque).max()) - 1
+    def squares(self, lists: Sequence[Sequence[Gesture]]) -> tuple[np.ndarray, np.ndarray]:
+        """Squared distances (P, m) of all pairs on all rounds of m lists, and the share by which the nominal torque is
+        beyond its room (m,)."""
+        rounds = _rounds(self.duration)
+        cycles = [joined(own, self.allowed, own[-1].centre, RATE) for own in map(self.fitted, lists)]
+        length = max(x.q.shape[1] for x in cycles)
+        cycles = [_held(x, length) for x in cycles]
+        starts = [k * self.duration / rounds for k in range(rounds if self.timed else 1)]
+        each = [(x, start) for x in cycles for start in starts]
+        scenes = scenes_of(self.made.robot, [x for x, _ in each], [start for _, start in each], RATE)
+        over = (np.abs(scenes.torque).max(axis=2) / self.allowed.torque[:, None]).max(axis=0) - 1
         evaluation = contest.evaluated(self.made, scenes)
-        return contest.distances(self.made, evaluation, evaluation.grams[0])[0], over
+        grams = evaluation.grams.reshape(len(lists), len(starts), *evaluation.grams.shape[1:]).sum(1)
+        grams = grams * (rounds / len(starts))
+        return contest.distances(self.made, evaluation, grams)[0], over.reshape(len(lists), -1).max(axis=1)
 
-    def value(self, gestures: Sequence[Gesture]) -> float:
-        squares, over = self.squares(gestures)
-        return float(_worth(squares, self.possible)) - 100 * max(over, 0.0)
+    def values(self, lists: Sequence[Sequence[Gesture]]) -> np.ndarray:
+        """What lists are worth (m,); beyond the room for torque they are worth nothing."""
+        squares, over = self.squares(lists)
+        return _worth(squares, self.possible) - 100 * np.maximum(over, 0.0)
+
+
+def _held(motion: Motion, length: int) -> Motion:
+    """The motion (n, T) with its last posture held up to a length."""
+    more = ((0, 0), (0, length - motion.q.shape[1]))
+    return Motion(np.pad(motion.q, more, mode="edge"), np.pad(motion.qd, more), np.pad(motion.qdd, more))
 
 
 def _worth(squares: np.ndarray, possible: np.ndarray) -> np.ndarray:
@@ -208,17 +253,20 @@ def _greedy(made: Contest, evaluation, possible: np.ndarray, count: int, library
     return chosen
 
 
-def _library(robot: Robot, allowed: Room, joints: Sequence[int], draw: np.random.Generator) -> list[Gesture]:
-    """Gestures at random whose nominal torque has room."""
+def _library(
+    robot: Robot, allowed: Room, joints: Sequence[int], duration: float, draw: np.random.Generator
+) -> tuple[list[Gesture], Scenes]:
+    """Gestures at random whose nominal torque has room, and their scenes, some time in the recording."""
     made = [drawn(draw, allowed, joints, GESTURE) for _ in range(LIBRARY)]
-    motions = [motion_of(g, allowed, RATE) for g in made]
-    torque = scenes_of(robot, motions, [0.0] * len(made), RATE).torque
-    fits = np.all(np.abs(torque).max(axis=2) <= allowed.torque[:, None], axis=0)
-    kept = [g for g, ok in zip(made, fits, strict=True) if ok]
-    if len(kept) < 8:
+    starts = draw.uniform(0, duration, LIBRARY)
+    scenes = scenes_of(robot, [motion_of(g, allowed, RATE) for g in made], starts, RATE)
+    kept = np.flatnonzero(np.all(np.abs(scenes.torque).max(axis=2) <= allowed.torque[:, None], axis=0))
+    if len(kept) < FEWEST:
         got = f"{len(kept)} of {LIBRARY} motions within the effort limits of {robot.name}"
-        raise UsageError(f"{got}; allowed: 8 or more", advice="effort limits of the URDF that hold the arm's weight")
-    return [kept[k % len(kept)] for k in range(LIBRARY)]
+        raise UsageError(f"{got}; allowed: {FEWEST} or more", advice="effort limits that hold the arm's weight")
+    kept = kept[np.arange(LIBRARY) % len(kept)]  # of one number: programs are compiled for it
+    motion = Motion(*(np.asarray(x)[:, kept] for x in (scenes.motion.q, scenes.motion.qd, scenes.motion.qdd)))
+    return [made[k] for k in kept], replace(scenes, t=scenes.t[kept], motion=motion, torque=scenes.torque[:, kept])
 
 
 def _contest(robot: Robot, questions, known, usual: Usual, noise, cutoffs) -> Contest:
@@ -243,6 +291,7 @@ def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usua
     pull = inertia * design_family.ACCELERATION * speed
     allowed = room_of(robot, np.abs(weight).max(axis=1) + 0.7 * pull)
     usual = np.hypot(np.sqrt(np.mean(weight**2, axis=1)), 0.15 * pull)
+    usual = np.maximum(usual, LEAST * usual.max())
     return allowed, Usual(usual, speed, inertia, 2 * half, middle)
 
 
@@ -270,6 +319,4 @@ def _ordered(gestures: Sequence[Gesture], start: np.ndarray) -> list[Gesture]:
 
 def _told(made: Contest, pair: Pair, square: float, share: float, possible: bool) -> Told:
     sides = made.questions[pair.question]
-    return Told(
-        pair.question, sides[pair.true], sides[pair.rival], float(np.sqrt(square)), float(share), possible
-    )
+    return Told(pair.question, sides[pair.true], sides[pair.rival], float(np.sqrt(square)), float(share), possible)

@@ -137,16 +137,20 @@ def motion_of(gesture: Gesture, allowed: Room, rate: float) -> Motion:
     return Motion(gesture.centre[:, None] + scale * x, scale * x1, scale * x2)
 
 
-def joined(gestures: Sequence[Gesture], allowed: Room, start: np.ndarray, rate: float) -> Motion:
-    """All gestures one after the other (n, T), with minimum-jerk moves from posture to posture, from `start` (n,) and
-    back to it."""
+def joined(
+    gestures: Sequence[Gesture], allowed: Room, start: np.ndarray, rate: float, end: np.ndarray | None = None
+) -> Motion:
+    """All gestures one after the other (n, T), with minimum-jerk moves from posture to posture: from `start` (n,), and
+    on to `end` where there is one."""
     parts, here = [], start
     for gesture in gestures:
         parts += [moved(here, gesture.centre, allowed, rate), motion_of(gesture, allowed, rate)]
         here = gesture.centre
-    parts.append(moved(here, start, allowed, rate))
-    last = Motion(start[:, None], np.zeros((len(start), 1)), np.zeros((len(start), 1)))
-    each = [Motion(p.q[:, :-1], p.qd[:, :-1], p.qdd[:, :-1]) for p in parts] + [last]
+    if end is not None:
+        parts.append(moved(here, end, allowed, rate))
+        here = end
+    still = np.zeros((len(here), 1))
+    each = [*(Motion(p.q[:, :-1], p.qd[:, :-1], p.qdd[:, :-1]) for p in parts), Motion(here[:, None], still, still)]
     return Motion(*(np.concatenate([getattr(p, x) for p in each], axis=1) for x in ("q", "qd", "qdd")))
 
 
@@ -218,7 +222,7 @@ def _sweep(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
 
 
 def _back_and_forth(t: np.ndarray, takes: float, v: float, times: int, sign: float) -> np.ndarray:
-    """Position, speed and acceleration (3, T) of so many sweeps one way and back from 0; a reversal takes up to 0.2 s."""
+    """Position, speed and acceleration (3, T) of so many sweeps one way and back from 0, reversals up to 0.2 s."""
     half = takes / (2 * times)
     blend = min(0.1, 0.25 * half)
     x1, x2 = np.zeros_like(t), np.zeros_like(t)
