@@ -11,7 +11,7 @@ SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') 
 .PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple detection excite bench wheel clean
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
-OPTIONS = seed logs clean only effects noises workers folder data docs cases duration
+OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
 said = $(strip $(foreach name,$(OPTIONS),$(if $(filter command,$(firstword $(origin $(name)))),$(name)=$($(name)))))
 EXPERIMENT = PYTHONPATH=. $(BIN)/python experiments
 

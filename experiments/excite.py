@@ -1,11 +1,12 @@
 """Does one designed trajectory settle an ambiguous diagnosis?
 
-    python experiments/excite.py [seed=1000] [cases=10] [duration=30] [only=effect,effect] [folder=outputs/excite]
+    python experiments/excite.py [seed=1000] [cases=10] [duration=30] [most=4] [only=effect,effect]
+        [folder=outputs/excite]
 
 Effects of ordinary size are hidden in arms that then move slowly and little, until so many logs are diagnosed as
 ambiguous with the right name among the others, and a motion can tell these apart. For each a trajectory is designed
 from what the diagnosis says, played on the same arm with the same noise, and the new log is diagnosed by itself. The
-design knows nothing of what is hidden.
+design knows nothing of what is hidden. Of no effect are there more than `most` cases.
 """
 
 import json
@@ -36,6 +37,21 @@ from invdyn_cli.types import Diagnosis, Finding, Robot
 SECONDS = 20.0
 """[s] of the poor log."""
 
+OFTEN = (
+    "actuator_lag",
+    "viscous_friction",
+    "link_inertia_error",
+    "torque_delay",
+    "quadratic_friction",
+    "coulomb_friction",
+    "load_dependent_friction",
+    "joint_spring",
+    "stribeck_friction",
+    "torque_offset",
+)
+"""Effects that a poor motion leaves open now and then, and that a motion can tell from their rivals. The others were
+never ambiguous on 130 such logs, or only with what no motion tells from them."""
+
 MOST_DRAWS = 60
 """Logs that are drawn for every case that is asked for, before the experiment gives up."""
 
@@ -47,7 +63,8 @@ class Options:
     seed: int = 1000
     cases: int = 10
     duration: float = 30.0
-    only: Sequence[str] = tuple(SIZES)
+    only: Sequence[str] = OFTEN
+    most: int = 4
     folder: str = "outputs/excite"
 
 
@@ -189,6 +206,8 @@ def main(argv: Sequence[str]) -> int:
     left_out: list[str] = []
     looked_at = 0
     for seed, name in drawn(options):
+        if sum(x.hidden.startswith(name + "@") for x in settled) >= options.most:
+            continue
         looked_at += 1
         one = settle(seed, name, options)
         if isinstance(one, Settled):

@@ -149,7 +149,7 @@ def design(
     chosen = _greedy(made, evaluation, possible, count, library)
     search = _Search(made, allowed, start, duration, possible, contest.watches_the_clock(made, scenes))
     best = search.values([chosen])[0]
-    for step in range(0, tries, AT_ONCE):
+    for step in range(0, tries if possible.any() else 0, AT_ONCE):
         if best > ENOUGH:
             break
         moves = [_varied(chosen, library, allowed, draw) for _ in range(min(AT_ONCE, tries - step))]
