@@ -81,8 +81,13 @@ class Scenes:
         """(n, S, L)."""
         return self.torque.shape  # type: ignore[return-value]
 
+    def states(self, joint: int) -> list[JointState]:
+        """One joint's state in each scene, (L,) arrays."""
+        whole = self.state(joint)
+        return [JointState(*(x[s] for x in whole)) for s in range(self.shape[1])]
+
     def state(self, joint: int) -> JointState:
-        """One joint's state, (S, L) arrays."""
+        """One joint's state in all scenes, (S, L) arrays."""
         q, qd, qdd = (np.asarray(x)[joint] for x in (self.motion.q, self.motion.qd, self.motion.qdd))
         width = np.maximum(np.abs(qdd) / (2 * self.rate), 1e-5)
         return JointState(self.t, q, qd, qdd, np.asarray(sign_of(qd, width)), self.torque[joint])
@@ -111,7 +116,7 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
     assert parameters is not None
     if isinstance(effect, AbstractTorqueEffect):
         assert joint is not None
-        return {joint: np.asarray(effect.term(parameters, scenes.state(joint)))}
+        return {joint: np.stack([np.asarray(effect.term(parameters, s)) for s in scenes.states(joint)])}
     if isinstance(effect, AbstractChannelEffect):
         assert joint is not None
         tau = scenes.torque[joint]
@@ -121,20 +126,26 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
     return dict(enumerate(moved - scenes.torque))
 
 
-def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray) -> list[Trial]:
+def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact: bool = False) -> list[Trial]:
     """Trials of a rival: for each value of its nonlinear parameters its columns, and what is known of their factors
-    beforehand, 1 / scale^2; `level` (n,) [N m; N] is the usual size of what is hidden."""
+    beforehand.
+
+    Args:
+        level: (n,) [N m; N] usual size of what is hidden.
+        exact: its own nonlinear parameters alone.
+    """
     effect, joint = cause.effect, cause.joint
     if isinstance(effect, AbstractTorqueEffect):
         assert joint is not None
-        state = scenes.state(joint)
-        return [_torque_columns(effect, joint, shape, state, scenes.rate, level) for shape in _shapes(cause, state)]
+        shapes = _shapes(cause, scenes.state(joint), exact)
+        return [_torque_columns(effect, joint, shape, scenes, level) for shape in shapes]
     if isinstance(effect, AbstractChannelEffect):
         assert joint is not None
         tau, rate = scenes.torque[joint], scenes.rate
         if effect.name == "torque_gain_error":
             return [([{joint: tau}], np.zeros(1))]
         trials = [p for p in effect.shapes(tau.ravel(), rate) if all(v > 0 for v in p.values())]
+        trials = [cause.parameters] if exact and cause.parameters is not None else trials
         made = [np.stack([x - np.asarray(effect.delivered(p, x, rate)) for x in tau]) for p in trials]
         return [([{joint: x}], np.zeros(1)) for x in made]
     flat, shape = _flat(scenes), scenes.shape
@@ -224,9 +235,11 @@ def _tilt(robot: Robot) -> dict[str, float]:
     return {"angle": float(np.arccos(np.clip(-down[2], -1, 1))), "azimuth": float(np.arctan2(down[1], down[0]))}
 
 
-def _shapes(cause: Cause, state: JointState) -> Sequence[Parameters]:
+def _shapes(cause: Cause, state: JointState, exact: bool) -> Sequence[Parameters]:
     effect = cause.effect
     assert isinstance(effect, AbstractTorqueEffect)
+    if exact and cause.parameters is not None:
+        return [{name: cause.parameters[name] for name in effect.nonlinear}]
     if effect.name == "torque_ripple":
         own = [cause.parameters["cycles"]] if cause.parameters else []
         return [{"cycles": c} for c in dict.fromkeys((*own, *CYCLES))]
@@ -234,14 +247,14 @@ def _shapes(cause: Cause, state: JointState) -> Sequence[Parameters]:
 
 
 def _torque_columns(
-    effect: AbstractTorqueEffect, joint: int, shape: Parameters, state: JointState, rate: float, level: np.ndarray
+    effect: AbstractTorqueEffect, joint: int, shape: Parameters, scenes: Scenes, level: np.ndarray
 ) -> Trial:
-    made = [np.asarray(x) * np.ones_like(state.q) for x in effect.basis(state, shape)]
+    made = [np.stack(x) for x in zip(*(effect.basis(s, shape) for s in scenes.states(joint)), strict=True)]
     precision = np.zeros(len(made))
     if effect.name in (*DRY, "asymmetric_coulomb_friction"):  # the milliseconds in which a joint that turns back sticks
         jump = made[0] if effect.name in DRY else made[0] + made[1]
         scale = STICK_TIME * level[joint] / max(float(np.sqrt(np.mean(jump**2))), 1e-12)
-        made.append(np.gradient(jump, axis=-1) * rate)
+        made.append(np.gradient(jump, axis=-1) * scenes.rate)
         precision = np.append(precision, 1 / max(scale, 1e-12) ** 2)
     return [{joint: x} for x in made], precision
 

@@ -149,10 +149,10 @@ def evaluated(contest: Contest, scenes: Scenes) -> Evaluation:
         table.extend(made)
         return np.arange(len(table) - len(made), len(table))
 
-    def trials_of(cause: Cause) -> list[tuple[np.ndarray, np.ndarray]]:
-        key = (*cause.key, cause.effect.name == "torque_ripple" and id(cause.parameters))
+    def trials_of(cause: Cause, exact: bool = False) -> list[tuple[np.ndarray, np.ndarray]]:
+        key = (*cause.key, exact, cause.effect.name == "torque_ripple" and id(cause.parameters))
         if key not in cache:
-            cache[key] = [(numbers(x), p) for x, p in columns(robot, cause, scenes, level)]
+            cache[key] = [(numbers(x), p) for x, p in columns(robot, cause, scenes, level, exact)]
         return cache[key]
 
     def link(joint: int) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +174,7 @@ def evaluated(contest: Contest, scenes: Scenes) -> Evaluation:
             for trial in trials_of(cause)[:1]
         ]
         own = {c.key for c in (*sides[pair.true], *sides[pair.rival])}
-        beside += [trials_of(c)[len(trials_of(c)) // 2] for c in contest.known if c.key not in own]
+        beside += [trial for c in contest.known if c.key not in own for trial in trials_of(c, exact=True)[:1]]
         beside += [link(j) for j in _links(sides[pair.true], sides[pair.rival])]
         every = [trials_of(c) for c in sides[pair.rival]]
         combined = list(product(*every))

@@ -24,6 +24,10 @@ FILE = "record_next.csv"
 """What the trajectory is called."""
 
 
+POINTS = ("torque", "channel", "body", "motion")
+"""Where what a design can play acts: all along, and from the motion alone."""
+
+
 @dataclass(frozen=True)
 class Open:
     """An ambiguous finding, by its number, and the sides between which it is open."""
@@ -36,7 +40,7 @@ def open_questions(findings: Sequence[Finding], robot: Robot) -> list[Open]:
     """The ambiguous findings that have two names or more in the catalogue."""
     made = []
     for number, finding in enumerate(findings):
-        if finding.status == "ambiguous" and finding.effect in EFFECTS:
+        if finding.status == "ambiguous" and finding.effect in EFFECTS and finding.window is None:
             sides = sides_of(finding, robot)
             if len(sides) > 1:
                 made.append(Open(number, sides))
@@ -47,7 +51,7 @@ def sides_of(finding: Finding, robot: Robot) -> tuple[Side, ...]:
     """A finding's own cause and its rivals, with the sizes that the log gave them, or none."""
     own = cause_of(finding.effect, finding.joint, _values(finding), robot)
     sides: dict[Any, Side] = {(own.key,): (own,)}
-    told = finding.evidence.get("rivals", ())
+    told = [x for x in finding.evidence.get("rivals", ()) if _can_be_played(x["effect"])]
     for one in told:
         cause = cause_of(one["effect"], one["joint"], one["parameters"], robot)
         sides.setdefault((cause.key,), (cause,))
@@ -55,15 +59,19 @@ def sides_of(finding: Finding, robot: Robot) -> tuple[Side, ...]:
     for names in finding.alternatives:
         if len(names) == 1 and names[0] in found:
             continue
-        if all(name in EFFECTS for name in names):
+        if all(map(_can_be_played, names)):
             side = tuple(cause_of(name, finding.joint, None, robot) for name in names)
             sides.setdefault(tuple(c.key for c in side), side)
     return tuple(sides.values())
 
 
+def _can_be_played(name: str) -> bool:
+    return name in EFFECTS and EFFECTS[name].point in POINTS
+
+
 def known_beside(findings: Sequence[Finding], robot: Robot) -> list[Cause]:
     """What the log says for sure: a new one will have it too."""
-    named = [f for f in findings if f.status == "named" and f.effect in EFFECTS]
+    named = [f for f in findings if f.status == "named" and f.effect in EFFECTS and f.window is None]
     return [cause_of(f.effect, f.joint, _values(f), robot) for f in named]
 
 

@@ -93,6 +93,9 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
     for note in material.notes:
         console.print(f"[dim]data: {escape(note)}[/]", highlight=False)
     show(diagnosis, console)
+    if design is not None:
+        said = f"What stays ambiguous, {next_motion.FILE} would settle: {design.t[-1]:.3g} s to play and to log."
+        console.print(said, highlight=False)
     console.print(str(check.relative(folder)), highlight=False, markup=False, soft_wrap=True)
     return diagnosis
 
