@@ -27,10 +27,10 @@ RATE = 100.0
 LIBRARY = 240
 """Gestures at random to choose from."""
 
-GESTURE, SHORTEST = 2.0, 1.2
+GESTURE, SHORTEST = 2.0, 1.0
 """[s] of a gesture in the library, and at least in a design."""
 
-ROUND = 10.0
+ROUND = 12.0
 """[s] of a round, about."""
 
 TRIES, AT_ONCE, FRESH = 120, 6, 0.3
@@ -38,6 +38,9 @@ TRIES, AT_ONCE, FRESH = 120, 6, 0.3
 
 ENOUGH = 1.1 * np.log(60.0**2)
 """Worth of a design in which all pairs are sixty standard errors apart: no more is tried."""
+
+CALMER = 8
+"""Times that a design is slowed down, at most, until the nominal torque is within its room."""
 
 FEWEST = 8
 """Gestures within the effort limits that a library must have."""
@@ -157,7 +160,13 @@ def design(
         if values.max() > best:
             best, chosen = values.max(), moves[int(values.argmax())]
         progress(0.4 + 0.6 * step / tries, "refining")
-    squares, _ = search.squares([chosen])
+    squares, over = search.squares([chosen])
+    for _ in range(CALMER):
+        if over[0] <= 0:
+            break
+        calm = replace(search.allowed, speed=0.8 * search.allowed.speed, acceleration=0.7 * search.allowed.acceleration)
+        search = replace(search, allowed=calm)
+        squares, over = search.squares([chosen])
     motion = search.motion(chosen, rate)
     return Design(
         robot=robot,
@@ -204,7 +213,7 @@ class _Search:
         moves = sum(seconds_between(a, b, self.allowed) for a, b in pairwise(stops))
         seconds = (self.duration - moves) / (len(ordered) * rounds)
         if seconds < SHORTEST and len(ordered) > 1:
-            return self.fitted(ordered[:-1])
+            return self.fitted(gestures[:-1])  # the one that was chosen last does least
         return [replace(g, seconds=max(seconds, SHORTEST)) for g in ordered]
 
     def squares(self, lists: Sequence[Sequence[Gesture]]) -> tuple[np.ndarray, np.ndarray]:
@@ -289,7 +298,7 @@ def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usua
         unit[j] = 1.0
         inertia[j] = np.median((rigid_torque(robot, Motion(q, still, unit)) - weight)[j])
     pull = inertia * design_family.ACCELERATION * speed
-    allowed = room_of(robot, np.abs(weight).max(axis=1) + 0.7 * pull)
+    allowed = room_of(robot, np.abs(weight).max(axis=1) + pull)
     usual = np.hypot(np.sqrt(np.mean(weight**2, axis=1)), 0.15 * pull)
     usual = np.maximum(usual, LEAST * usual.max())
     return allowed, Usual(usual, speed, inertia, 2 * half, middle)

@@ -165,9 +165,9 @@ def moved(here: np.ndarray, there: np.ndarray, allowed: Room, rate: float) -> Mo
 
 
 def seconds_between(here: np.ndarray, there: np.ndarray, allowed: Room) -> float:
-    """[s] that a move takes: half the speed that a gesture may have, or the whole acceleration."""
+    """[s] that a move takes: at nine tenths of the speed and half of the acceleration that a gesture may have."""
     way = np.abs(there - here)
-    by_speed = np.max(MOVE * way / (0.7 * allowed.speed))
+    by_speed = np.max(MOVE * way / (0.9 * allowed.speed))
     by_acceleration = np.max(np.sqrt(5.8 * way / (0.5 * allowed.acceleration)))
     return float(max(SHORTEST_MOVE, by_speed, by_acceleration))
 
