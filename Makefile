@@ -8,10 +8,10 @@ SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') 
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple replay detection bench wheel clean
+.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple replay detection excite bench wheel clean
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
-OPTIONS = seed logs clean only effects noises workers folder data docs
+OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
 said = $(strip $(foreach name,$(OPTIONS),$(if $(filter command,$(firstword $(origin $(name)))),$(name)=$($(name)))))
 EXPERIMENT = PYTHONPATH=. $(BIN)/python experiments
 
@@ -59,6 +59,9 @@ replay: $(INSTALLED)  ## two causes, diagnosed, written as MJCF, replayed in MuJ
 
 detection: $(INSTALLED)  ## the smallest sizes that are found, over noise, into docs/ (seed=, logs=, effects=)
 	$(EXPERIMENT)/detection.py docs=true $(said)
+
+excite: $(INSTALLED)  ## ambiguous logs, the trajectory that each asks for, and what it settles (seed=, cases=, only=)
+	$(EXPERIMENT)/excite.py $(said)
 
 bench: $(INSTALLED)  ## times against PyTorch (pip install torch; left out with a word without it) and Pinocchio
 	$(BIN)/python experiments/bench.py

@@ -8,6 +8,7 @@ VERBS = {
     "run": "one experiment, or a sweep with -m: data, model, adaptation",
     "check": "is a measured log sane, what can be mended in it, what does it excite",
     "diagnose": "what the simulation gets wrong on a log, why, and what mending it is worth",
+    "excite": "a trajectory within the joints' limits that tells given causes apart, ready to play",
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
     "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
     "report": "draw the figures and the page of a run.h5 anew",
@@ -23,6 +24,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run -m model=pest,ffnn seed=0,1,2            a sweep
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
   invdyn diagnose data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf
+  invdyn excite robot=urdf robot.path=arm.urdf diagnosis=FOLDER/diagnosis.json
   invdyn run --help                                   all options of a verb
   invdyn --version
 

@@ -6,12 +6,16 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from experiments.detection import ENOUGH, HIGHEST, STEP, climb, is_found
+from experiments.excite import Settled, least_distance, open_finding
+from experiments.excite import table as excite_table
 from experiments.marked import put
 from experiments.multiple import Counted, f1
 from experiments.options import only_of, options_of
 from experiments.real_diagnosis import JOBS
 from experiments.replay import NOT_HELD, Replayed, names_of
 from experiments.replay import table as replay_table
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.types import Diagnosis, Examination, Finding
 from invdyn_cli.verbs.launch import config_folder
 from tests.commands import ROOT
 
@@ -55,6 +59,30 @@ def test_replays_are_counted():
         assert one != other and not {one, other} & set(NOT_HELD)
     logs = [Replayed(0, ("a@1", "b@2"), (), 1.0, after, 0.1, 1.0, 1.0, 1.0) for after in (0.1, 0.2, 0.3, 1.5)]
     assert "2 of 4 logs" in replay_table(logs) and "| -50 % |" in replay_table(logs)
+
+
+def test_open_cases_are_those_that_hold_the_hidden_effect():
+    """A case is an ambiguous finding with the hidden effect among its names; its distance is the smallest from a rival
+    where that effect is the true one, and there is none where no motion tells one of them."""
+    hidden = Hidden("actuator_lag", "j2", {"time_constant": 0.01})
+    pairs = [
+        {"true": "torque_delay", "rival": "actuator_lag", "standard_errors": 3.0, "possible": True},
+        {"true": "actuator_lag", "rival": "torque_delay", "standard_errors": 20.0, "possible": True},
+    ]
+    late = Finding("torque_delay", "j2", "ambiguous", (("actuator_lag",),), evidence={"distances": pairs})
+    elsewhere = Finding("torque_delay", "j1", "ambiguous", (("actuator_lag",),))
+    said = Diagnosis("explained", Examination(True, (), {}), (elsewhere, late), {}, {}, None, {})
+    assert open_finding(hidden, said) == 1
+    assert open_finding(Hidden("joint_spring", "j2"), said) is None
+    assert least_distance(hidden, late) == 20.0
+    never = Finding("torque_delay", "j2", "ambiguous", evidence={"distances": [{**pairs[1], "possible": False}]})
+    assert least_distance(hidden, never) is None
+
+
+def test_the_count_is_of_right_names():
+    """Of two cases one is named rightly."""
+    rows = [Settled(k, "a@j", ("a|b@j",), 20.0, ("a@j",), how, 1.0) for k, how in ((0, "named"), (1, "ambiguous"))]
+    assert "1 of 2 ambiguous cases are named rightly" in excite_table(rows, [], 5)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def report(
             gain=_gains(inquiry, hypothesis, (i,), after),
             rejected=_rejected(evidence.robot, candidate.key, rivals),
             advice=effect.advice,
-            evidence=_facts(evidence, terms[i]),
+            evidence=_facts(evidence, terms[i]) | _equals(evidence.robot, rivals),
         )
         if candidate.when is not None:
             finding = _timed(finding, whole.acting[i], ends[i])
@@ -233,6 +233,20 @@ def _plain(value: Any) -> Any:
 
 def _alternatives(rivals: Sequence[naming.Rival]) -> tuple[tuple[str, ...], ...]:
     return tuple(dict.fromkeys((r.candidate.effect.name,) for r in rivals if r.equal))
+
+
+def _equals(robot: Robot, rivals: Sequence[naming.Rival]) -> dict[str, Any]:
+    """The rivals that do as well, where and with which parameters."""
+    equal = [
+        {
+            "effect": r.candidate.effect.name,
+            "joint": None if r.candidate.joint is None else robot.joints[r.candidate.joint],
+            "parameters": {k: _plain(v) for k, v in r.parameters.items()},
+        }
+        for r in rivals
+        if r.equal
+    ]
+    return {"rivals": equal} if equal else {}
 
 
 def _rejected(robot: Robot, key: tuple[str, int | None], rivals: Sequence[naming.Rival]) -> tuple[tuple[str, str], ...]:

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
+from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge, parameters_of
 from invdyn_cli.diagnosis.search import clash, free_beside
+from invdyn_cli.interfaces import Parameters
 
 DOUBT = 0.005
 """Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
@@ -38,13 +39,15 @@ TYPICAL_VELOCITY = 0.028
 
 @dataclass(frozen=True)
 class Rival:
-    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words."""
+    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, and
+    the parameters that it then has."""
 
     candidate: Candidate
     excess: float
     error: float
     equal: bool
     why: str
+    parameters: Parameters
 
 
 def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
@@ -101,7 +104,8 @@ def rivals(
             why, equal = f"is the general case, and the data ask for no more than {own.effect.title}", False
         elif not equal:
             why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
-        made.append(Rival(c, excess, error, equal, why))
+        parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
+        made.append(Rival(c, excess, error, equal, why, parameters))
     return made
 
 

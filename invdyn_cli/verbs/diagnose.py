@@ -5,12 +5,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from rich.console import Console
 from rich.markup import escape
 
 from invdyn_cli import store
-from invdyn_cli.diagnosis import Options, diagnose
+from invdyn_cli.diagnosis import Options, diagnose, next_motion
+from invdyn_cli.diagnosis.design import Design
 from invdyn_cli.diagnosis.extension import Export, exported
 from invdyn_cli.diagnosis.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -27,6 +29,7 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.report import diagnosis_figures, diagnosis_page, diagnosis_tables
 from invdyn_cli.report.better_simulation import replay_line
+from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import check, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
@@ -60,6 +63,8 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
     """Config -> objects -> diagnosis -> files in `folder`; tells the result on `console`."""
     screen.use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
+    if not isinstance(config.diagnosis.design, bool):
+        raise UsageError(f"diagnosis.design={config.diagnosis.design}; allowed: true or false")
     if not isinstance(config.seed, int) or config.seed < 0:
         raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up, or null")
     if config.data is None or "_target_" not in config.data:
@@ -84,24 +89,36 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
             seed=config.seed,
             progress=stage("diagnose"),
         )
-        write(diagnosis, robot.name, folder, stage("write"))
+        design = None
+        if config.diagnosis.design:
+            diagnosis, design = next_motion.after(diagnosis, robot, seed=config.seed, progress=stage("next"))
+        write(diagnosis, robot.name, folder, stage("write"), design)
     for note in material.notes:
         console.print(f"[dim]data: {escape(note)}[/]", highlight=False)
     show(diagnosis, console)
+    if design is not None:
+        said = f"What stays ambiguous, {next_motion.FILE} would settle: {design.t[-1]:.3g} s to play and to log."
+        console.print(said, highlight=False)
     console.print(str(check.relative(folder)), highlight=False, markup=False, soft_wrap=True)
     return diagnosis
 
 
-def write(diagnosis: Diagnosis, robot_name: str, folder: Path, progress: Progress = silent) -> None:
-    """All files of a diagnosis; of a log that is unusable there is no model, and nothing to draw."""
+def write(
+    diagnosis: Diagnosis, robot_name: str, folder: Path, progress: Progress = silent, design: Design | None = None
+) -> None:
+    """All files of a diagnosis; of a log that is unusable there is no model, and nothing to draw. `design` is what to
+    record next."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (DIAGNOSIS, MODEL, REPORT, URDF, MJCF):
+    for name in (DIAGNOSIS, MODEL, REPORT, URDF, MJCF, next_motion.FILE):
         (folder / name).unlink(missing_ok=True)
     files, lacks = {"report": REPORT}, {}
     if diagnosis.model is not None:
         store.write_model(diagnosis.model, folder / MODEL)
         more, lacks = _write_simulations(exported(diagnosis.model), folder)
         files = {"model": MODEL, **more, **files}
+    if design is not None:
+        write_csv(folder / next_motion.FILE, design.t, np.asarray(design.motion.q), design.robot.joints)
+        files["trajectory"] = next_motion.FILE
     drawn = diagnosis_figures.draw_all(diagnosis, folder / "figures") if diagnosis.signals is not None else []
     progress(0.9, "report")
     diagnosis_page.write_report(diagnosis, robot_name, drawn, folder / REPORT, lacks)

@@ -1,0 +1,271 @@
+"""invdyn excite: a reference trajectory that tells rivals apart, as a csv that is ready to play."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from invdyn_cli import store
+from invdyn_cli.diagnosis.causes import Cause
+from invdyn_cli.diagnosis.contest import Side
+from invdyn_cli.diagnosis.design import APART, Design, Told, design
+from invdyn_cli.diagnosis.next_motion import cause_of, open_questions, words
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.report import excitation
+from invdyn_cli.simulation.played import write_csv
+from invdyn_cli.types import Finding, Quantity, Robot
+from invdyn_cli.verbs import check, screen
+from invdyn_cli.verbs.launch import job, launch
+from invdyn_cli.verbs.run import make_robot
+
+TRAJECTORY, DESIGN, FIGURE = "trajectory.csv", "design.json", "trajectory.png"
+"""What the files are called; design.json is written last."""
+
+SCHEMA = "invdyn-design/1"
+
+
+def main(argv: Sequence[str]) -> int:
+    """Design with the overrides in argv; the exit code."""
+    return launch("excite", argv, task)
+
+
+def task(config: DictConfig) -> None:
+    """One trajectory."""
+    execute(config, Path(job().runtime.output_dir), Console())
+
+
+def execute(config: DictConfig, folder: Path, console: Console) -> Design:
+    """Config -> questions -> trajectory.csv, trajectory.png and design.json in `folder`; tells on `console` what the
+    trajectory tells apart."""
+    screen.use_compilation_cache()
+    for name, low in (("duration", 5.0), ("rate", 20.0)):
+        _refuse_number(config, name, low)
+    if not isinstance(config.seed, int) or isinstance(config.seed, bool) or config.seed < 0:
+        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0")
+    robot = make_robot(config, None, optional=False, console=console)
+    assert robot is not None  # make_robot refuses a config without a robot
+    questions = questions_of(config, robot)
+    known = [_cause(x, robot, "known") for x in _listed(config, "known")]
+    with screen.stages(quiet=console.quiet) as stage:
+        made = design(
+            robot,
+            questions,
+            duration=float(config.duration),
+            rate=float(config.rate),
+            noise=noise_of(config, robot),
+            seed=config.seed,
+            known=known,
+            progress=stage("design"),
+        )
+    write(made, folder)
+    console.print(shown(made))
+    for line in advice(made):
+        console.print(f"[yellow]{escape(line)}[/]", highlight=False)
+    console.print(str(check.relative(folder)), highlight=False, markup=False, soft_wrap=True)
+    return made
+
+
+def questions_of(config: DictConfig, robot: Robot) -> list[tuple[Side, ...]]:
+    """What is to be told apart, from `effects` or from a diagnosis."""
+    effects = _listed(config, "effects")
+    if effects and config.diagnosis is not None:
+        raise UsageError("effects and diagnosis; allowed: one of them")
+    if config.diagnosis is None:
+        if config.finding is not None:
+            raise UsageError(f"finding={config.finding} of no diagnosis", advice="diagnosis=FOLDER/diagnosis.json")
+        if len(effects) < 2:
+            got = f"effects: {len(effects)} to tell apart; allowed: two or more"
+            raise UsageError(got, advice="'effects=[{effect: viscous_friction, joint: …}, {effect: torque_delay, …}]'")
+        return [tuple((_cause(x, robot, "effects"),) for x in effects)]
+    findings = findings_of(Path(str(config.diagnosis)))
+    numbers = range(len(findings))
+    if config.finding is not None:
+        if not isinstance(config.finding, int) or not 1 <= config.finding <= len(findings):
+            raise UsageError(f"finding={config.finding}; allowed: 1 to {len(findings)}")
+        numbers = [config.finding - 1]
+    for one in findings:
+        if one.joint is not None and one.joint not in robot.joints:
+            got = f"{config.diagnosis} has a joint {one.joint!r}; allowed: {listed(robot.joints)}"
+            raise UsageError(got, advice="robot=urdf robot.path=… of the arm that was diagnosed")
+    questions = [x.sides for x in open_questions(findings, robot) if x.finding in numbers]
+    if not questions:
+        said = [f"{k + 1} {f.effect} ({f.status})" for k, f in enumerate(findings)]
+        raise UsageError(
+            f"{config.diagnosis}: nothing to tell apart among {listed(said)}; allowed: an ambiguous finding"
+        )
+    return questions
+
+
+def findings_of(path: Path) -> list[Finding]:
+    """The claims of a diagnosis.json, as far as a design needs them.
+
+    Raises:
+        UsageError: for a file that is none.
+    """
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        if tree.get("schema") != store.DIAGNOSIS_SCHEMA:
+            raise ValueError(f"schema {tree.get('schema')!r}")
+        return [
+            Finding(
+                effect=one["effect"],
+                joint=one["joint"],
+                status=one["status"],
+                alternatives=tuple(map(tuple, one["alternatives"])),
+                parameters={k: Quantity(v["value"], v["unit"]) for k, v in one["parameters"].items()},
+                evidence=one.get("evidence", {}),
+                advice=one.get("advice", ""),
+            )
+            for one in tree["findings"]
+            if one["status"] in ("named", "ambiguous")
+        ]
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}", advice="the diagnosis.json of `invdyn diagnose`") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"{path}: {error}; allowed: a file of schema {store.DIAGNOSIS_SCHEMA}") from error
+
+
+def noise_of(config: DictConfig, robot: Robot) -> np.ndarray | float | None:
+    """The noise of the torques, one number or one for each joint."""
+    node = config.noise
+    value = OmegaConf.to_container(node) if isinstance(node, ListConfig) else node
+    if value is None:
+        return None
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        numbers = np.array(np.nan)
+    if numbers.shape not in ((), (robot.dofs,)) or not np.all(np.isfinite(numbers)) or np.any(numbers < 0):
+        raise UsageError(f"noise={value}; allowed: a number from 0, {robot.dofs} of them, or null")
+    return numbers
+
+
+def write(made: Design, folder: Path) -> None:
+    """The three files."""
+    write_csv(folder / TRAJECTORY, made.t, np.asarray(made.motion.q), made.robot.joints)
+    excitation.draw(made, folder / FIGURE)
+    text = json.dumps(store.plain(as_dict(made)), indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / DESIGN).write_text(text + "\n", encoding="utf-8")
+
+
+def as_dict(made: Design) -> dict[str, Any]:
+    """design.json: what is told apart by how much, with which sizes, and how much of its limits each joint uses."""
+    names, q, qd = made.robot.joints, np.asarray(made.motion.q), np.asarray(made.motion.qd)
+    used = {
+        name: {
+            "position": [float(q[:, i].min()), float(q[:, i].max())],
+            "speed": float(np.abs(qd[:, i]).max()),
+            "torque": float(np.abs(made.torque[:, i]).max()),
+        }
+        for i, name in enumerate(names)
+    }
+    return {
+        "schema": SCHEMA,
+        "robot": made.robot.name,
+        "joints": list(names),
+        "seconds": float(made.t[-1]),
+        "questions": [[[_plain(c, made.robot) for c in side] for side in sides] for sides in made.questions],
+        "pairs": [
+            {
+                "question": p.question + 1,
+                "true": words(p.true),
+                "rival": words(p.rival),
+                "standard_errors": p.distance,
+                "share_left": p.share,
+                "possible": p.possible,
+                "apart": p.apart,
+            }
+            for p in made.pairs
+        ],
+        "used": used,
+        "files": {"trajectory": TRAJECTORY, "figure": FIGURE},
+    }
+
+
+def shown(made: Design) -> Table:
+    """A row for every pair."""
+    title = f"{made.robot.name}, {made.t[-1]:.4g} s; {APART:g} standard errors or more tell two causes apart"
+    table = Table("if this is true", "and this is thought", title=title, title_justify="left")
+    table.add_column("distance [standard errors]", justify="right")
+    for p in made.pairs:
+        distance = f"{p.distance:.3g}" if p.possible else "no motion tells"
+        table.add_row(*(escape(_said(side, made.robot)) for side in (p.true, p.rival)), distance)
+    return table
+
+
+def advice(made: Design) -> list[str]:
+    """A line for every two that no motion tells apart, or not this one."""
+    lines = []
+    for p in made.pairs:
+        what = f"{words(p.true)} taken for {words(p.rival)}"
+        if not p.possible:
+            lines.append(f"{what}: no motion tells. What would: {_else(p)}")
+        elif not p.apart:
+            lines.append(f"{what}: {p.distance:.2g} standard errors are few. Try: a longer duration")
+    return lines
+
+
+def _else(pair: Told) -> str:
+    return next((c.effect.advice for c in (*pair.true, *pair.rival) if c.effect.advice), "another measurement")
+
+
+def _said(side: Side, robot: Robot) -> str:
+    return " + ".join(c.effect.title + (f" on {robot.joints[c.joint]}" if c.joint is not None else "") for c in side)
+
+
+def _plain(cause: Cause, robot: Robot) -> dict[str, Any]:
+    joint = None if cause.joint is None else robot.joints[cause.joint]
+    return {"effect": cause.effect.name, "joint": joint, "parameters": dict(cause.parameters or {})}
+
+
+def _listed(config: DictConfig, name: str) -> list[Any]:
+    node = config[name]
+    value = OmegaConf.to_container(node, resolve=True) if isinstance(node, ListConfig | DictConfig) else node
+    if isinstance(value, Mapping):
+        value = [value]
+    if not isinstance(value, list):
+        raise UsageError(f"{name}={value}; allowed: a list of {{effect: name, joint: name, parameter: value, …}}")
+    return value
+
+
+def _cause(one: Any, robot: Robot, option: str) -> Cause:
+    """A cause as the command line has it."""
+    if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str):
+        raise UsageError(f"{option} has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}")
+    name, joint = one["effect"], one.get("joint")
+    if name not in EFFECTS:
+        raise UsageError(f"{option}: no effect {name!r}; allowed: {listed(EFFECTS, most=30)}{closest(name, EFFECTS)}")
+    effect = EFFECTS[name]
+    if joint is not None and joint not in robot.joints:
+        got = f"{option}: no joint {joint!r} for {name}; allowed: {listed(robot.joints)}"
+        raise UsageError(f"{got}{closest(str(joint), robot.joints)}")
+    parameters = {k: v for k, v in one.items() if k not in ("effect", "joint")}
+    for key, value in parameters.items():
+        if key not in effect.parameters:
+            got = f"{option}: {name} has no {key!r}; allowed: {listed(effect.parameters)}"
+            raise UsageError(f"{got}{closest(str(key), effect.parameters)}")
+        if not all(isinstance(x, int | float) for x in (value if isinstance(value, list) else [value])):
+            raise UsageError(f"{option}: {name} {key}={value}; allowed: numbers")
+    missing = [k for k in effect.parameters if k not in parameters]
+    if parameters and missing:
+        raise UsageError(f"{option}: {name} without {listed(missing)}; allowed: all of its parameters, or none")
+    why = effect.refuse(parameters) if parameters else ""
+    if why:
+        raise UsageError(f"{option}: {name}: {why}")
+    made = cause_of(name, joint, parameters or None, robot)
+    if made.joint is not None and joint is None:
+        raise UsageError(f"{option}: {name} without a joint; allowed: {listed(robot.joints)}")
+    return made
+
+
+def _refuse_number(config: DictConfig, name: str, low: float) -> None:
+    value = config[name]
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value < 1e5:
+        raise UsageError(f"{name}={value}; allowed: a number from {low:g}")

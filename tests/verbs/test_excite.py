@@ -1,0 +1,78 @@
+"""invdyn excite: from rivals to a csv that invdyn simulate plays."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from invdyn_cli.simulation.played import read_csv
+
+SMALL = ("robot.dofs=2", "duration=8")
+ONE = "{effect: viscous_friction, joint: arm_joint_2, damping: 2.0}"
+RIVALS = f"effects=[{ONE}, {{effect: quadratic_friction, joint: arm_joint_2}}]"
+
+
+def test_leaves_a_trajectory_that_is_played(command):
+    """The last line is the folder with csv, picture and design.json; the table has both names; the plant plays it."""
+    said = command("excite", *SMALL, RIVALS, "hydra.run.dir=out")
+    assert (said.code, said.err) == (0, [])
+    assert said.out[-1] == "out"
+    assert {p.name for p in Path("out").iterdir() if not p.name.startswith(".")} == {
+        "trajectory.csv", "trajectory.png", "design.json",
+    }  # fmt: skip
+    text = "\n".join(said.out)
+    assert "Viscous" in text.title() and "Quadratic" in text.title()
+    tree = json.loads(Path("out/design.json").read_text())
+    assert tree["schema"] == "invdyn-design/1" and len(tree["pairs"]) == 2
+    t, q = read_csv("out/trajectory.csv", ("arm_joint_1", "arm_joint_2"))
+    assert t[-1] == pytest.approx(8.0, abs=0.1) and q.shape == (len(t), 2)
+    way = "data.reference={_target_: invdyn_cli.simulation.played.Played, path: out/trajectory.csv}"
+    assert command("simulate", "robot.dofs=2", "data.trajectories=1", way, "hydra.run.dir=log").code == 0
+
+
+def test_takes_rivals_from_a_diagnosis(command):
+    """The ambiguous finding of a diagnosis.json is the question, with its size."""
+    one = {
+        "effect": "torque_delay", "joint": "arm_joint_2", "status": "ambiguous", "alternatives": [["actuator_lag"]],
+        "parameters": {"delay": {"value": 0.012, "unit": "s"}}, "advice": "",
+    }  # fmt: skip
+    Path("diagnosis.json").write_text(json.dumps({"schema": "invdyn-diagnosis/1", "findings": [one]}))
+    said = command("excite", *SMALL, "diagnosis=diagnosis.json", "finding=1", "hydra.run.dir=out")
+    assert said.code == 0, said.err
+    tree = json.loads(Path("out/design.json").read_text())
+    delay, lag = (side[0] for side in tree["questions"][0])
+    assert (delay["effect"], delay["parameters"], lag["effect"]) == ("torque_delay", {"delay": 0.012}, "actuator_lag")
+    for overrides, word in (
+        (("diagnosis=diagnosis.json", "finding=2"), "allowed: 1 to 1"),
+        (("diagnosis=diagnosis.json", RIVALS), "one of them"),
+        (("diagnosis=none.json",), "none.json"),
+        (("diagnosis=out/design.json",), "invdyn-design/1"),
+    ):
+        said = command("excite", *SMALL, *overrides)
+        assert (said.code, len(said.err)) == (2, 1) and word in said.err[0]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "word"),
+    [
+        ((), "two or more"),
+        (("effects=3",), "allowed: a list"),
+        (("effects=[{effect: coulomb_friction, joint: arm_joint_2}]",), "two or more"),
+        (("effects=[{effect: coulomb_frictoin, joint: arm_joint_2}, {}]",), "did you mean 'coulomb_friction'"),
+        (("effects=[{effect: coulomb_friction, joint: elbow}, {}]",), "no joint 'elbow'"),
+        (("effects=[{effect: coulomb_friction}, {}]",), "without a joint"),
+        (("effects=[{effect: coulomb_friction, joint: arm_joint_2, level: 2}, {}]",), "no 'level'"),
+        (("effects=[{effect: coulomb_friction, joint: arm_joint_2, coulomb: -2}, {}]",), "possible: 0"),
+        (("effects=[{effect: torque_delay, joint: arm_joint_2, delay: soon}, {}]",), "allowed: numbers"),
+        ((RIVALS, "duration=1"), "from 5"),
+        ((RIVALS, "noise=[1,2,3]"), "2 of them"),
+        ((RIVALS, "finding=1"), "no diagnosis"),
+        ((RIVALS, "seed=-1"), "from 0"),
+    ],
+)
+def test_misuse_is_one_line(command, overrides, word):
+    """Wrong effects, joints, parameters and numbers: one line that says what is allowed, exit code 2, and no csv."""
+    said = command("excite", "robot.dofs=2", *overrides, "hydra.run.dir=out")
+    assert (said.code, len(said.err)) == (2, 1)
+    assert word in said.err[0]
+    assert not Path("out/trajectory.csv").exists()
