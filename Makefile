@@ -8,7 +8,7 @@ SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') 
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple replay detection excite bench wheel clean
+.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite bench wheel clean
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
 OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
@@ -53,6 +53,12 @@ unknown: $(INSTALLED)  ## causes that the catalogue lacks: what is said of them 
 
 multiple: $(INSTALLED)  ## several causes at once: F1 (seed=, logs=, only=)
 	$(EXPERIMENT)/multiple.py $(said)
+
+taken-up: $(INSTALLED)  ## a load taken up and put down, with friction in every joint (seed=, logs=)
+	$(EXPERIMENT)/taken_up.py $(said)
+
+gear-play: $(INSTALLED)  ## what gear play looks like on three arms (seed=, docs=true)
+	$(EXPERIMENT)/gear_play.py $(said)
 
 replay: $(INSTALLED)  ## two causes, diagnosed, written as MJCF, replayed in MuJoCo: by how much the error falls (seed=, logs=)
 	$(EXPERIMENT)/replay.py $(said)
