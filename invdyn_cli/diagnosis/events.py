@@ -28,6 +28,9 @@ coefficient) to 50 (ten)."""
 MOST = 8
 """Windows that are tried for one log."""
 
+EDGE = 1.0
+"""[s] from an end of its trajectory within which a window begins or ends there."""
+
 PARTS, FINEST = 6, 0.2
 """Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge."""
 
@@ -78,15 +81,30 @@ def proposed(
         number: of the first window.
     """
     left, made = residual.copy(), []
-    for count in range(MOST):
+    while len(made) < MOST:
         tries = [_window(evidence, p, left, weights) for p in everywhere]
         value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
         if value <= PRICE or when is None:
             break
         left = left - explained
-        when = when._replace(number=number + count)
-        made.append([passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere])
+        made += [
+            [
+                passing_candidate(evidence, p.effect, p.joint, one._replace(number=number + len(made) + i))
+                for p in everywhere
+            ]
+            for i, one in enumerate((when, *_other_end(evidence, when)))
+        ]
     return made
+
+
+def _other_end(evidence: Evidence, when: When) -> list[When]:
+    """What is left of the trajectory, if the window is at one of its ends: a change until then is one from then on."""
+    t = np.concatenate([p.t for p in evidence.recording.pieces if p.trajectory == when.trajectory])
+    if when.start - t[0] < EDGE < t[-1] - when.end:
+        return [when._replace(start=when.end, end=float(t[-1]))]
+    if t[-1] - when.end < EDGE < when.start - t[0]:
+        return [when._replace(start=float(t[0]), end=when.start)]
+    return []
 
 
 def interleaved(evidence: Evidence, windows: Sequence[When]) -> Evidence:

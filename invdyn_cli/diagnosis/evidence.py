@@ -35,6 +35,9 @@ REST_TIME = 0.05
 DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 """Effects that jump where a joint turns back."""
 
+SPARE = 64
+"""Columns for which there is room before a table is copied."""
+
 STICK_TIME = 0.005
 """[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
 the jump is allowed for, as a free column of its own."""
@@ -116,9 +119,16 @@ class Evidence:
         """Add columns (R,) to a row's table; their numbers."""
         if self.reference_rows is not None:
             columns = [np.where(self.reference_rows, 0.0, x) for x in columns]
-        first = self.tables[row].shape[1]
-        self.tables[row] = np.column_stack([self.tables[row], *columns]) if len(columns) else self.tables[row]
-        return tuple(range(first, first + len(columns)))
+        table, first = self.tables[row], self.tables[row].shape[1]
+        last = first + len(columns)
+        room = table if table.base is None else table.base
+        if last > room.shape[1]:
+            room = np.empty((len(table), last + SPARE))
+            room[:, :first] = table
+        for number, x in enumerate(columns, start=first):
+            room[:, number] = x
+        self.tables[row] = room[:, :last]
+        return tuple(range(first, last))
 
 
 def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[tuple[Candidate, np.ndarray]]:

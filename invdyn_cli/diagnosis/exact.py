@@ -37,6 +37,9 @@ SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 simulated arm (`make confusion`)."""
 
 
+GEARED = 0.03
+"""Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide."""
+
 STUCK = 0.04
 """Share of a static friction, and of the speed at which it falls, that is hidden by the milliseconds in which a joint
 that turns back sticks."""
@@ -251,6 +254,8 @@ def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndar
         return STUCK * np.abs(value)
     if name in EDGES:
         return 1 / evidence.recording.filter.rate
+    if acting.effect.point == "gear":
+        return GEARED * np.abs(value)
     if name in ("phase", "azimuth", "rest", "cycles"):
         return 0.0
     return SYSTEMATIC * np.abs(np.asarray(value, float) - (1.0 if name == "gain" else 0.0))

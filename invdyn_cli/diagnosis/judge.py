@@ -33,6 +33,9 @@ CANCELLED = 3.0
 """Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
 other effects take back: of two that cancel each other, neither is known."""
 
+SPARE = 128
+"""Columns for which there is room before matrices are copied."""
+
 LEAST_PRECISION = 1e-9
 
 Hypothesis = tuple[Candidate, ...]
@@ -77,6 +80,7 @@ class Judge:
         self.rows_worth = weights * used.sum(0)
         self.deviation = deviation
         self.always = always
+        self._room: list[np.ndarray] = list(self.grams)
         self._freedom: dict[int, float] = {}
         self._prices: dict[int, tuple[float, Candidate]] = {}
         self.tried = 0
@@ -87,12 +91,20 @@ class Judge:
         for j, table in enumerate(self.evidence.tables):
             if table.shape[1] != self.grams[j].shape[1]:
                 x, known = table[self.rows] * self.evidence.valid[self.rows, j : j + 1], self.grams[j].shape[1]
-                grown = np.empty((self.count, x.shape[1], x.shape[1]))
-                grown[:, :known, :known] = self.grams[j]
+                room, count = self._room[j], x.shape[1]
+                if count > room.shape[1]:
+                    room = np.zeros((self.count, count + SPARE, count + SPARE))
+                    room[:, :known, :known] = self.grams[j]
+                    self._room[j] = room
                 for block, (a, b) in enumerate(pairwise(edges)):
-                    grown[block, :, known:] = x[a:b].T @ x[a:b, known:]
-                    grown[block, known:, :known] = grown[block, :known, known:].T
-                self.grams[j], self.totals[j] = grown, grown.sum(0)
+                    room[block, :count, known:count] = x[a:b].T @ x[a:b, known:]
+                    room[block, known:count, :known] = room[block, :known, known:count].T
+                self.grams[j] = room[:, :count, :count]
+                total = np.empty((count, count))
+                total[:known, :known] = self.totals[j]
+                total[:, known:] = self.grams[j][:, :, known:].sum(0)
+                total[known:, :known] = total[:known, known:].T
+                self.totals[j] = total
 
     def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
@@ -133,8 +145,11 @@ class Judge:
         theta = solved(normal, r, _precision(hypothesis))
         return float(s - theta @ r) + self.price(hypothesis), theta
 
-    def extended(self, base: Sequence[Candidate], candidates: Sequence[Candidate]) -> np.ndarray:
-        """`quick`'s losses (len(candidates),) of a hypothesis with one of these beside it, all at once.
+    def extended(
+        self, base: Sequence[Candidate], candidates: Sequence[Candidate]
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """`quick`'s losses (len(candidates),) of a hypothesis with one of these beside it, all at once; and their own
+        coefficients.
 
         What is in the hypothesis is projected out of every column (Schur's complement of its normal matrix), so that
         each candidate is a small problem of its own.
@@ -148,7 +163,7 @@ class Judge:
         for i, c in enumerate(candidates):
             fixed = len(next(iter(c.columns.values()))[0])
             groups.setdefault((tuple(c.columns), fixed, len(c.precision)), []).append(i)
-        losses = np.empty(len(candidates))
+        losses, own_factors = np.empty(len(candidates)), [np.zeros(0)] * len(candidates)
         before = float(s - theta @ r) + self.price(base)
         for (joints, fixed, free), members in groups.items():
             m = fixed + free
@@ -169,8 +184,10 @@ class Judge:
                 towards_free = moment[:, fixed:] - square[:, fixed:, :fixed].sum(2)
                 factors = np.linalg.solve(normals, towards_free[..., None])[..., 0]
                 gain = gain + np.sum(factors * towards_free, axis=1)
+                for i, factor in zip(members, factors, strict=True):
+                    own_factors[i] = factor
             losses[members] = before - gain + [self.price((candidates[i],)) for i in members]
-        return losses
+        return losses, own_factors
 
     def _crossed(self, base: Sequence[Candidate], theta: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Products of every column of each row with a hypothesis' own (C, k), and with what it leaves (C,)."""
@@ -232,15 +249,22 @@ class Judge:
         for candidate, own in shared_out(hypothesis, theta):
             if any(candidate is a for a in self.always):
                 continue
-            parameters = parameters_of(self.evidence, candidate, own)
-            why = candidate.effect.refuse(parameters)
-            if why:
-                return f"{candidate.effect.title}: {why}"
+            if why := self.impossible(candidate, own):
+                return why
             if candidate.effect.point in ("channel", "gear"):
-                if np.any(own**2 * candidate.precision > FARTHEST**2):
-                    return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
-            elif any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
+                continue
+            if any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
                 return f"{candidate.effect.title}: so large that other effects would have to take most of it back"
+        return ""
+
+    def impossible(self, candidate: Candidate, own: np.ndarray) -> str:
+        """Why a candidate's coefficients are no physics by themselves, "" if they are."""
+        parameters = parameters_of(self.evidence, candidate, own)
+        why = candidate.effect.refuse(parameters)
+        if why:
+            return f"{candidate.effect.title}: {why}"
+        if candidate.effect.point in ("channel", "gear") and np.any(own**2 * candidate.precision > FARTHEST**2):
+            return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
         return ""
 
     def _size(self, candidate: Candidate, own: np.ndarray, j: int) -> float:

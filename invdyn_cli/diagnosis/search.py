@@ -41,9 +41,11 @@ def _best(judge: Judge, always: Hypothesis, moves: Iterable[Move], loss: float) 
     quick: list[tuple[float, Hypothesis]] = []
     for base, candidates in moves:
         judge.tried += max(1, len(candidates))
-        values = judge.extended(always + base, candidates) if candidates else [judge.quick(always + base)[0]]
-        made = [(*base, c) for c in candidates] or [base]
-        quick += [(float(value), one) for value, one in zip(values, made, strict=True) if value < loss]
+        if not candidates:
+            quick.append((judge.quick(always + base)[0], base))
+        for value, own, c in zip(*judge.extended(always + base, candidates), candidates, strict=True):
+            if value < loss and not judge.impossible(c, own):
+                quick.append((float(value), (*base, c)))
     quick.sort(key=lambda x: x[0])
     found, seen = None, 0
     for _, one in quick:
@@ -88,10 +90,12 @@ def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
 
 def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
     """One effect of the whole arm in the place of one such and another: what it does to many joints takes many others
-    to imitate."""
-    whole = [c for c in pool if c.effect.point in WHOLE]
+    to imitate. And one that comes and goes in the place of one such and what always is: a change until some time is
+    another from then on."""
+    whole = [c for c in pool if c.effect.point in WHOLE or c.when is not None]
     for i, k in combinations(range(len(hypothesis)), 2):
-        if not {hypothesis[i].effect.point, hypothesis[k].effect.point} & WHOLE:
+        pair = hypothesis[i], hypothesis[k]
+        if not any(c.effect.point in WHOLE or c.when is not None for c in pair):
             continue
         others = tuple(c for m, c in enumerate(hypothesis) if m not in (i, k))
         fitting = free_beside(others, whole)

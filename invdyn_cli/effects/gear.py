@@ -43,15 +43,16 @@ class Backlash(AbstractGearEffect):
 
 @dataclass(frozen=True)
 class JointElasticity(AbstractGearEffect):
-    """A gear that yields: a spring between motor and link, with a little damping of its own.
+    """A gear that yields: a spring between motor and link.
 
     Attributes:
         resonances: of the link on its spring, motor held, to try [Hz]; the found stiffness is refined between them.
-        damping_ratio: of that resonance.
+        damping_ratio: of that resonance in the model; more than a gear has, or every error of the measured motion would
+            ring on: below the resonance it plays no part.
     """
 
     resonances: tuple[float, ...] = (6.0, 9.0, 13.0, 20.0, 30.0)
-    damping_ratio: float = 0.02
+    damping_ratio: float = 0.3
 
     name = "joint_elasticity"
     title = "joint elasticity"

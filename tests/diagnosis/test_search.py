@@ -133,4 +133,6 @@ def test_many_are_judged_at_once_as_one_by_one(name, evidence, judge):
     assert {c.is_trial for c in others} == {True, False}
     wanted = [judge.quick((*base, c))[0] for c in others]
     nothing = judge.quick(())[0]
-    np.testing.assert_allclose(judge.extended(base, others), wanted, rtol=0, atol=1e-6 * nothing)
+    losses, factors = judge.extended(base, others)
+    np.testing.assert_allclose(losses, wanted, rtol=0, atol=1e-6 * nothing)
+    assert [len(x) for x in factors] == [len(c.precision) for c in others]
