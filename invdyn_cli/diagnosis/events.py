@@ -25,6 +25,9 @@ PRICE, PRICE_OF_COEFFICIENT = 40.0, 4.0
 """Noise variances that a window must explain to be tried: the best of ten thousand in white noise has 25 (one
 coefficient) to 50 (ten)."""
 
+SHARE = 0.01
+"""Of the squares of what is left, that a window must explain: more than a slightly wrong model leaves here and there."""
+
 MOST = 8
 """Windows that are tried for one log."""
 
@@ -81,10 +84,11 @@ def proposed(
         number: of the first window.
     """
     left, made = residual.copy(), []
+    least = max(PRICE, SHARE * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
     while len(made) < MOST:
         tries = [_window(evidence, p, left, weights) for p in everywhere]
         value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
-        if value <= PRICE or when is None:
+        if value <= least or when is None:
             break
         left = left - explained
         made += [

@@ -96,7 +96,7 @@ def _lasting(
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
-    if isinstance(ripple, TorqueRipple):
+    if isinstance(ripple, TorqueRipple) and not start:
         lines = noise.ripples(evidence, measured, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines

@@ -18,6 +18,9 @@ clocks and rounding of a log."""
 MOVES = 0.05
 """Share of the rows on which a joint must move to be judged: one that is held still says nothing but its noise."""
 
+RIDGE = 1e-10
+"""Of the mean square of all columns: what tells those that say the same from none at all."""
+
 PEAKS = 3
 PEAK = 20.0
 """Ripples that are taken up as candidates: so many of the highest lines, at least so many noise variances high: of a
@@ -57,12 +60,13 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         targets = y[:, None] - evidence.tables[j][:, [0, *(c.columns[j][0][0] for c in trials)]] * (
             np.arange(len(trials) + 1) > 0
         )
-        values, vectors = linalg.eigh(x[used].T @ x[used])
-        kept = values > 1e-12 * values[-1]
-        inverse = vectors[:, kept] / values[kept]
-        left = targets - x @ (inverse @ (vectors[:, kept].T @ (x[used].T @ targets[used])))
+        normal = x[used].T @ x[used]
+        least = RIDGE * np.trace(normal) / max(len(normal), 1)
+        inverse = linalg.inv(normal + least * np.eye(len(normal)), assume_a="pos")
+        left = targets - x @ (inverse @ (x[used].T @ targets[used]))
+        freedom = len(normal) - least * np.trace(inverse)
         loud = np.array([1.0, *(max(1 - c.quiet, 0.05) for c in trials)])
-        spread = np.sum(left[used] ** 2, axis=0) / max(used.sum() - kept.sum(), 1) / loud
+        spread = np.sum(left[used] ** 2, axis=0) / max(used.sum() - freedom, 1) / loud
         best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread))
         residual[:, j] = left[:, best]
         variance = spread[best]
