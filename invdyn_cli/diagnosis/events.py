@@ -26,7 +26,7 @@ PRICE, PRICE_OF_COEFFICIENT = 40.0, 4.0
 coefficient) to 50 (ten)."""
 
 SHARE = 0.01
-"""Of the squares of what is left, that a window must explain: more than a slightly wrong model leaves here and there."""
+"""Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there."""
 
 MOST = 8
 """Windows that are tried for one log."""
