@@ -111,7 +111,7 @@ EFFECTS: dict[str, Effect] = {
         "Something that the arm picked up or put down.",
     ),
     "external_contact": Effect(
-        "external contact", "τ += J(q)ᵀ <i>force</i>, within the window", "Something that the arm touched."
+        "external contact", "τ −= J(q)ᵀ <i>force</i>, within the window", "Something that the arm touched."
     ),
     "link_inertia_error": Effect(
         "link inertia error",

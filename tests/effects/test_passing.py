@@ -1,4 +1,4 @@
-"""What comes and goes: contacts, loads that are taken up, drives that weaken, against Pinocchio and against what lasts."""
+"""What comes and goes: contacts, loads and weak drives are what Pinocchio says, and in their window what would last."""
 
 from dataclasses import replace
 
