@@ -33,8 +33,8 @@ def verdict_line(diagnosis: Diagnosis) -> Text:
 
 
 def finding_table(diagnosis: Diagnosis) -> Table:
-    """A row per claim, 'X or Y' where the log leaves it open, with its window if it comes and goes; below the table what
-    the log could not have shown."""
+    """A row per claim, 'X or Y' where the log leaves it open, with its window if it comes and goes; below the table
+    what the log could not have shown."""
     caption = Text(unseen_line(diagnosis), style="dim")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption if caption else None, caption_justify="left")
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values())) or "N m"
