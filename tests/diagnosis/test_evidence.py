@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.candidates import gather, gear_candidate, passing_candidate
+from invdyn_cli.diagnosis.candidates import YIELD, gather, gear_candidate, passing_candidate
 from invdyn_cli.diagnosis.evidence import BLOCK
 from invdyn_cli.diagnosis.exact import Model
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -96,21 +96,19 @@ def test_columns_of_what_comes_and_goes():
     ("name", "parameter", "value"), [("backlash", "gap", 0.004), ("joint_elasticity", "stiffness", 150.0)]
 )
 def test_columns_of_a_gear(name, parameter, value):
-    """What a gear that yields changes of the torque is the fixed column of its trial, to 5 %, and 5 % more softness
-    lies on its free column, to a tenth of what that changes or 1 % of the whole: columns leave out what the link's
-    other speed makes."""
+    """What a gear that yields changes of the torque is the fixed column of its trial, to 5 %, and its free one is the
+    slope of that over a tenth more and less softness, likewise: they leave out what the link's other speed makes."""
     evidence = evidence_of(log_of(raw(*moved(seconds=10.0))), [], cutoffs=(10.0,))
     effect = EFFECTS[name]
-    made, change = gear_candidate(evidence, effect, 1, {parameter: value}), []
-    for factor in (1.0, 1.05):
-        given = effect.of_softness(factor * effect.softness({parameter: value}))
-        change.append(Model(evidence).residual(()) - Model(evidence).residual([Acting(effect, 1, given)]))
+    made, model, change = gear_candidate(evidence, effect, 1, {parameter: value}), Model(evidence), {}
+    softness = effect.softness({parameter: value})
+    for factor in (1 - YIELD, 1.0, 1 + YIELD):
+        gear = Acting(effect, 1, effect.of_softness(factor * softness))
+        change[factor] = model.residual(()) - model.residual([gear])
     fixed, free = (np.stack([evidence.tables[j][:, made.columns[j][k][0]] for j in range(3)], axis=1) for k in (0, 1))
-    size = np.linalg.norm(change[0])
-    assert np.linalg.norm(fixed - change[0]) < 0.05 * size
-    step = change[1] - change[0]
-    away = np.linalg.norm(0.05 * effect.softness({parameter: value}) * free - step)
-    assert away < 0.1 * np.linalg.norm(step) + 0.01 * size
+    step = (change[1 + YIELD] - change[1 - YIELD]) / (2 * YIELD * softness)
+    for got, wanted in ((fixed, change[1.0]), (free, step)):
+        assert np.linalg.norm(got - wanted) < 0.05 * np.linalg.norm(wanted)
 
 
 def test_what_a_hypothesis_leaves():
