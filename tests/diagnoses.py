@@ -91,6 +91,10 @@ ONE_JOINT = {
         {"limit": (26.0, "N m", 0.4)},
     ),
     "backlash": (lambda t, q, qd, qdd, tau: 0.6 * np.tanh(tau), {"gap": (0.004, "rad", 0.0009)}),
+    "joint_elasticity": (
+        lambda t, q, qd, qdd, tau: 0.002 * np.gradient(np.gradient(tau, t), t),
+        {"stiffness": (2000.0, "N m/rad", 130.0)},
+    ),
     "gremlins": (lambda t, q, qd, qdd, tau: np.sin(t) * q, {"count": (3.0, "-", 0.4)}),
 }
 DELAY = 0.025

@@ -46,7 +46,7 @@ def told(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, t
     if finding.effect in ("payload", "payload_change"):
         finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
         nominal = float(robot.inertial[-1, 0])
-        if finding.effect == "payload" and float(ends["mass"][0]) < LIGHTER * nominal:
+        if finding.effect == "payload" and float(ends["mass"][0]) < LIGHTER * nominal:  # links are not wrong for a time
             return replace(
                 finding,
                 alternatives=(*finding.alternatives, ("link_inertia_error",)),

@@ -35,7 +35,8 @@ EDGE = 1.0
 """[s] from an end of its trajectory within which a window begins or ends there."""
 
 PARTS, FINEST = 6, 0.2
-"""Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge."""
+"""Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge; at least
+TURN of them."""
 
 TURN = 3
 """Every so many blocks one judges."""
@@ -115,7 +116,7 @@ def interleaved(evidence: Evidence, windows: Sequence[When]) -> Evidence:
     """The evidence with blocks that choose and judge in turn, in every window and outside: what comes once must be in
     both."""
     block, role = evidence.block.copy(), evidence.role.copy()
-    t, first = evidence.on_rows("t"), 0
+    t, first, outside = evidence.on_rows("t"), 0, 0
     for number, piece in enumerate(evidence.recording.pieces):
         at = evidence.piece == number
         own = [w for w in windows if w.trajectory == piece.trajectory]
@@ -128,10 +129,13 @@ def interleaved(evidence: Evidence, windows: Sequence[When]) -> Evidence:
             time = t[at][here]
             inside = any(w.start < time.mean() < w.end for w in own)
             length = time[-1] - time[0] + 1e-9
-            each = min(BLOCK, max(FINEST, length / PARTS)) if inside else BLOCK
-            turn = np.minimum((time - time[0]) // each, max(0, length // each - 1)).astype(int)
-            mine[here], turns[here] = first + turn, turn
-            first = int(mine[here].max()) + 1
+            count = max(1, int(length / BLOCK))
+            if inside:
+                count = max(TURN, min(PARTS, int(length / FINEST)), count)
+            turn = np.minimum((time - time[0]) / length * count, count - 1).astype(int)
+            mine[here], turns[here] = first + turn, turn if inside else outside + turn
+            first += count
+            outside += 0 if inside else count  # short stretches between windows take turns too
         block[at] = mine
         if piece.role != "reference":
             role[at] = np.where(turns % TURN == TURN - 1, ROLES.index("test"), ROLES.index("train"))
@@ -180,14 +184,14 @@ def _window(
 
 
 def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:
-    """Edges of a window moved to the rows that explain most, each in turn."""
+    """Edges of a window moved to the rows that explain most, each in turn; it stays as long as SHORTEST."""
     for _ in range(2):
         near = np.flatnonzero(np.abs(time - time[min(a, len(time) - 1)]) <= reach)
-        near = near[near < b - 1]
+        near = near[time[near] <= time[b - 1] - SHORTEST]
         if len(near):
             a = int(near[np.argmax(gain(near, np.full(len(near), b)))])
         near = np.flatnonzero(np.abs(time - time[b - 1]) <= reach) + 1
-        near = near[near > a + 1]
+        near = near[time[near - 1] >= time[a] + SHORTEST]
         if len(near):
             b = int(near[np.argmax(gain(np.full(len(near), a), near))])
     return a, b

@@ -131,7 +131,7 @@ def report(
     ordered = tuple(claims[k] for k in order)
     by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
     return Made(
-        findings=(*ordered, *_blind(effects, ordered, examination, side, position_side)),
+        findings=(*ordered, *unseen(effects, ordered, examination, side, position_side)),
         acting=tuple(acting),
         intervals=tuple(by_acting[id(a)] for a in acting),
         terms=tuple(shown[k] for k in order),
@@ -327,7 +327,7 @@ def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Fi
     return tuple(out)
 
 
-def _blind(
+def unseen(
     effects: Mapping[str, AbstractEffect],
     claims: Sequence[Finding],
     examination: Examination,

@@ -62,9 +62,8 @@ def inquire(
     everywhere = [] if compares else events.places(evidence, effects, side)
     windows: list[Sequence[Candidate]] = []
     while len(windows) < events.MOST:
-        found = events.proposed(
-            inquiry.evidence, everywhere, inquiry.whole.residual, inquiry.noise.weights, len(windows)
-        )
+        number = 1 + max((w[0].when.number for w in windows if w[0].when is not None), default=-1)
+        found = events.proposed(inquiry.evidence, everywhere, inquiry.whole.residual, inquiry.noise.weights, number)
         if not found:
             return inquiry
         windows += found

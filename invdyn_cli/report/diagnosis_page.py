@@ -26,6 +26,7 @@ from invdyn_cli.report.wording import (
     place,
     rivals_of,
     units_of,
+    when,
     words,
 )
 from invdyn_cli.report.wording import picture as picture_name
@@ -136,11 +137,12 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 
 def _causes(diagnosis: Diagnosis) -> str:
-    """A row per claim: effect, joint, status, parameters with 95 % intervals, what it gains most, alternatives."""
+    """A row per claim: effect, joint, status, parameters with 95 % intervals, its window if it comes and goes, what it
+    gains most, alternatives."""
     body = ""
     for k, finding in enumerate(claims(diagnosis)):
         rivals = escape("; ".join(rivals_of(finding))) or "-"
-        values = "<br>".join(escape(x) for x in estimates(finding)) or "-"
+        values = "<br>".join(escape(x) for x in (*estimates(finding), when(finding)) if x) or "-"
         joint = best_gain(finding.gain)
         gain = "-" if joint is None else f"{escape(gain_text(finding.gain[joint]))}{_at(joint, finding)}"
         body += (
@@ -180,8 +182,7 @@ def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[s
     out += picture(drawn[name], CAPTION, said) if name in drawn else ""
     out += "</div>"
     if finding.window is not None:
-        where = f" of {finding.trajectory}" if finding.trajectory else ""
-        out += f"<p>It acts from {finding.window[0]:.4g} s to {finding.window[1]:.4g} s{escape(where)}.</p>"
+        out += f"<p>It acts from {escape(when(finding))}, counted from its first sample.</p>"
     out += f'<div class="side"><div>{_parameters(finding)}</div><div>{_gains(diagnosis, finding.gain)}</div></div>'
     if finding.alternatives:
         sets = "; or by ".join(f"<b>{escape(x)}</b>" for x in rivals_of(finding))

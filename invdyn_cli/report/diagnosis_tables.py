@@ -17,6 +17,7 @@ from invdyn_cli.report.wording import (
     joints_of,
     place,
     units_of,
+    when,
     words,
 )
 from invdyn_cli.types import Diagnosis
@@ -32,7 +33,8 @@ def verdict_line(diagnosis: Diagnosis) -> Text:
 
 
 def finding_table(diagnosis: Diagnosis) -> Table:
-    """A row per claim, 'X or Y' where the log leaves it open; below the table what the log could not have shown."""
+    """A row per claim, 'X or Y' where the log leaves it open, with its window if it comes and goes; below the table
+    what the log could not have shown."""
     caption = Text(unseen_line(diagnosis), style="dim")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption if caption else None, caption_justify="left")
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values())) or "N m"
@@ -47,7 +49,7 @@ def finding_table(diagnosis: Diagnosis) -> Table:
         table.add_row(
             Text(capital(cause(finding))),
             Text.assemble(place(finding), (OPEN.get(finding.status, ""), "yellow")),
-            Text("\n".join(estimates(finding)) or "-"),
+            Text("\n".join(x for x in (*estimates(finding), when(finding)) if x) or "-"),
             Text(gain + where),
         )
     if not table.row_count:

@@ -21,7 +21,7 @@ from invdyn_cli.report.canvas import (
     binned,
     plain,
 )
-from invdyn_cli.report.exhibits import Exhibit, recordings
+from invdyn_cli.report.exhibits import Exhibit, recordings, telling_window
 from invdyn_cli.types import Finding
 
 CLOUD, MEDIAN, TERM = "samples", "median of a bin, bar from 10 to 90 %", "fitted term"
@@ -94,6 +94,31 @@ def over_position(axes: Axes, exhibit: Exhibit) -> None:
     law(axes, exhibit.own(exhibit.signals.q), exhibit.own(exhibit.residual), exhibit.own(exhibit.term))
     axes.set_title("over position")
     name_axes(axes, exhibit, f"position of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
+
+
+def loops_over_position(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the joint's own position, as time goes on: what has a memory goes round."""
+    _loops(axes, exhibit, exhibit.own(exhibit.signals.q))
+    axes.set_title("over position, as time goes on")
+    name_axes(axes, exhibit, f"position of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
+
+
+def loops_over_load(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the torque that the gear carries, as time goes on: play shows where it changes its side."""
+    _loops(axes, exhibit, exhibit.own(exhibit.signals.nominal))
+    axes.set_title("over the load, as time goes on")
+    axes.axvline(0, color=INK, lw=0.8)
+    name_axes(axes, exhibit, f"nominal torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]")
+
+
+def _loops(axes: Axes, exhibit: Exhibit, x: np.ndarray) -> None:
+    """Residual and term over x (R,), in the stretch of time that tells most."""
+    rows = telling_window(exhibit.signals, exhibit.term, [exhibit.column])
+    y, term = exhibit.own(exhibit.residual)[rows], exhibit.own(exhibit.term)[rows]
+    cloud(axes, x[rows], y, SAMPLES, CLOUD)
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.plot(x[rows], term, color=PREDICTED, lw=1.2, label=TERM)
+    axes.margins(x=0.02)
 
 
 def over_acceleration(axes: Axes, exhibit: Exhibit) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from invdyn_cli.report.quantities import quantity_text
+from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis, Finding
 
 
@@ -111,7 +112,7 @@ EFFECTS: dict[str, Effect] = {
         "Something that the arm picked up or put down.",
     ),
     "external_contact": Effect(
-        "external contact", "τ += J(q)ᵀ <i>force</i>, within the window", "Something that the arm touched."
+        "external contact", "τ −= J(q)ᵀ <i>force</i>, within the window", "Something that the arm touched."
     ),
     "link_inertia_error": Effect(
         "link inertia error",
@@ -186,6 +187,14 @@ def place(finding: Finding) -> str:
     return finding.joint or "whole arm"
 
 
+def when(finding: Finding) -> str:
+    """'8.00 to 14.0 s of trajectory_1': the window of what comes and goes, nothing for what lasts."""
+    if finding.window is None:
+        return ""
+    start, end = map(significant, finding.window)
+    return f"{start} to {end} s" + (f" of {finding.trajectory}" if finding.trajectory else "")
+
+
 def estimates(finding: Finding) -> list[str]:
     """Every parameter that could be known with its name, as 'coulomb 2.00 N m [1.98, 2.02]'; one that stands alone is
     known by its unit."""
@@ -195,8 +204,10 @@ def estimates(finding: Finding) -> list[str]:
 
 
 def headline_of(finding: Finding) -> str:
-    """'Coulomb friction 2.00 N m [1.98, 2.02]', or 'torque ripple, amplitude 0.45 N m [0.43, 0.47], cycles …'."""
+    """'Coulomb friction 2.00 N m [1.98, 2.02]', or 'torque ripple, amplitude 0.45 N m [0.43, 0.47], cycles …'; what
+    comes and goes with its window."""
     said, every = cause(finding), estimates(finding)
+    every += [x for x in (when(finding),) if x]
     alone = len(every) == 1 and not every[0][:1].isalpha() and finding.status != "ambiguous"
     return (" " if alone else ", ").join([said, *(x.replace(" ", NO_BREAK) for x in every)])
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.candidates import gather
+from invdyn_cli.diagnosis.candidates import YIELD, gather, gear_candidate, passing_candidate
 from invdyn_cli.diagnosis.evidence import BLOCK
+from invdyn_cli.diagnosis.exact import Model
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting, When
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.simulation.references import PickPlace
 from invdyn_cli.types import Motion
@@ -51,6 +53,7 @@ def test_columns_reproduce_a_term_without_noise(name):
         "joint_spring": {"stiffness": 3.0, "rest": 0.2},
         "rotor_inertia": {"armature": 0.1},
         "torque_offset": {"offset": 0.4},
+        "torque_offset_drift": {"rate": 0.05},
     }[name]
 
     def term(t, m):
@@ -66,6 +69,46 @@ def test_columns_reproduce_a_term_without_noise(name):
     left = y - x @ np.linalg.lstsq(x, y)[0]
     assert np.sqrt(np.mean(left**2)) < 4e-3 * np.sqrt(np.mean(y**2))
     assert np.abs(evidence.tables[0][:, 0]).max() < 1e-3 * np.abs(y).max()
+
+
+def test_columns_of_what_comes_and_goes():
+    """A weight that hangs at the last frame's origin for a time, by Pinocchio, lies in the columns of a contact in that
+    window to 1 % (its edges are known to a sample), and less than half of it in those of half the window."""
+    robot, heavier = arm(), np.array(arm().inertial)
+    heavier[-1, 0] += 0.5
+
+    def hanging(t, m):
+        both = (
+            inverse_dynamics(replace(robot, inertial=x), m.q, 0 * m.qd, 0 * m.qdd) for x in (heavier, robot.inertial)
+        )
+        return np.subtract(*both) * ((t > 3) & (t < 6))[:, None]
+
+    evidence = evidence_of(log_of(raw(*moved(seconds=10.0), hanging)), [], cutoffs=(10.0,))
+    y, share = (evidence.tau - evidence.nominal).T, []
+    for end in (6.0, 4.5):
+        made = passing_candidate(evidence, EFFECTS["external_contact"], 2, When("run", 3.0, end))
+        x = np.stack([evidence.tables[j][:, list(made.columns[j][1])] for j in range(3)]).reshape(y.size, -1)
+        share.append(np.sum((y.ravel() - x @ np.linalg.lstsq(x, y.ravel())[0]) ** 2) / np.sum(y**2))
+    assert share[0] < 0.01**2 and share[1] > 0.25
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"), [("backlash", "gap", 0.004), ("joint_elasticity", "stiffness", 150.0)]
+)
+def test_columns_of_a_gear(name, parameter, value):
+    """What a gear that yields changes of the torque is the fixed column of its trial, to 5 %, and its free one is the
+    slope of that over a tenth more and less softness, likewise: they leave out what the link's other speed makes."""
+    evidence = evidence_of(log_of(raw(*moved(seconds=10.0))), [], cutoffs=(10.0,))
+    effect = EFFECTS[name]
+    made, model, change = gear_candidate(evidence, effect, 1, {parameter: value}), Model(evidence), {}
+    softness = effect.softness({parameter: value})
+    for factor in (1 - YIELD, 1.0, 1 + YIELD):
+        gear = Acting(effect, 1, effect.of_softness(factor * softness))
+        change[factor] = model.residual(()) - model.residual([gear])
+    fixed, free = (np.stack([evidence.tables[j][:, made.columns[j][k][0]] for j in range(3)], axis=1) for k in (0, 1))
+    step = (change[1 + YIELD] - change[1 - YIELD]) / (2 * YIELD * softness)
+    for got, wanted in ((fixed, change[1.0]), (free, step)):
+        assert np.linalg.norm(got - wanted) < 0.05 * np.linalg.norm(wanted)
 
 
 def test_what_a_hypothesis_leaves():

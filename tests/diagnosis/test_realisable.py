@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.evidence import Evidence, gather
+from invdyn_cli.diagnosis.candidates import gather
+from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, intervals, refine
 from invdyn_cli.diagnosis.realisable import realisable
 from invdyn_cli.effects.catalogue import EFFECTS

@@ -23,16 +23,23 @@ def parameters(name: str, d: np.random.Generator) -> dict[str, Any]:
         "stribeck_friction": lambda: {"coulomb": u(0.5, 1), "static": u(1.2, 2), "velocity": u(0.02, 0.3)},
         "load_dependent_friction": lambda: {"mu": u(0.02, 0.2)},
         "quadratic_friction": lambda: {"drag": u(0.1, 3)},
+        "presliding_hysteresis": lambda: {"coulomb": (c := u(0.1, 3)), "stiffness": c / u(0.001, 0.02)},
+        "torque_offset_drift": lambda: {"rate": u(-0.3, 0.3)},
+        "backlash": lambda: {"gap": u(0.001, 0.01)},
+        "joint_elasticity": lambda: {"stiffness": u(50, 5000)},
         "thermal_friction_drift": lambda: {"cold": u(2, 3), "warm": u(0.5, 1.5), "time_constant": u(2, 20)},
         "torque_ripple": lambda: {"amplitude": u(0.1, 2), "cycles": u(3, 40), "phase": u(-3, 3)},
         "joint_spring": lambda: {"stiffness": u(0.5, 20), "rest": u(-1, 1)},
         "rotor_inertia": lambda: {"armature": u(0.01, 1)},
         "torque_gain_error": lambda: {"gain": u(0.6, 1.5)},
+        "torque_gain_change": lambda: {"gain": u(0.6, 0.9)},
         "torque_offset": lambda: {"offset": u(-3, 3)},
         "torque_delay": lambda: {"delay": u(0.003, 0.05)},
         "actuator_lag": lambda: {"time_constant": u(0.003, 0.05)},
         "torque_saturation": lambda: {"limit": u(0.5, 2)},
         "payload": lambda: {"mass": u(0.2, 3), "com": u(-0.1, 0.1, 3), "inertia": u(-0.01, 0.01, 6)},
+        "payload_change": lambda: {"mass": u(0.2, 3), "com": u(-0.1, 0.1, 3), "inertia": u(-0.01, 0.01, 6)},
+        "external_contact": lambda: {"force": u(-20, 20, 3)},
         "link_inertia_error": lambda: {
             "mass": u(-0.5, 2),
             "moment": u(-0.2, 0.2, 3),
@@ -45,7 +52,7 @@ def parameters(name: str, d: np.random.Generator) -> dict[str, Any]:
 
 def joint_of(name: str, joint: int) -> int | None:
     """Where an effect acts that may stand on a joint: None for those that belong to the whole arm."""
-    return None if name in ("payload", "base_tilt") else joint
+    return None if name in ("payload", "payload_change", "base_tilt") else joint
 
 
 def joint_state(d: np.random.Generator, samples: int = 300) -> JointState:

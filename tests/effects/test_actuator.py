@@ -30,7 +30,9 @@ def test_there_and_back(name):
     for seed in range(5):
         given = parameters(name, np.random.default_rng(seed))
         back = effect.logged(given, effect.delivered(given, tone(T), RATE), RATE)
-        error = {"torque_gain_error": 1e-14, "torque_delay": 1e-6, "actuator_lag": 1e-3}[name]
+        error = {"torque_gain_error": 1e-14, "torque_gain_change": 1e-14, "torque_delay": 1e-6, "actuator_lag": 1e-3}[
+            name
+        ]
         assert np.abs(back - tone(T))[INSIDE].max() < 3 * error
 
 

@@ -9,13 +9,15 @@ from invdyn_cli.effects.catalogue import EFFECTS, may_be_ambiguous
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
+    AbstractForceEffect,
+    AbstractGearEffect,
     AbstractMotionEffect,
     AbstractTorqueEffect,
 )
 from tests.commands import ROOT
 from tests.effects.drawn import parameters
 
-UNITS = re.compile(r"-|(?:1/rev|N m|rad|kg|m|s|kg m²?|N m/rad|N m s/rad|N m s²/rad²|rad/s)")
+UNITS = re.compile(r"-|(?:1/rev|N|N m|N m/s|rad|kg|m|s|kg m²?|N m/rad|N m s/rad|N m s²/rad²|rad/s)")
 """Those of DESIGN, section 6."""
 
 NAMES = {
@@ -25,16 +27,23 @@ NAMES = {
     "stribeck_friction": {"coulomb", "static", "velocity"},
     "load_dependent_friction": {"mu"},
     "quadratic_friction": {"drag"},
+    "presliding_hysteresis": {"coulomb", "stiffness"},
+    "torque_offset_drift": {"rate"},
+    "backlash": {"gap"},
+    "joint_elasticity": {"stiffness"},
     "thermal_friction_drift": {"cold", "warm", "time_constant"},
     "torque_ripple": {"amplitude", "cycles", "phase"},
     "joint_spring": {"stiffness", "rest"},
     "rotor_inertia": {"armature"},
     "torque_gain_error": {"gain"},
+    "torque_gain_change": {"gain"},
     "torque_offset": {"offset"},
     "torque_delay": {"delay"},
     "actuator_lag": {"time_constant"},
     "torque_saturation": {"limit"},
     "payload": {"mass", "com"},
+    "payload_change": {"mass", "com"},
+    "external_contact": {"force"},
     "base_tilt": {"angle", "azimuth"},
     "encoder_offset": {"offset"},
     "link_inertia_error": {"mass"},
@@ -54,19 +63,27 @@ def test_names_are_those_of_the_design():
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_says_what_it_is(name):
     """A title, an equation that holds its parameters, a reference with a year, where it acts, where it shows, how it is
-    drawn, advice, and units with bounds that leave room."""
+    drawn, whether it passes, advice, and units with bounds that leave room."""
     effect = EFFECTS[name]
     assert effect.title and effect.equation and effect.advice
     assert re.search(r"(19|20)\d\d", effect.reference) or "first" in effect.reference or "sheets" in effect.reference
-    assert effect.point in ("torque", "channel", "body", "motion")
-    kinds = AbstractTorqueEffect, AbstractChannelEffect, AbstractBodyEffect, AbstractMotionEffect
-    assert sum(isinstance(effect, kind) for kind in kinds) == 1
+    kinds = {
+        "torque": AbstractTorqueEffect,
+        "channel": AbstractChannelEffect,
+        "body": AbstractBodyEffect,
+        "motion": AbstractMotionEffect,
+        "gear": AbstractGearEffect,
+        "force": AbstractForceEffect,
+    }
+    assert [point for point, kind in kinds.items() if isinstance(effect, kind)] == [effect.point]
     assert set(effect.sides) <= {"link", "motor", "command", "unknown"} and "unknown" in effect.sides
+    assert set(effect.position_sides) <= {"link", "motor", "unknown"} and "unknown" in effect.position_sides
+    assert effect.passing == ("for a time" in effect.equation)
     assert effect.picture in ("t", "q", "qd", "qdd", "load", "slope", "body")
     for parameter, bound in effect.parameters.items():
         assert UNITS.fullmatch(bound.unit), bound.unit
         assert bound.lower < bound.upper
-        if effect.point in ("torque", "channel"):
+        if effect.point != "body":
             assert parameter in effect.equation
 
 
@@ -97,7 +114,7 @@ def test_confounders_exist(name):
     assert len(set(effect.confounders)) == len(effect.confounders)
     for one in effect.confounders:
         assert one and set(one) <= set(EFFECTS)
-        assert one != (name,) or name == "link_inertia_error"  # of another link
+        assert one != (name,) or name in ("link_inertia_error", "external_contact")  # of another link
         assert all(set(EFFECTS[other].sides) & set(effect.sides) for other in one)
     assert set(effect.contains) <= set(EFFECTS) - {name}
 

@@ -10,15 +10,16 @@ import pytest
 
 from experiments.arms import random_arm
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import Acting, When
 from invdyn_cli.effects.description import ExtendedModel, as_dict, from_dict, period_of
 from invdyn_cli.errors import UsageError
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Motion
 from tests.effects.drawn import joint_of, parameters
 
-MEMORY = ("torque_delay", "actuator_lag")
-"""What a single sample cannot show."""
+MEMORY = ("torque_delay", "actuator_lag", "backlash", "joint_elasticity")
+PASSING = tuple(name for name, effect in EFFECTS.items() if effect.passing)
+"""Neither shows in a single sample."""
 
 
 @pytest.fixture(scope="module")
@@ -37,16 +38,19 @@ def motion():
 
 
 T = np.linspace(0, 3, 30)
+WINDOWS = (0.5, 1.0), (1.5, 2.5)
+"""[s] of two events on one joint."""
 WEIGHTS = np.random.default_rng(1).normal(size=(30, 2))
 
 
 def model_of(name: str, robot, given=None) -> ExtendedModel:
     """The robot with one effect on its second joint."""
     given = parameters(name, np.random.default_rng(5)) if given is None else given
-    return ExtendedModel(robot, (Acting(EFFECTS[name], joint_of(name, 1), given),))
+    when = When("run", 1.0, 2.0) if EFFECTS[name].passing else None
+    return ExtendedModel(robot, (Acting(EFFECTS[name], joint_of(name, 1), given, when),))
 
 
-SHOWN = [n for n in EFFECTS if n not in MEMORY]
+SHOWN = [n for n in EFFECTS if n not in (*MEMORY, *PASSING, "presliding_hysteresis")]
 
 
 @pytest.fixture(scope="module")
@@ -102,14 +106,49 @@ def test_grad_goes_through(name, everything, slopes, motion):
         assert np.any(np.asarray(slopes[1][name][key]))
 
 
-@pytest.mark.parametrize("name", MEMORY)
-def test_a_single_sample_has_no_memory(name, robot, motion):
-    """Delay and lag leave `apply` as it is; over a recording they change the torque of their joint alone."""
-    model, nominal = model_of(name, robot), ExtendedModel(robot, ())
+def test_a_single_sample_has_no_memory(robot, motion):
+    """What has a memory, or comes and goes, leaves `apply` as it is."""
+    every = ExtendedModel(robot, tuple(model_of(n, robot).acting[0] for n in (*MEMORY, *PASSING)))
     one = Motion(*(jnp.asarray(x[7]) for x in (motion.q, motion.qd, motion.qdd)))
-    np.testing.assert_array_equal(model.apply(one, T[7]), nominal.apply(one, T[7]))
-    change = [m.predict(motion.q, motion.qd, motion.qdd, T) for m in (model, nominal)]
-    assert np.any(change[0] - change[1], axis=0).tolist() == [False, True]
+    np.testing.assert_array_equal(every.apply(one, T[7]), ExtendedModel(robot, ()).apply(one, T[7]))
+
+
+@pytest.mark.parametrize("name", [*MEMORY, *PASSING])
+def test_a_recording_has(name, robot, motion):
+    """Over a recording they change the torque of their own joint, and of the other as well where they move the link or
+    pull on it."""
+    change = [
+        m.predict(motion.q, motion.qd, motion.qdd, T, "run") for m in (model_of(name, robot), ExtendedModel(robot, ()))
+    ]
+    felt = np.any(np.abs(change[0] - change[1]) > 1e-12, axis=0).tolist()
+    alone = {"external_contact": [True, False]}  # at the second joint's origin, which that joint does not move
+    assert felt == alone.get(name, [EFFECTS[name].point != "channel", True])
+
+
+@pytest.mark.parametrize("name", PASSING)
+def test_what_comes_and_goes(name, robot, motion):
+    """In its own trajectory it acts from 1 to 2 s, as the lasting one would, and at no other time; in others never."""
+    model, nominal = model_of(name, robot), ExtendedModel(robot, ())
+    lasting = replace(model, acting=(replace(model.acting[0], when=None),))
+    inside = (T > 1.1) & (T < 1.9)
+    outside = (T < 0.9) | (T > 2.1)
+    rows, never = (m.predict(motion.q, motion.qd, motion.qdd, T, "run") for m in (model, nominal))
+    always = lasting.predict(motion.q, motion.qd, motion.qdd, T, "run")
+    np.testing.assert_array_equal(rows[outside], never[outside])
+    np.testing.assert_allclose(rows[inside], always[inside], atol=1e-12)
+    assert np.abs(always[inside] - never[inside]).max() > 0.01
+    for other in (None, "another"):
+        np.testing.assert_array_equal(model.predict(motion.q, motion.qd, motion.qdd, T, other), never)
+
+
+def test_bristles_in_a_sample_are_bent_to_their_end(robot, motion):
+    """`apply` has them slide, as Coulomb friction does; `predict` has them bend along the way."""
+    bristles = model_of("presliding_hysteresis", robot, {"coulomb": 1.5, "stiffness": 1.0})
+    sliding = model_of("coulomb_friction", robot, {"coulomb": 1.5})
+    one = Motion(*(jnp.asarray(x[7]) for x in (motion.q, motion.qd, motion.qdd)))
+    np.testing.assert_allclose(bristles.apply(one), sliding.apply(one), atol=1e-12)
+    rows = [m.predict(motion.q, motion.qd, motion.qdd, T) for m in (bristles, sliding)]
+    assert np.abs(rows[0] - rows[1]).max(axis=0)[1] > 0.1
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -118,12 +157,27 @@ def test_json_and_back(name, robot, motion):
     model = replace(model_of(name, robot), filter={"order": 4}, provenance={"log": "a test"})
     stored = json.loads(json.dumps(as_dict(model), allow_nan=False))
     again = from_dict(stored)
-    rows = [m.predict(motion.q, motion.qd, motion.qdd, T) for m in (model, again)]
+    rows = [m.predict(motion.q, motion.qd, motion.qdd, T, "run") for m in (model, again)]
     assert np.array_equal(*rows)
+    assert again.acting[0].when == model.acting[0].when
     assert again.acting[0].effect is EFFECTS[name] and again.acting[0].joint == model.acting[0].joint
     assert (again.filter, again.provenance, again.robot.urdf) == (model.filter, model.provenance, robot.urdf)
     row = stored["effects"][0]["parameters"]
     assert {k: v["unit"] for k, v in row.items()} == {k: v.unit for k, v in EFFECTS[name].parameters.items()}
+
+
+def test_windows_stand_in_the_file(robot):
+    """What comes and goes has its trajectory and its window there, what lasts has neither; two on one joint stay two,
+    and one without a window is refused in a line."""
+    both = tuple(replace(model_of("torque_gain_change", robot).acting[0], when=When("run", *w)) for w in WINDOWS)
+    model = ExtendedModel(robot, (*both, *model_of("payload", robot).acting))
+    stored = json.loads(json.dumps(as_dict(model)))
+    assert [x.get("window") for x in stored["effects"]] == [[0.5, 1.0], [1.5, 2.5], None]
+    assert [x.get("trajectory") for x in stored["effects"]] == ["run", "run", None]
+    assert len({x.key for x in from_dict(stored).acting}) == 3
+    del stored["effects"][0]["window"]
+    with pytest.raises(UsageError, match="lacks 'window'"):
+        from_dict(stored)
 
 
 def test_intervals_come_back(robot):

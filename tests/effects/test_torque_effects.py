@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import make_interp_spline
 
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
@@ -19,7 +21,7 @@ def test_columns_make_the_term(name):
     for seed in range(10):
         draw = np.random.default_rng(seed)
         state, given = joint_state(draw), parameters(name, draw)
-        shape = {k: given[k] for k in effect.nonlinear}
+        shape = effect.shape_of(given)
         columns = np.stack(effect.basis(state, shape))
         coefficients, *_ = np.linalg.lstsq(columns.T, effect.term(given, state))
         np.testing.assert_allclose(columns.T @ coefficients, effect.term(given, state), atol=1e-9)
@@ -30,16 +32,21 @@ def test_columns_make_the_term(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_shapes_are_complete(name):
-    """Every trial gives a value, within its bounds, to just the nonlinear parameters; a ripple's come from a scan."""
+    """Every trial gives all that is nonlinear a value, parameters made from it are within their bounds, and it is read
+    back from them; a ripple's come from a scan."""
     effect = EFFECTS[name]
-    shapes = effect.shapes(joint_state(np.random.default_rng(0)))
+    draw = np.random.default_rng(0)
+    state, wanted = joint_state(draw), set(effect.shape_of(parameters(name, draw)))
+    shapes = effect.shapes(state)
     assert len(shapes) > 0 or name == "torque_ripple"
     for shape in shapes:
-        assert set(shape) == set(effect.nonlinear)
-        assert all(effect.parameters[k].lower <= v <= effect.parameters[k].upper for k, v in shape.items())
+        assert set(shape) == wanted
+        made = effect.read([1.0] * len(effect.basis(state, shape)), shape)
+        assert effect.refuse(made) == ""
+        assert effect.shape_of(made) == pytest.approx(shape)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "presliding_hysteresis"])
 def test_numpy_and_jax_agree(name):
     """Term and columns are the same of either arrays, to rounding, and jax arrays stay jax arrays."""
     effect, draw = EFFECTS[name], np.random.default_rng(0)
@@ -48,7 +55,7 @@ def test_numpy_and_jax_agree(name):
     term = effect.term(given, there)
     assert isinstance(effect.term(given, state), np.ndarray) and isinstance(term, jnp.ndarray)
     np.testing.assert_allclose(term, effect.term(given, state), rtol=1e-12)
-    shape = {k: given[k] for k in effect.nonlinear}
+    shape = effect.shape_of(given)
     for x, y in zip(effect.basis(there, shape), effect.basis(state, shape), strict=True):
         assert isinstance(x, jnp.ndarray)
         np.testing.assert_allclose(x, y, rtol=1e-12, atol=1e-300)
@@ -61,3 +68,52 @@ def test_friction_takes_power(name):
     state = joint_state(draw)
     state = state._replace(sign=np.sign(state.qd))
     assert np.all(effect.term(parameters(name, draw), state) * state.qd >= 0)
+
+
+def bristled(q: np.ndarray, t: np.ndarray | None = None) -> JointState:
+    """A joint that is at q (T,), of which bristles know nothing else."""
+    t = np.arange(len(q)) / 500 if t is None else t
+    qd = np.gradient(q, t)
+    return JointState(t, q, qd, np.gradient(qd, t), np.sign(qd), np.zeros(len(q)))
+
+
+def swaying(t: np.ndarray, seed: int) -> np.ndarray:
+    """A sum of three sines of 0.2 to 2 Hz, some 0.1 rad."""
+    draw = np.random.default_rng(seed)
+    rate, phase = 2 * np.pi * draw.uniform(0.2, 2, (3, 1)), draw.uniform(0, 2 * np.pi, (3, 1))
+    return 0.05 * np.sin(rate * t + phase).sum(axis=0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_bristles_are_dahls(seed):
+    """Along a motion, coulomb and stiffness drawn at random, the term is stiffness z of dz/dt = qd - stiffness/coulomb
+    |qd| z as SciPy integrates it, to 1 % of the level: samples are 2 ms apart, and the joint turns between them."""
+    given = parameters("presliding_hysteresis", np.random.default_rng(seed))
+    t = np.arange(0, 3, 0.002)
+    speed = make_interp_spline(t, swaying(t, seed), k=5).derivative()
+
+    def slope(now, z):
+        qd = float(speed(now))
+        return qd - given["stiffness"] / given["coulomb"] * abs(qd) * z
+
+    z = solve_ivp(slope, (0, t[-1]), [0.0], t_eval=t, rtol=1e-6, atol=1e-7, max_step=0.01).y[0]
+    got = EFFECTS["presliding_hysteresis"].term(given, bristled(swaying(t, seed), t))
+    np.testing.assert_allclose(got, given["stiffness"] * z, atol=0.01 * given["coulomb"])
+    assert got.min() < -0.8 * given["coulomb"] and got.max() > 0.8 * given["coulomb"]
+
+
+def test_bristles_know_the_way_and_not_the_time():
+    """The same way at another, uneven pace makes the same term, to rounding; never more than coulomb."""
+    effect, given = EFFECTS["presliding_hysteresis"], {"coulomb": 2.0, "stiffness": 300.0}
+    q = swaying(np.arange(0, 5, 0.002), 0)
+    even = effect.term(given, bristled(q))
+    uneven = effect.term(given, bristled(q, np.cumsum(np.random.default_rng(0).uniform(0.001, 0.1, len(q)))))
+    np.testing.assert_allclose(uneven, even, atol=1e-12)
+    assert np.abs(even).max() <= 2.0
+
+
+def test_bristles_of_one_sample():
+    """One sample has no way behind it: the term is Coulomb's, of jax arrays too."""
+    effect, given = EFFECTS["presliding_hysteresis"], {"coulomb": 2.0, "stiffness": 300.0}
+    one = JointState(*map(jnp.asarray, (0.0, 0.3, -0.1, 0.0, -1.0, 5.0)))
+    assert float(effect.term(given, one)) == -2.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
 from invdyn_cli.report import laws
 from invdyn_cli.report.diagnosis_figures import BODIES, PANELS, draw, draw_all
 from invdyn_cli.report.exhibits import exhibits, recordings, telling_window
@@ -67,8 +68,9 @@ def test_every_effect_can_be_drawn(effect):
 
 
 def test_pictures_are_of_known_effects():
-    """No picture is kept for a name that is not in the vocabulary."""
+    """No picture is kept for a name that is not in the vocabulary, which has every effect that is looked for."""
     assert set(PANELS) | set(BODIES) <= set(EFFECTS)
+    assert set(CATALOGUE) <= set(EFFECTS) and set(CATALOGUE) <= set(EVERY_EFFECT)
     assert not set(PANELS) & set(BODIES)
 
 
@@ -96,6 +98,29 @@ def test_spectrum_has_its_line():
     cycles, amplitude = max((line.get_data() for line in figure.axes[1].lines), key=lambda x: len(x[0]))
     assert cycles[np.argmax(amplitude)] == pytest.approx(12.0, abs=0.3)
     assert amplitude.max() == pytest.approx(0.45, abs=0.1)
+
+
+@pytest.mark.parametrize("effect", ["presliding_hysteresis", "backlash", "joint_elasticity"])
+def test_memory_goes_round(effect):
+    """What has a memory is drawn as it goes on in time, term over position or load: not in bins, in which it has no
+    one value."""
+    exhibit = exhibits(one(effect))[0]
+    figure = draw(exhibit)
+    x, term = lines(figure, laws.TERM)[0]
+    source = exhibit.signals.q if effect == "presliding_hysteresis" else exhibit.signals.nominal
+    start = int(np.flatnonzero(source[:, 2] == x[0])[0])
+    assert np.array_equal(source[start : start + len(x), 2], x)
+    assert np.array_equal(exhibit.term[start : start + len(x), 2], term)
+    assert not lines(figure, laws.MEDIAN)
+
+
+@pytest.mark.parametrize("effect", WINDOWS)
+def test_windows_are_shaded(effect):
+    """The window of what comes and goes is shaded where time is the abscissa, and stands in the title."""
+    figure = draw(exhibits(one(effect))[0])
+    shaded = [p for axes in figure.axes for p in axes.patches if p.get_label() == "window of the finding"]
+    assert shaded and all((p.get_x(), p.get_x() + p.get_width()) == WINDOWS[effect] for p in shaded)
+    assert "s of sweep_1" in " ".join(figure.get_suptitle().split())
 
 
 def test_misfit_is_least_at_the_delay():

@@ -101,6 +101,8 @@ def test_every_effect_has_its_law(effect):
     finding = replace(claims(diagnosis)[1], effect=effect, parameters=quantities(effect))
     text = page(replace(diagnosis, findings=(finding,)), "lbr", [])
     Reader(text)
+    timed = page(replace(diagnosis, findings=(replace(finding, trajectory="run_3", window=(8.0, 14.0)),)), "lbr", [])
+    assert timed.count("8.00 to 14.0 s of run_3") == 2 and " s of run_3" not in text
     if effect in EFFECTS:
         assert f'<p class="law">{EFFECTS[effect].law}</p>' in text
 

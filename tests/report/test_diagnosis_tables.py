@@ -9,7 +9,7 @@ from rich.console import Console
 from invdyn_cli.report.diagnosis_tables import error_table, finding_table, verdict_line
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import cause, claims, estimates, joints_of, place, rivals_of
+from invdyn_cli.report.wording import cause, claims, estimates, headline_of, joints_of, place, rivals_of, when
 from invdyn_cli.types import Finding, Gain, Quantity
 from tests.diagnoses import JOINTS, log_unusable, make_diagnosis, nothing_found
 
@@ -36,6 +36,20 @@ def test_ambiguous_causes_say_or():
     cause, joint, *_ = finding_table(make_diagnosis()).columns
     said = "Torque offset or asymmetric Coulomb friction or joint spring + Coulomb friction"
     assert str(list(cause.cells)[-1]) == said and str(list(joint.cells)[-1]) == "joint6\nambiguous"
+
+
+def test_a_window_is_told():
+    """What comes and goes is told with its trajectory and its window, in the table and in the headline; what lasts with
+    none."""
+    gain = {"gain": Quantity(0.8, "-", (0.79, 0.81))}
+    finding = Finding("torque_gain_change", "joint2", "named", parameters=gain)
+    timed = replace(finding, trajectory="trajectory_1", window=(8.0, 14.0))
+    assert (when(finding), when(timed)) == ("", "8.00 to 14.0 s of trajectory_1")
+    text = printed(finding_table(replace(make_diagnosis(), findings=(timed,))))
+    assert "8.00 to 14.0 s of trajectory_1" in " ".join(text.split())
+    said = headline_of(timed).replace("\N{NO-BREAK SPACE}", " ")
+    assert said == "torque gain change, gain 0.800 [0.790, 0.810], 8.00 to 14.0 s of trajectory_1"
+    assert " s of " not in headline_of(finding).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_many_rivals_are_counted():
