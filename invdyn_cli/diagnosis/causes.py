@@ -159,6 +159,7 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
         trials = [p for p in effect.shapes(tau.ravel(), rate) if all(v > 0 for v in p.values())]
         trials = [cause.parameters] if exact and cause.parameters is not None else trials
         made = [np.stack([x - np.asarray(effect.delivered(p, x, rate)) for x in tau]) for p in trials]
+        made = made or [np.zeros_like(tau)]  # a joint without torque has nothing to cut off
         return [([{joint: x}], np.zeros(1)) for x in made]
     if isinstance(effect, AbstractGearEffect):
         return _gear_columns(robot, cause, scenes, exact)

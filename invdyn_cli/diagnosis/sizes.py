@@ -117,6 +117,11 @@ def unplayable(effect: AbstractEffect, parameters: Parameters | None = None) -> 
     return ""
 
 
+def left_out(effect: AbstractEffect, why: str) -> str:
+    """That an effect is left out of a design, and what would tell it from others."""
+    return f"{effect.title}: {why}" + (f"; what would tell: {effect.advice}" if effect.advice else "")
+
+
 def refused(effect: AbstractEffect, parameters: Parameters) -> str:
     """Why these are no parameters of an effect, "" if they are: a name that lacks, no number, too few of them, or
     beyond what is physics."""
