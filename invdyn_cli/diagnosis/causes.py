@@ -5,7 +5,7 @@ Sizes are those that were given or estimated; where there are none, those of `si
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import jax.numpy as jnp
@@ -78,12 +78,13 @@ class Usual:
 @dataclass(frozen=True)
 class Scenes:
     """Motions (n, S, L) of S scenes of L samples at `rate` [Hz], `t` (S, L) [s] since the recording began, and the
-    nominal torque (n, S, L)."""
+    nominal torque (n, S, L); `kept`: what was worked out for a joint."""
 
     t: np.ndarray
     motion: Motion
     torque: np.ndarray
     rate: float
+    kept: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, compare=False)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -236,13 +237,16 @@ def _behind_gear(
 
 
 def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle."""
+    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; kept."""
+    if joint in scenes.kept:
+        return scenes.kept[joint]
     flat, own = _flat(scenes), (np.arange(robot.dofs) == joint)[:, None]
     mass = inertia_column(robot, flat.q, joint)
     mass[joint] = np.maximum(mass[joint], LEAST_INERTIA)
     turned = rigid_torque(robot, replace(flat, q=flat.q + ANGLE_STEP * own))
     slope = (turned.reshape(scenes.shape) - scenes.torque) / ANGLE_STEP
-    return mass.reshape(scenes.shape), slope
+    scenes.kept[joint] = mass.reshape(scenes.shape), slope
+    return scenes.kept[joint]
 
 
 def _torque_columns(

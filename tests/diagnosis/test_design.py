@@ -120,8 +120,9 @@ def test_every_lasting_effect_has_a_typical_size(arm):
         if effect.passing:
             continue
         joint = None if effect.name in ("payload", "base_tilt") else 1
-        made = Cause(effect, joint, typical(effect, joint, arm, usual, 30.0))
-        assert refused(effect, made.parameters) == ""
+        parameters = typical(effect, joint, arm, usual, 30.0)
+        assert refused(effect, parameters) == ""
+        made = Cause(effect, joint, parameters)
         own = term(arm, made, scenes)
         for column in (own, *columns(arm, made, scenes, usual.torque)[-1][0]):
             assert np.isfinite(np.stack(list(column.values()))).all()
