@@ -133,7 +133,7 @@ def _with_size(cause: Cause, robot: Robot, usual: Usual, duration: float, scenes
         return cause
     parameters = typical(cause.effect, cause.joint, robot, usual, duration)
     made = replace(cause, parameters=parameters)
-    if size is None or not isinstance(cause.effect, AbstractTorqueEffect):
+    if not size or not isinstance(cause.effect, AbstractTorqueEffect):
         return made
     ratio = size / max(_rms(term(robot, made, scenes)), 1e-12)
     kept = (*cause.effect.shape_of(parameters), "phase", "rest")

@@ -311,7 +311,8 @@ def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usua
         unit[j] = 1.0
         inertia[j] = np.median((rigid_torque(robot, Motion(q, still, unit)) - weight)[j])
     pull = inertia * design_family.ACCELERATION * speed
-    allowed = room_of(robot, np.abs(weight).max(axis=1) + pull)
+    strongest = np.abs(weight).max(axis=1) + pull
+    allowed = room_of(robot, np.maximum(strongest, 1e-6 * strongest.max()))  # a last link may have no mass
     usual = np.hypot(np.sqrt(np.mean(weight**2, axis=1)), 0.15 * pull)
     usual = np.maximum(usual, LEAST * usual.max())
     return allowed, Usual(usual, speed, inertia, 2 * half, middle), Postures(q, weight)

@@ -106,12 +106,14 @@ def typical(effect: AbstractEffect, joint: int | None, robot: Robot, usual: Usua
     return SIZES[effect.name](ordinary)
 
 
-def unplayable(effect: AbstractEffect, parameters: Parameters | None = None) -> str:
-    """Why no motion can be designed for an effect, "" if one can."""
+def unplayable(effect: AbstractEffect, robot: Robot, parameters: Parameters | None = None) -> str:
+    """Why no motion can be designed for an effect on a robot, "" if one can."""
     if effect.passing:
         return "it comes and goes, and no motion makes it come again"
     if effect.point not in POINTS:
         return f"it acts at the {effect.point}, which no motion asks for"
+    if effect.name == "base_tilt" and not np.any(robot.gravity):
+        return f"nothing pulls at {robot.name}"
     if parameters is None and effect.name not in SIZES:
         return "its usual size is not known"
     return ""
@@ -145,8 +147,6 @@ def _link(own: np.ndarray) -> dict[str, Any]:
 
 def _tilt(robot: Robot) -> dict[str, float]:
     """Gravity turned by 0.05 rad from where the model has it."""
-    if not np.any(robot.gravity):
-        return {"angle": 0.05, "azimuth": 0.0}
     down = np.asarray(robot.gravity) / float(np.linalg.norm(robot.gravity))
     side = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
     down = down + 0.05 * (side / float(np.linalg.norm(side)))

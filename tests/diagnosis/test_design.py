@@ -116,7 +116,7 @@ def test_every_lasting_effect_has_a_typical_size(arm):
     gestures = [drawn(draw, allowed, [1], 2.0, postures) for _ in range(12)]
     scenes = scenes_of(arm, [motion_of(g, allowed, 100.0) for g in gestures], np.arange(12.0), 100.0)
     for effect in EFFECTS.values():
-        assert bool(unplayable(effect)) == effect.passing
+        assert bool(unplayable(effect, arm)) == effect.passing
         if effect.passing:
             continue
         joint = None if effect.name in ("payload", "base_tilt") else 1

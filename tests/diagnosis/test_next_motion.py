@@ -139,3 +139,17 @@ def test_a_diagnosis_without_noise_or_filter_gets_a_motion(arm, monkeypatch):
     monkeypatch.setattr(next_motion, "TRIES", 0)
     bare = replace(diagnosis(arm, LATE), details={"noise_N_m": {"arm_joint_1": float("nan")}})
     assert after(bare, arm, duration=8.0)[1] is not None
+
+
+@pytest.mark.parametrize("lacks", ["gravity", "mass"])
+def test_a_bare_arm_gets_a_motion(arm, monkeypatch, lacks):
+    """Where nothing pulls at the arm, or its last link has no mass, what can be told apart is, without a warning; a
+    tilt that nothing shows is left out."""
+    monkeypatch.setattr(next_motion, "TRIES", 0)
+    bare = {"gravity": np.zeros(3)} if lacks == "gravity" else {"inertial": np.asarray(arm.inertial) * [[1], [0]]}
+    names = ("backlash", "joint_elasticity", "torque_saturation", "presliding_hysteresis", "base_tilt")
+    one = replace(LATE, alternatives=(*LATE.alternatives, *((x,) for x in names)))
+    with np.errstate(all="raise", under="ignore"):
+        advised, made = after(diagnosis(arm, one), replace(arm, **bare), duration=8.0)
+    assert made is not None and np.isfinite([p.distance for p in made.pairs]).all()
+    assert ("nothing pulls" in advised.findings[0].advice) == (lacks == "gravity")
