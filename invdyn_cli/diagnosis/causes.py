@@ -1,27 +1,32 @@
 """Causes that a design is to tell apart: what each adds to the torque along a motion, and the columns by which it would
 imitate another.
 
-Sizes are those that were given or estimated; where there are none, typical ones: shares of the torque that the joint
-has anyway.
+Sizes are those that were given or estimated; where there are none, those of `sizes`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.candidates import body_columns, gravity_columns
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME
-from invdyn_cli.diagnosis.naming import TYPICAL_STRIBECK, TYPICAL_VELOCITY
-from invdyn_cli.effects.composition import Acting, changed, chunked, kinematics_of, rigid_torque, sign_of
-from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.effects.composition import (
+    Acting,
+    changed,
+    chunked,
+    inertia_column,
+    kinematics_of,
+    rigid_torque,
+    sign_of,
+)
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractEffect,
+    AbstractGearEffect,
     AbstractMotionEffect,
     AbstractTorqueEffect,
     JointState,
@@ -29,11 +34,14 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.types import Motion, Robot
 
-SHARE = 0.08
-"""Of a joint's usual torque, what a typical effect adds to it."""
-
 OFFSET_STEP = 1e-3
 """[rad] Step of the slope of an encoder's zero."""
+
+ANGLE_STEP = 1e-3
+"""[rad; m] Step of the slope of a torque over a joint's angle."""
+
+LEAST_INERTIA = 1e-6
+"""[kg m^2; kg] that a joint is taken to carry at least: behind a gear a link without mass would be nowhere."""
 
 CYCLES = (6.0, 12.0, 24.0, 48.0)
 """[1/rev] Ripples to try where none was found."""
@@ -70,12 +78,13 @@ class Usual:
 @dataclass(frozen=True)
 class Scenes:
     """Motions (n, S, L) of S scenes of L samples at `rate` [Hz], `t` (S, L) [s] since the recording began, and the
-    nominal torque (n, S, L)."""
+    nominal torque (n, S, L); `kept`: what was worked out for a joint."""
 
     t: np.ndarray
     motion: Motion
     torque: np.ndarray
     rate: float
+    kept: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, compare=False)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -122,6 +131,9 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
         assert joint is not None
         tau = scenes.torque[joint]
         return {joint: np.stack([np.asarray(effect.logged(parameters, x, scenes.rate)) - x for x in tau])}
+    if isinstance(effect, AbstractGearEffect):
+        assert joint is not None
+        return _behind_gear(effect, parameters, joint, scenes, _answers(robot, joint, scenes))
     flat, shape = _flat(scenes), scenes.shape
     moved = rigid_torque(*changed(robot, (Acting(effect, joint, parameters),), flat)).reshape(shape)
     return dict(enumerate(moved - scenes.torque))
@@ -148,7 +160,10 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
         trials = [p for p in effect.shapes(tau.ravel(), rate) if all(v > 0 for v in p.values())]
         trials = [cause.parameters] if exact and cause.parameters is not None else trials
         made = [np.stack([x - np.asarray(effect.delivered(p, x, rate)) for x in tau]) for p in trials]
+        made = made or [np.zeros_like(tau)]  # a joint without torque has nothing to cut off
         return [([{joint: x}], np.zeros(1)) for x in made]
+    if isinstance(effect, AbstractGearEffect):
+        return _gear_columns(robot, cause, scenes, exact)
     flat, shape = _flat(scenes), scenes.shape
     if isinstance(effect, AbstractMotionEffect):
         assert joint is not None
@@ -185,66 +200,53 @@ def link_columns(robot: Robot, joint: int, scenes: Scenes) -> tuple[list[Column]
     return body(robot, directions, _flat(scenes), scenes.shape), 1 / np.maximum(scales, 1e-9) ** 2
 
 
-def typical(effect: AbstractEffect, joint: int | None, robot: Robot, usual: Usual, duration: float) -> dict[str, Any]:
-    """Parameters of a typical size.
-
-    Raises:
-        UsageError: for an effect whose usual size is not known here.
-    """
-    j = 0 if joint is None else joint
-    level, speed, span = SHARE * usual.torque[j], 0.3 * usual.speed[j], usual.range[j]
-    sizes: dict[str, dict[str, Any]] = {
-        "viscous_friction": {"damping": level / speed},
-        "coulomb_friction": {"coulomb": level},
-        "asymmetric_coulomb_friction": {"positive": 1.4 * level, "negative": 0.6 * level},
-        "stribeck_friction": {"coulomb": level, "static": TYPICAL_STRIBECK * level, "velocity": TYPICAL_VELOCITY},
-        "load_dependent_friction": {"mu": 0.1},
-        "quadratic_friction": {"drag": level / speed**2},
-        "thermal_friction_drift": {"cold": 1.5 * level / speed, "warm": level / speed, "time_constant": duration / 3},
-        "torque_ripple": {"amplitude": level, "cycles": CYCLES[1], "phase": 0.5},
-        "joint_spring": {"stiffness": 4 * level / span, "rest": usual.middle[j]},
-        "rotor_inertia": {"armature": 0.15 * usual.inertia[j]},
-        "torque_gain_error": {"gain": 0.9},
-        "torque_offset": {"offset": level},
-        "torque_delay": {"delay": 0.01},
-        "actuator_lag": {"time_constant": 0.01},
-        "torque_saturation": {"limit": 1.5 * usual.torque[j]},
-        "base_tilt": _tilt(robot),
-        "encoder_offset": {"offset": 0.03},
-    }
-    inertial = np.asarray(robot.inertial)
-    mass = 0.05 * float(inertial[:, 0].sum())
-    sizes["payload"] = {"mass": mass, "com": np.array([0.02, 0.0, 0.05]), "inertia": np.zeros(6)}
-    sizes["link_inertia_error"] = dict(
-        zip(("mass", "moment", "inertia"), np.split(0.2 * inertial[j], [1, 4]), strict=True)
-    )
-    sizes["link_inertia_error"]["mass"] = float(0.2 * inertial[j, 0])
-    if effect.name not in sizes:
-        raise UsageError(
-            f"{effect.name} has no typical size",
-            advice=f"its parameters: {listed(effect.parameters)}, in its units",
-        )
-    return sizes[effect.name]
-
-
-def _tilt(robot: Robot) -> dict[str, float]:
-    """Gravity turned by 0.05 rad from where the model has it."""
-    down = np.asarray(robot.gravity) / max(float(np.linalg.norm(robot.gravity)), 1e-9)
-    side = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
-    down = down + 0.05 * (side / max(float(np.linalg.norm(side)), 1e-9))
-    down = down / np.linalg.norm(down)
-    return {"angle": float(np.arccos(np.clip(-down[2], -1, 1))), "azimuth": float(np.arctan2(down[1], down[0]))}
-
-
 def _shapes(cause: Cause, state: JointState, exact: bool) -> Sequence[Parameters]:
     effect = cause.effect
     assert isinstance(effect, AbstractTorqueEffect)
     if exact and cause.parameters is not None:
-        return [{name: cause.parameters[name] for name in effect.nonlinear}]
+        return [effect.shape_of(cause.parameters)]
     if effect.name == "torque_ripple":
         own = [cause.parameters["cycles"]] if cause.parameters else []
         return [{"cycles": c} for c in dict.fromkeys((*own, *CYCLES))]
     return effect.shapes(state)
+
+
+def _gear_columns(robot: Robot, cause: Cause, scenes: Scenes, exact: bool) -> list[Trial]:
+    """A column for every softness to try; a factor makes up for what lies between them."""
+    effect, joint = cause.effect, cause.joint
+    assert isinstance(effect, AbstractGearEffect) and joint is not None
+    answers = _answers(robot, joint, scenes)
+    load, inertia = scenes.torque[joint].ravel(), answers[0][joint].ravel()
+    shapes = effect.shapes(load, inertia, scenes.rate)
+    shapes = [cause.parameters] if exact and cause.parameters is not None else shapes
+    return [([_behind_gear(effect, p, joint, scenes, answers)], np.zeros(1)) for p in shapes]
+
+
+def _behind_gear(
+    effect: AbstractGearEffect, parameters: Parameters, joint: int, scenes: Scenes, answers: tuple
+) -> Column:
+    """What a gear that yields changes of the torques: a straight line of the link's angle and acceleration against
+    the motor's. A scene begins with the gear loaded."""
+    mass, slope = answers
+    each = [
+        effect.deflection(parameters, load, inertia, scenes.rate)
+        for load, inertia in zip(scenes.torque[joint], mass[joint], strict=True)
+    ]
+    b, b2 = (np.stack(x) for x in zip(*each, strict=True))
+    return dict(enumerate(mass * b2 + slope * b))
+
+
+def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
+    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; kept."""
+    if joint in scenes.kept:
+        return scenes.kept[joint]
+    flat, own = _flat(scenes), (np.arange(robot.dofs) == joint)[:, None]
+    mass = inertia_column(robot, flat.q, joint)
+    mass[joint] = np.maximum(mass[joint], LEAST_INERTIA)
+    turned = rigid_torque(robot, replace(flat, q=flat.q + ANGLE_STEP * own))
+    slope = (turned.reshape(scenes.shape) - scenes.torque) / ANGLE_STEP
+    scenes.kept[joint] = mass.reshape(scenes.shape), slope
+    return scenes.kept[joint]
 
 
 def _torque_columns(

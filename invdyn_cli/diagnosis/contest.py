@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from invdyn_cli.diagnosis.causes import SHARE, Cause, Column, Scenes, Usual, columns, link_columns, term, typical
+from invdyn_cli.diagnosis.causes import Cause, Column, Scenes, Usual, columns, link_columns, term
 from invdyn_cli.diagnosis.evidence import REST_SPEED
+from invdyn_cli.diagnosis.sizes import SHARE, typical
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import AbstractTorqueEffect
 from invdyn_cli.types import Robot
@@ -132,10 +133,11 @@ def _with_size(cause: Cause, robot: Robot, usual: Usual, duration: float, scenes
         return cause
     parameters = typical(cause.effect, cause.joint, robot, usual, duration)
     made = replace(cause, parameters=parameters)
-    if size is None or not isinstance(cause.effect, AbstractTorqueEffect):
+    if not size or not isinstance(cause.effect, AbstractTorqueEffect):
         return made
     ratio = size / max(_rms(term(robot, made, scenes)), 1e-12)
-    linear = [k for k in parameters if k not in (*cause.effect.nonlinear, "phase", "rest")]
+    kept = (*cause.effect.shape_of(parameters), "phase", "rest")
+    linear = [k for k in parameters if k not in kept]
     return replace(cause, parameters={**parameters, **{k: ratio * parameters[k] for k in linear}})
 
 
@@ -238,8 +240,9 @@ def _lowpass(cutoff: float, rate: float) -> np.ndarray:
 
 
 def _nuisances(true: Side, rival: Side) -> list[Cause]:
-    """What is allowed for on the joints of two sides, but for what one of them is, or is a case of."""
-    taken = {(name, c.joint) for c in (*true, *rival) for name in (c.effect.name, *c.effect.contains)}
+    """What is allowed for on the joints of two sides, but for what one of them is, or the rival holds."""
+    taken = {(name, c.joint) for c in rival for name in (c.effect.name, *c.effect.contains)}
+    taken |= {part for part in _parts(true)}
     joints = {c.joint for c in (*true, *rival) if c.joint is not None}
     return [Cause(EFFECTS[x], j) for j in sorted(joints) for x in NUISANCES if (x, j) not in taken]
 

@@ -14,7 +14,17 @@ import numpy as np
 from invdyn_cli.diagnosis import contest, design_family
 from invdyn_cli.diagnosis.causes import Cause, Scenes, Usual, scenes_of
 from invdyn_cli.diagnosis.contest import Contest, Pair, Side
-from invdyn_cli.diagnosis.design_family import Gesture, Room, drawn, joined, motion_of, room_of, seconds_between, varied
+from invdyn_cli.diagnosis.design_family import (
+    Gesture,
+    Postures,
+    Room,
+    drawn,
+    joined,
+    motion_of,
+    room_of,
+    seconds_between,
+    varied,
+)
 from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import Progress, silent
@@ -62,8 +72,8 @@ BAND = 20.0
 NOISE = 0.01
 """Share of its usual torque that a joint's noise has where none is given."""
 
-POSTURES = 512
-"""Postures at random from which a joint's usual torque is taken."""
+POSTURES = 2048
+"""Postures at random from which a joint's usual torque is taken, and those where it bears none, or much."""
 
 
 @dataclass(frozen=True)
@@ -137,9 +147,9 @@ def design(
     if not np.isfinite(duration) or duration < 5.0:
         raise UsageError(f"duration={duration:g} s; allowed: from 5 s")
     draw = np.random.default_rng(seed)
-    allowed, usual = _room_and_usual(robot, draw)
+    allowed, usual, postures = _room_and_usual(robot, draw)
     start = (allowed.lower + allowed.upper) / 2
-    library, scenes = _library(robot, allowed, _joints(robot, questions), duration, draw)
+    library, scenes = _library(robot, allowed, postures, _joints(robot, questions), duration, draw)
     questions = contest.sized(questions, robot, usual, duration, scenes)
     made = _contest(robot, questions, known, usual, noise, cutoffs)
     evaluation = contest.evaluated(made, scenes)
@@ -263,10 +273,10 @@ def _greedy(made: Contest, evaluation, possible: np.ndarray, count: int, library
 
 
 def _library(
-    robot: Robot, allowed: Room, joints: Sequence[int], duration: float, draw: np.random.Generator
+    robot: Robot, allowed: Room, postures: Postures, joints: Sequence[int], duration: float, draw: np.random.Generator
 ) -> tuple[list[Gesture], Scenes]:
     """Gestures at random whose nominal torque has room, and their scenes, some time in the recording."""
-    made = [drawn(draw, allowed, joints, GESTURE) for _ in range(LIBRARY)]
+    made = [drawn(draw, allowed, joints, GESTURE, postures) for _ in range(LIBRARY)]
     starts = draw.uniform(0, duration, LIBRARY)
     scenes = scenes_of(robot, [motion_of(g, allowed, RATE) for g in made], starts, RATE)
     kept = np.flatnonzero(np.all(np.abs(scenes.torque).max(axis=2) <= allowed.torque[:, None], axis=0))
@@ -280,14 +290,17 @@ def _library(
 
 def _contest(robot: Robot, questions, known, usual: Usual, noise, cutoffs) -> Contest:
     n = robot.dofs
-    own = NOISE * usual.torque if noise is None else np.broadcast_to(np.asarray(noise, float), (n,))
+    usual_noise = NOISE * usual.torque
+    own = usual_noise if noise is None else np.broadcast_to(np.asarray(noise, float), (n,))
+    own = np.where(np.isfinite(own) & (own >= 0), own, usual_noise)
     bands = np.full(n, BAND) if cutoffs is None else np.asarray(cutoffs, float)
+    bands = np.where(np.isfinite(bands) & (bands > 0), bands, BAND)  # a joint that was held has none
     variance = own**2 + (contest.MODEL_ERROR * usual.torque) ** 2
     weights = 2 * bands / RATE / variance
     return Contest(robot, questions, known, usual, weights, bands, contest.pairs_of(questions))
 
 
-def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usual]:
+def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usual, Postures]:
     middle, half, speed = room(robot)
     q = draw.uniform((middle - half)[:, None], (middle + half)[:, None], (robot.dofs, POSTURES))
     still = np.zeros_like(q)
@@ -298,10 +311,11 @@ def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usua
         unit[j] = 1.0
         inertia[j] = np.median((rigid_torque(robot, Motion(q, still, unit)) - weight)[j])
     pull = inertia * design_family.ACCELERATION * speed
-    allowed = room_of(robot, np.abs(weight).max(axis=1) + pull)
+    strongest = np.abs(weight).max(axis=1) + pull
+    allowed = room_of(robot, np.maximum(strongest, 1e-6 * strongest.max()))  # a last link may have no mass
     usual = np.hypot(np.sqrt(np.mean(weight**2, axis=1)), 0.15 * pull)
     usual = np.maximum(usual, LEAST * usual.max())
-    return allowed, Usual(usual, speed, inertia, 2 * half, middle)
+    return allowed, Usual(usual, speed, inertia, 2 * half, middle), Postures(q, weight)
 
 
 def _joints(robot: Robot, questions: Sequence[Sequence[Side]]) -> list[int]:

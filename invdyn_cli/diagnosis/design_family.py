@@ -1,19 +1,24 @@
 """The motions that a design chooses from: gestures that begin and end at rest in one posture, and how they are joined.
 
 A gesture is about two seconds long, so that many fit into a recording and every block of it shows something. Its kinds
-are what tells causes apart: multisines (Swevers et al. 1997) for bodies, sweeps at constant speeds for friction, small
-swings for what happens near a reversal, chirps for what comes late.
+are what tells causes apart: multisines (Swevers et al. 1997) for bodies, sweeps at constant speeds for friction,
+reversals of milliradians for bristles and play, slow and fast, where a joint bears no load and where it bears much,
+small swings for what is between, chirps for what comes late or yields.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Motion, Robot
 
-KINDS = ("multisine", "sweep", "swing", "chirp")
+KINDS = ("multisine", "sweep", "swing", "reversal", "chirp")
+
+OFTEN = (0.28, 0.24, 0.13, 0.2, 0.15)
+"""Shares of the kinds among gestures at random."""
 
 MARGIN = 0.06
 """Share of half a joint's range that is kept from its limits."""
@@ -30,8 +35,19 @@ ACCELERATION = 6.0
 SLOWEST_SWEEP, SLOWEST_SWING = 0.006, 0.002
 """Lowest speed of a sweep [rad/s; m/s]: below, a joint counts as resting. Smallest swing [rad; m]."""
 
-HIGHEST_CHIRP = 5.0
-"""[Hz] A reference above is not followed by a usual controller."""
+SMALLEST_REVERSAL, LARGEST_REVERSAL = 0.001, 0.03
+"""[rad; m] Way between two reversals: the bristles of a gear bend, and its play opens, over less."""
+
+FASTEST_REVERSAL = 4.0
+"""[Hz] of a way forth and back."""
+
+HIGHEST_CHIRP = 8.0
+"""[Hz] Far above, a usual controller does not follow a reference. Chirps are smaller the higher they are: each of their
+frequencies has what the joint's limits allow."""
+
+LOADED = 0.4, 0.8
+"""Of small gestures, the share that is where a joint bears next to no load; up to the second, that where it bears much;
+the rest is anywhere."""
 
 MOVE = 1.875
 """Highest speed of a minimum-jerk move, times its mean speed."""
@@ -70,6 +86,22 @@ class Room:
     torque: np.ndarray
 
 
+@dataclass(frozen=True)
+class Postures:
+    """Postures q (n, K) at random, and the torques (n, K) [N m; N] that hold them."""
+
+    q: np.ndarray
+    load: np.ndarray
+
+    def of(self, draw: np.random.Generator, joint: int) -> np.ndarray | None:
+        """A posture (n,) where a joint bears next to no load, or much; None: it may be any."""
+        style, some = draw.random(), draw.choice(self.q.shape[1], max(1, self.q.shape[1] // 8), replace=False)
+        load = np.abs(self.load[joint, some])
+        if style < LOADED[0]:
+            return self.q[:, some[np.argmin(load)]]
+        return self.q[:, some[np.argmax(load)]] if style < LOADED[1] else None
+
+
 def room_of(robot: Robot, strongest: np.ndarray) -> Room:
     """The room that a design leaves itself; `strongest` (n,) [N m; N] stands where a joint has no effort limit."""
     middle, half, speed = room(robot)
@@ -79,10 +111,12 @@ def room_of(robot: Robot, strongest: np.ndarray) -> Room:
     return Room(middle - inner, middle + inner, FASTEST * speed, ACCELERATION * speed, np.minimum(effort, strongest))
 
 
-def drawn(draw: np.random.Generator, allowed: Room, joints: Sequence[int], seconds: float) -> Gesture:
+def drawn(
+    draw: np.random.Generator, allowed: Room, joints: Sequence[int], seconds: float, postures: Postures
+) -> Gesture:
     """A gesture at random that moves some of these joints, or the whole arm."""
     n = len(allowed.lower)
-    kind = str(draw.choice(KINDS, p=(0.35, 0.3, 0.2, 0.15)))
+    kind = str(draw.choice(KINDS, p=OFTEN))
     moved = np.zeros(n, bool)
     style = draw.random()
     if style < 0.4:
@@ -92,9 +126,14 @@ def drawn(draw: np.random.Generator, allowed: Room, joints: Sequence[int], secon
     else:
         moved[list(joints)] = True
     reach = (allowed.upper - allowed.lower) / 2
-    largest = {"multisine": 0.9, "sweep": 0.9, "swing": 0.06, "chirp": 0.15}[kind]
-    size = largest * reach * np.exp(draw.uniform(np.log(0.1), 0.0, n)) * moved
-    return placed(Gesture(kind, np.zeros(n), size, draw.random((n, 12)), seconds), allowed, draw)
+    if kind == "reversal":
+        size = np.exp(draw.uniform(np.log(SMALLEST_REVERSAL), np.log(LARGEST_REVERSAL), n)) * moved
+    else:
+        largest = {"multisine": 0.9, "sweep": 0.9, "swing": 0.06, "chirp": 0.15}[kind]
+        size = largest * reach * np.exp(draw.uniform(np.log(0.1), 0.0, n)) * moved
+    made = placed(Gesture(kind, np.zeros(n), size, draw.random((n, 12)), seconds), allowed, draw)
+    at = postures.of(draw, int(draw.choice(list(joints)))) if kind in ("reversal", "swing") else None
+    return made if at is None else _moved_to(made, at, allowed)
 
 
 def placed(gesture: Gesture, allowed: Room, draw: np.random.Generator) -> Gesture:
@@ -104,14 +143,25 @@ def placed(gesture: Gesture, allowed: Room, draw: np.random.Generator) -> Gestur
     return replace(gesture, size=size, centre=draw.uniform(low, np.maximum(high, low)))
 
 
+def _moved_to(gesture: Gesture, centre: np.ndarray, allowed: Room) -> Gesture:
+    """The gesture in this posture, or the nearest that has room for it."""
+    low, high = allowed.lower + gesture.size, allowed.upper - gesture.size
+    return replace(gesture, centre=np.clip(centre, low, np.maximum(high, low)))
+
+
 def varied(gesture: Gesture, allowed: Room, draw: np.random.Generator) -> Gesture:
     """A gesture like this one: one of its features drawn anew."""
     feature = draw.integers(3)
+    small = gesture.kind in ("reversal", "swing")  # their posture is what they were chosen for
+    if feature == 0 and small:
+        step = draw.normal(0, 0.05, len(gesture.size)) * (allowed.upper - allowed.lower)
+        return _moved_to(gesture, gesture.centre + step, allowed)
     if feature == 0:
         return placed(gesture, allowed, draw)
     if feature == 1:
         size = gesture.size * np.exp(draw.normal(0, 0.5, len(gesture.size)))
-        return placed(replace(gesture, size=size), allowed, draw)
+        other = replace(gesture, size=np.minimum(size, (allowed.upper - allowed.lower) / 2))
+        return _moved_to(other, gesture.centre, allowed) if small else placed(other, allowed, draw)
     again = draw.random(gesture.numbers.shape) < 0.3
     return replace(gesture, numbers=np.where(again, draw.random(gesture.numbers.shape), gesture.numbers))
 
@@ -122,7 +172,9 @@ def motion_of(gesture: Gesture, allowed: Room, rate: float) -> Motion:
     count = max(8, round(gesture.seconds * rate))
     t = np.arange(count + 1) / rate
     takes = count / rate
-    shape = {"multisine": _multisine, "sweep": _sweep, "swing": _swing, "chirp": _chirp}[gesture.kind]
+    shape = {"multisine": _multisine, "sweep": _sweep, "swing": _swing, "reversal": _reversal, "chirp": _chirp}[
+        gesture.kind
+    ]
     x, x1, x2 = shape(gesture, allowed, t, takes)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.minimum.reduce(
@@ -253,13 +305,29 @@ def _swing(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
     return tuple(size * y for y in _windowed(s, s1, s2, _faded(t, takes, 0.15 * takes)))
 
 
+def _reversal(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
+    """Forth and back over its size at constant speed; numbers: how often, in the logarithm between once and
+    FASTEST_REVERSAL (but no slower than SLOWEST_SWEEP), sign."""
+    out = np.zeros((3, len(g.size), len(t)))
+    for j in np.flatnonzero(g.size > 0):
+        most = max(1.0, FASTEST_REVERSAL * takes)
+        least = min(max(1.0, SLOWEST_SWEEP * takes / (2 * g.size[j])), most)
+        times = round(least * (most / least) ** g.numbers[j, 0])
+        speed = 2 * g.size[j] * times / takes
+        out[:, j] = _back_and_forth(t, takes, speed, times, 1.0 if g.numbers[j, 1] < 0.5 else -1.0)
+    return out
+
+
 def _chirp(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
-    """A frequency that rises; numbers: lowest (0.5 to 2 Hz), highest (up to HIGHEST_CHIRP), phase."""
+    """A frequency that rises, as large as speed and acceleration let it be; numbers: lowest (0.5 to 2 Hz), highest (up
+    to HIGHEST_CHIRP), phase."""
     low = 0.5 + 1.5 * g.numbers[:, 0:1]
     high = low + (HIGHEST_CHIRP - low) * g.numbers[:, 1:2]
     rise = (high - low) / takes
     angle = 2 * np.pi * (low * t + rise * t**2 / 2 + g.numbers[:, 2:3])
-    omega, bend = 2 * np.pi * (low + rise * t), 2 * np.pi * rise
-    s, s1 = np.sin(angle), omega * np.cos(angle)
-    s2 = bend * np.cos(angle) - omega**2 * np.sin(angle)
-    return tuple(g.size[:, None] * y for y in _windowed(s, s1, s2, _faded(t, takes, 0.2 * takes)))
+    omega = 2 * np.pi * (low + rise * t)
+    limits = [np.maximum(x, 1e-9)[:, None] for x in (g.size, 0.9 * allowed.speed, 0.8 * allowed.acceleration)]
+    size = np.sum([(omega**k / x) ** 4 for k, x in enumerate(limits)], axis=0) ** -0.25  # nearly the least of the three
+    fade, *_ = _faded(t, takes, 0.2 * takes)
+    spline = make_interp_spline(t, size * fade * np.sin(angle), k=5, axis=1)
+    return tuple(spline(t, k) for k in range(3))

@@ -15,7 +15,8 @@ from invdyn_cli import store
 from invdyn_cli.diagnosis.causes import Cause
 from invdyn_cli.diagnosis.contest import Side
 from invdyn_cli.diagnosis.design import APART, Design, Told, design
-from invdyn_cli.diagnosis.next_motion import cause_of, open_questions, words
+from invdyn_cli.diagnosis.next_motion import all_open, cause_of, words
+from invdyn_cli.diagnosis.sizes import left_out, refused, unplayable
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.report import excitation
@@ -30,6 +31,9 @@ TRAJECTORY, DESIGN, FIGURE = "trajectory.csv", "design.json", "trajectory.png"
 
 SCHEMA = "invdyn-design/1"
 
+LONGEST, FASTEST = 600.0, 2000.0
+"""[s] and [Hz] of a trajectory, at most: what a search holds in memory."""
+
 
 def main(argv: Sequence[str]) -> int:
     """Design with the overrides in argv; the exit code."""
@@ -41,27 +45,33 @@ def task(config: DictConfig) -> None:
     execute(config, Path(job().runtime.output_dir), Console())
 
 
-def execute(config: DictConfig, folder: Path, console: Console) -> Design:
+def execute(config: DictConfig, folder: Path, console: Console) -> Design | None:
     """Config -> questions -> trajectory.csv, trajectory.png and design.json in `folder`; tells on `console` what the
-    trajectory tells apart."""
+    trajectory tells apart. None, and no trajectory: no motion can be designed for what is asked."""
     screen.use_compilation_cache()
-    for name, low in (("duration", 5.0), ("rate", 20.0)):
-        _refuse_number(config, name, low)
+    for name, low, high in (("duration", 5.0, LONGEST), ("rate", 20.0, FASTEST)):
+        _refuse_number(config, name, low, high)
     if not isinstance(config.seed, int) or isinstance(config.seed, bool) or config.seed < 0:
         raise UsageError(f"seed={config.seed}; allowed: a whole number from 0")
     robot = make_robot(config, None, optional=False, console=console)
     assert robot is not None  # make_robot refuses a config without a robot
-    questions = questions_of(config, robot)
+    questions, said = questions_of(config, robot)
     known = [_cause(x, robot, "known") for x in _listed(config, "known")]
+    noise = noise_of(config, robot)
+    for line in said:
+        console.print(f"[yellow]{escape(line)}[/]", highlight=False)
+    if not questions:
+        console.print("No motion was designed.", highlight=False)
+        return None
     with screen.stages(quiet=console.quiet) as stage:
         made = design(
             robot,
             questions,
             duration=float(config.duration),
             rate=float(config.rate),
-            noise=noise_of(config, robot),
+            noise=noise,
             seed=config.seed,
-            known=known,
+            known=[x for x in known if isinstance(x, Cause)],
             progress=stage("design"),
         )
     write(made, folder)
@@ -72,35 +82,41 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Design:
     return made
 
 
-def questions_of(config: DictConfig, robot: Robot) -> list[tuple[Side, ...]]:
-    """What is to be told apart, from `effects` or from a diagnosis."""
+def questions_of(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ...]], list[str]]:
+    """What is to be told apart, from `effects` or from a diagnosis, and a line for all for which no motion can be
+    designed."""
     effects = _listed(config, "effects")
     if effects and config.diagnosis is not None:
         raise UsageError("effects and diagnosis; allowed: one of them")
-    if config.diagnosis is None:
-        if config.finding is not None:
-            raise UsageError(f"finding={config.finding} of no diagnosis", advice="diagnosis=FOLDER/diagnosis.json")
-        if len(effects) < 2:
-            got = f"effects: {len(effects)} to tell apart; allowed: two or more"
-            raise UsageError(got, advice="'effects=[{effect: viscous_friction, joint: …}, {effect: torque_delay, …}]'")
-        return [tuple((_cause(x, robot, "effects"),) for x in effects)]
-    findings = findings_of(Path(str(config.diagnosis)))
-    numbers = range(len(findings))
+    if config.diagnosis is not None:
+        return _of_diagnosis(config, robot)
     if config.finding is not None:
-        if not isinstance(config.finding, int) or not 1 <= config.finding <= len(findings):
-            raise UsageError(f"finding={config.finding}; allowed: 1 to {len(findings)}")
-        numbers = [config.finding - 1]
+        raise UsageError(f"finding={config.finding} of no diagnosis", advice="diagnosis=FOLDER/diagnosis.json")
+    if len(effects) < 2:
+        got = f"effects: {len(effects)} to tell apart; allowed: two or more"
+        raise UsageError(got, advice="'effects=[{effect: viscous_friction, joint: …}, {effect: torque_delay, …}]'")
+    made = [_cause(x, robot, "effects") for x in effects]
+    sides = tuple((x,) for x in made if isinstance(x, Cause))
+    return [sides] if len(sides) > 1 else [], [x for x in made if isinstance(x, str)]
+
+
+def _of_diagnosis(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ...]], list[str]]:
+    findings = findings_of(Path(str(config.diagnosis)))
+    number = config.finding
+    if number is not None and (type(number) is not int or not 1 <= number <= len(findings)):
+        raise UsageError(f"finding={number}; allowed: 1 to {len(findings)}")
     for one in findings:
         if one.joint is not None and one.joint not in robot.joints:
             got = f"{config.diagnosis} has a joint {one.joint!r}; allowed: {listed(robot.joints)}"
             raise UsageError(got, advice="robot=urdf robot.path=… of the arm that was diagnosed")
-    questions = [x.sides for x in open_questions(findings, robot) if x.finding in numbers]
-    if not questions:
-        said = [f"{k + 1} {f.effect} ({f.status})" for k, f in enumerate(findings)]
+    asked = [x for x in all_open(findings, robot) if number in (None, x.finding + 1)]
+    asked = [x for x in asked if x.playable or x.said or x.notes]
+    if not asked:
+        told = [f"{k + 1} {f.effect} ({f.status})" for k, f in enumerate(findings)]
         raise UsageError(
-            f"{config.diagnosis}: nothing to tell apart among {listed(said)}; allowed: an ambiguous finding"
+            f"{config.diagnosis}: nothing to tell apart among {listed(told)}; allowed: an ambiguous finding"
         )
-    return questions
+    return [x.sides for x in asked if x.playable], [line for x in asked for line in (*x.said, *x.notes)]
 
 
 def findings_of(path: Path) -> list[Finding]:
@@ -113,23 +129,28 @@ def findings_of(path: Path) -> list[Finding]:
         tree = json.loads(path.read_text(encoding="utf-8"))
         if tree.get("schema") != store.DIAGNOSIS_SCHEMA:
             raise ValueError(f"schema {tree.get('schema')!r}")
-        return [
-            Finding(
-                effect=one["effect"],
-                joint=one["joint"],
-                status=one["status"],
-                alternatives=tuple(map(tuple, one["alternatives"])),
-                parameters={k: Quantity(v["value"], v["unit"]) for k, v in one["parameters"].items()},
-                evidence=one.get("evidence", {}),
-                advice=one.get("advice", ""),
-            )
-            for one in tree["findings"]
-            if one["status"] in ("named", "ambiguous")
-        ]
+        return [_finding(one) for one in tree["findings"] if one["status"] in ("named", "ambiguous")]
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}", advice="the diagnosis.json of `invdyn diagnose`") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{path}: {error}; allowed: a file of schema {store.DIAGNOSIS_SCHEMA}") from error
+
+
+def _finding(one: Mapping[str, Any]) -> Finding:
+    """A claim as diagnosis.json has it; ValueError, TypeError, KeyError or AttributeError for what is none."""
+    alternatives = tuple(map(tuple, one["alternatives"]))
+    for name in (one["effect"], *(x for names in alternatives for x in names)):
+        if not isinstance(name, str):
+            raise ValueError(f"a finding names {name!r}")
+    return Finding(
+        effect=one["effect"],
+        joint=one["joint"],
+        status=one["status"],
+        alternatives=alternatives,
+        parameters={k: Quantity(v["value"], v["unit"]) for k, v in one["parameters"].items()},
+        evidence=dict(one.get("evidence", {})),
+        advice=str(one.get("advice", "")),
+    )
 
 
 def noise_of(config: DictConfig, robot: Robot) -> np.ndarray | float | None:
@@ -235,8 +256,8 @@ def _listed(config: DictConfig, name: str) -> list[Any]:
     return value
 
 
-def _cause(one: Any, robot: Robot, option: str) -> Cause:
-    """A cause as the command line has it."""
+def _cause(one: Any, robot: Robot, option: str) -> Cause | str:
+    """A cause as the command line has it; a line where no motion can be designed for it."""
     if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str):
         raise UsageError(f"{option} has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}")
     name, joint = one["effect"], one.get("joint")
@@ -256,16 +277,19 @@ def _cause(one: Any, robot: Robot, option: str) -> Cause:
     missing = [k for k in effect.parameters if k not in parameters]
     if parameters and missing:
         raise UsageError(f"{option}: {name} without {listed(missing)}; allowed: all of its parameters, or none")
-    why = effect.refuse(parameters) if parameters else ""
+    wrong = refused(effect, parameters) if parameters else ""
+    if wrong:
+        raise UsageError(f"{option}: {name}: {wrong}")
+    why = unplayable(effect, robot, parameters or None)
     if why:
-        raise UsageError(f"{option}: {name}: {why}")
+        return left_out(effect, why)
     made = cause_of(name, joint, parameters or None, robot)
     if made.joint is not None and joint is None:
         raise UsageError(f"{option}: {name} without a joint; allowed: {listed(robot.joints)}")
     return made
 
 
-def _refuse_number(config: DictConfig, name: str, low: float) -> None:
+def _refuse_number(config: DictConfig, name: str, low: float, high: float) -> None:
     value = config[name]
-    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value < 1e5:
-        raise UsageError(f"{name}={value}; allowed: a number from {low:g}")
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+        raise UsageError(f"{name}={value}; allowed: a number from {low:g} to {high:g}")

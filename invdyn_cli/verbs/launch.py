@@ -14,6 +14,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import (
     ConfigCompositionException,
     HydraException,
@@ -67,6 +68,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
             failures.append(error)  # raised outside of Hydra, which would print a line of its own
 
     try:
+        _refuse_no_choice(overrides)
         hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=verb)(guarded)()
         if failures:
             raise failures[0]
@@ -87,6 +89,21 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         complain("stopped")
         return 130
     return 0
+
+
+def _refuse_no_choice(overrides: Sequence[str]) -> None:
+    """A group of configs is chosen from by name: null or a number is none, and Hydra has no line for it."""
+    parser = OverridesParser.create()
+    for text in overrides:
+        try:
+            one = parser.parse_override(text)
+        except HydraException:
+            continue  # Hydra tells it
+        folder = config_folder() / one.key_or_group
+        chosen = one.is_sweep_override() or one.is_delete() or isinstance(one.value(), str | list | dict)
+        if folder.is_dir() and not chosen:
+            choices = sorted(path.stem for path in folder.glob("*.yaml"))
+            raise UsageError(f"{text}; allowed: {listed(choices)}")
 
 
 def complain(line: str) -> int:

@@ -100,6 +100,8 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     None where nobody knows any, or where it is `optional` and the URDF that the data name cannot be used, with a word.
     """
     node = config.robot
+    if not isinstance(node, DictConfig) or "path" not in node:
+        raise UsageError(f"robot={node}; allowed: {{path: arm.urdf, …}}", advice="robot=urdf robot.path=arm.urdf")
     path = node.path or (header.urdf if header else "")
     if not path:
         if header is None:

@@ -1,15 +1,21 @@
 """Designed trajectories: within the limits, better at telling causes apart than others, honest where none can."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.causes import Cause
+from invdyn_cli.diagnosis.causes import Cause, columns, scenes_of, term
 from invdyn_cli.diagnosis.contest import pairs_of
-from invdyn_cli.diagnosis.design import APART, design
+from invdyn_cli.diagnosis.design import APART, _room_and_usual, design
+from invdyn_cli.diagnosis.design_family import drawn, motion_of
+from invdyn_cli.diagnosis.sizes import refused, typical, unplayable
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting, Stretch, link_torque, rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.types import Motion
 
 
 def side(*causes):
@@ -100,6 +106,83 @@ def test_comes_from_its_seed(arm):
     one, same, other = (design(arm, [rivals], duration=8.0, seed=s, tries=6) for s in (1, 1, 2))
     assert np.array_equal(one.motion.q, same.motion.q)
     assert not np.array_equal(one.motion.q[:500], other.motion.q[:500])
+
+
+def test_every_lasting_effect_has_a_typical_size(arm):
+    """A cause of every effect of the catalogue that lasts can be designed for, without parameters: it changes some
+    torque, by finite numbers, and physics allows it."""
+    draw = np.random.default_rng(0)
+    allowed, usual, postures = _room_and_usual(arm, draw)
+    gestures = [drawn(draw, allowed, [1], 2.0, postures) for _ in range(12)]
+    scenes = scenes_of(arm, [motion_of(g, allowed, 100.0) for g in gestures], np.arange(12.0), 100.0)
+    for effect in EFFECTS.values():
+        assert bool(unplayable(effect, arm)) == effect.passing
+        if effect.passing:
+            continue
+        joint = None if effect.name in ("payload", "base_tilt") else 1
+        parameters = typical(effect, joint, arm, usual, 30.0)
+        assert refused(effect, parameters) == ""
+        made = Cause(effect, joint, parameters)
+        own = term(arm, made, scenes)
+        for column in (own, *columns(arm, made, scenes, usual.torque)[-1][0]):
+            assert np.isfinite(np.stack(list(column.values()))).all()
+        assert effect.name == "torque_saturation" or np.abs(np.stack(list(own.values()))).max() > 0
+
+
+@pytest.mark.parametrize("name", ["backlash", "joint_elasticity"])
+def test_a_gear_is_what_its_formula_says(arm, name):
+    """What a design takes a gear's yielding for is what inverse dynamics of the link's motion behind it says, but for
+    what goes with the square of the deflection (milliradians: a few percent) and with its speed, and scene by scene."""
+    motion = Multisine().motion(arm, 4.0, 100.0, seed=0)
+    motion = Motion(*(np.asarray(x).T for x in (motion.q, motion.qd, motion.qdd)))
+    parameters = {"backlash": {"gap": 0.002}, "joint_elasticity": {"stiffness": 4000.0}}[name]
+    scenes = scenes_of(arm, [motion, motion], [0.0, 5.0], 100.0)
+    found = term(arm, Cause(EFFECTS[name], 1, parameters), scenes)
+    stretch = Stretch(None, np.arange(motion.q.shape[1]) / 100.0, 100.0)
+    whole = link_torque(arm, [Acting(EFFECTS[name], 1, parameters)], motion, stretch) - rigid_torque(arm, motion)
+    for scene in range(2):
+        for joint in range(2):
+            assert np.abs(found[joint][scene] - whole[joint]).max() < 0.05 * np.abs(whole).max()
+
+
+def test_library_reverses_over_milliradians_with_and_without_load(arm):
+    """Among gestures at random there are reversals of 1 to 30 mrad, slow (below 0.03 rad/s) and fast (above 0.1 rad/s),
+    where the joint bears a tenth of its largest load at most, and where it bears half of it or more."""
+    draw = np.random.default_rng(1)
+    allowed, _, postures = _room_and_usual(arm, draw)
+    small = [g for g in (drawn(draw, allowed, [1], 2.0, postures) for _ in range(240)) if g.kind == "reversal"]
+    most, seen = np.abs(postures.load[1]).max(), set()
+    for g in small:
+        motion = motion_of(g, allowed, 100.0)
+        if not np.any(motion.qd[1]):
+            continue
+        assert np.ptp(motion.q[1]) < 0.0301
+        still = Motion(g.centre[:, None], *(np.zeros((2, 1)) for _ in range(2)))
+        load, speed = abs(rigid_torque(arm, still)[1, 0]) / most, np.abs(motion.qd[1]).max()
+        seen |= {(a, b) for a, ok in (("slow", speed < 0.03), ("fast", speed > 0.1)) if ok
+                 for b, there in (("free", load < 0.1), ("loaded", load > 0.5)) if there}  # fmt: skip
+    assert seen == {("slow", "free"), ("slow", "loaded"), ("fast", "free"), ("fast", "loaded")}
+
+
+def test_chirps_use_what_the_limits_allow(arm):
+    """A chirp over the widest range of frequencies comes near its limit of speed or acceleration in its first and in
+    its last third alike: it is not made small as a whole by its fastest part."""
+    draw = np.random.default_rng(2)
+    allowed, _, postures = _room_and_usual(arm, draw)
+    made = next(g for g in (drawn(draw, allowed, [1], 2.0, postures) for _ in range(99)) if g.kind == "chirp")
+    numbers = np.tile([0.5, 1.0, *[0.0] * 10], (2, 1))
+    motion = motion_of(replace(made, size=np.array([0.0, 0.3]), numbers=numbers), allowed, 100.0)
+    use = np.maximum(np.abs(motion.qd[1]) / allowed.speed[1], np.abs(motion.qdd[1]) / allowed.acceleration[1])
+    third = len(use) // 3
+    assert use[:third].max() > 0.4 and use[-third:].max() > 0.4 and use.max() <= 1 + 1e-9
+
+
+def test_bristles_and_play_are_told_from_friction(arm):
+    """Gear play, bristles, Stribeck and Coulomb friction of typical sizes are told apart, each from each that is no
+    special case of it."""
+    rivals = ("backlash", "presliding_hysteresis", "stribeck_friction", "coulomb_friction")
+    made = design(arm, [[side((x, 1)) for x in rivals]], duration=24.0, tries=0)
+    assert len(made.pairs) == 10 and all(p.apart for p in made.pairs)
 
 
 def test_misuse(arm):

@@ -7,6 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis import next_motion
 from invdyn_cli.diagnosis.next_motion import FILE, after, open_questions
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Diagnosis, Examination, Finding, Quantity
 
@@ -29,6 +30,16 @@ SAME = Finding(
 )
 SURE = Finding("viscous_friction", "arm_joint_1", "named", parameters={"damping": Quantity(1.0, "N m s/rad")})
 UNKNOWN = Finding("torque_offset", "arm_joint_1", "ambiguous", (("unknown",),), {"offset": Quantity(1.0, "N m")})
+PASSING = Finding(
+    "payload_change",
+    None,
+    "ambiguous",
+    (("external_contact",),),
+    {"mass": Quantity(1.0, "kg")},
+    trajectory="a",
+    window=(1.0, 2.0),
+    advice=EFFECTS["payload_change"].advice,
+)
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +92,64 @@ def test_nothing_open_nothing_done(arm):
     """A diagnosis without open findings stays as it is, one of an unusable log too."""
     for one in (diagnosis(arm, SURE, UNKNOWN), replace(diagnosis(arm), details={}, verdict="log_unusable")):
         assert after(one, arm) == (one, None)
+
+
+def test_what_comes_and_goes_is_left_to_its_advice(arm):
+    """No motion makes it come again: its finding says so, with what would tell, once; nothing is designed, and nothing
+    fails."""
+    advised, made = after(diagnosis(arm, PASSING), arm, duration=8.0)
+    assert made is None
+    said = advised.findings[0].advice
+    assert "no motion makes it come again" in said and said.count(EFFECTS["payload_change"].advice) == 1
+
+
+@pytest.mark.parametrize("name", ["made_up", "external_contact"])
+def test_a_rival_that_cannot_be_played_stops_nothing(arm, monkeypatch, name):
+    """Beside a rival that is not in the catalogue, or comes and goes, the others of the same finding and the other
+    findings are told apart as ever; the one is a note, the other a line of the advice."""
+    monkeypatch.setattr(next_motion, "TRIES", 0)
+    odd = {"effect": name, "joint": "no_joint", "parameters": {}}
+    late = replace(
+        LATE,
+        alternatives=(*LATE.alternatives, (name,), ("coulomb_friction", "unknown")),
+        evidence={"rivals": [*LATE.evidence["rivals"], odd]},
+    )
+    stranger = replace(SAME, effect="made_up", alternatives=(("viscous_friction",),))
+    advised, made = after(diagnosis(arm, stranger, PASSING, late), arm, duration=8.0)
+    assert made is not None and {p.question for p in made.pairs} == {0}
+    assert FILE in advised.findings[2].advice
+    assert any("made_up is not in the catalogue" in x for x in advised.notes)
+    assert (EFFECTS[name].title in advised.findings[2].advice) if name in EFFECTS else True
+
+
+def test_sizes_that_make_no_sense_are_typical_ones(arm):
+    """Parameters that lack one, are no number or no physics are as if there were none."""
+    for bad in (
+        {},
+        {"delay": Quantity(float("nan"), "s")},
+        {"delay": Quantity(-1.0, "s")},
+        {"delay": Quantity("x", "s")},
+    ):
+        (asked,) = open_questions([replace(LATE, parameters=bad)], arm)
+        assert asked.sides[0][0].parameters is None
+
+
+def test_a_diagnosis_without_noise_or_filter_gets_a_motion(arm, monkeypatch):
+    """A joint whose noise or filter the diagnosis could not tell has usual ones."""
+    monkeypatch.setattr(next_motion, "TRIES", 0)
+    bare = replace(diagnosis(arm, LATE), details={"noise_N_m": {"arm_joint_1": float("nan")}})
+    assert after(bare, arm, duration=8.0)[1] is not None
+
+
+@pytest.mark.parametrize("lacks", ["gravity", "mass"])
+def test_a_bare_arm_gets_a_motion(arm, monkeypatch, lacks):
+    """Where nothing pulls at the arm, or its last link has no mass, what can be told apart is, without a warning; a
+    tilt that nothing shows is left out."""
+    monkeypatch.setattr(next_motion, "TRIES", 0)
+    bare = {"gravity": np.zeros(3)} if lacks == "gravity" else {"inertial": np.asarray(arm.inertial) * [[1], [0]]}
+    names = ("backlash", "joint_elasticity", "torque_saturation", "presliding_hysteresis", "base_tilt")
+    one = replace(LATE, alternatives=(*LATE.alternatives, *((x,) for x in names)))
+    with np.errstate(all="raise", under="ignore"):
+        advised, made = after(diagnosis(arm, one), replace(arm, **bare), duration=8.0)
+    assert made is not None and np.isfinite([p.distance for p in made.pairs]).all()
+    assert ("nothing pulls" in advised.findings[0].advice) == (lacks == "gravity")

@@ -64,7 +64,19 @@ def test_takes_rivals_from_a_diagnosis(command):
         (("effects=[{effect: coulomb_friction, joint: arm_joint_2, level: 2}, {}]",), "no 'level'"),
         (("effects=[{effect: coulomb_friction, joint: arm_joint_2, coulomb: -2}, {}]",), "possible: 0"),
         (("effects=[{effect: torque_delay, joint: arm_joint_2, delay: soon}, {}]",), "allowed: numbers"),
+        (("effects=[{effect: backlash, joint: arm_joint_2, gap: [1, 2]}, {}]",), "a finite number"),
+        (("effects=[{effect: payload, mass: 1, com: 3, inertia: [0, 0, 0, 0, 0, 0]}, {}]",), "3 finite numbers"),
+        ((RIVALS, "robot=null"), "allowed: apollo_arm"),
+        ((RIVALS, "robot=3"), "allowed: apollo_arm"),
+        ((RIVALS, "robot=nobody"), "robot=nobody"),
+        ((RIVALS, "robot.path=none.urdf"), "none.urdf"),
+        ((RIVALS, "known=[{effect: torque_offset, joint: nowhere}]"), "no joint 'nowhere'"),
         ((RIVALS, "duration=1"), "from 5"),
+        ((RIVALS, "duration=1e9"), "to 600"),
+        ((RIVALS, "duration=null"), "from 5"),
+        ((RIVALS, "duration=long"), "from 5"),
+        ((RIVALS, "rate=.nan"), "from 20"),
+        ((RIVALS, "noise=loud"), "or null"),
         ((RIVALS, "noise=[1,2,3]"), "2 of them"),
         ((RIVALS, "finding=1"), "no diagnosis"),
         ((RIVALS, "seed=-1"), "from 0"),
@@ -76,3 +88,40 @@ def test_misuse_is_one_line(command, overrides, word):
     assert (said.code, len(said.err)) == (2, 1)
     assert word in said.err[0]
     assert not Path("out/trajectory.csv").exists()
+
+
+def test_what_comes_and_goes_is_told_not_refused(command):
+    """Effects for which no motion can be designed are left out with what would tell them: beside two others these are
+    told apart, alone nothing is designed; neither is misuse."""
+    contact = "{effect: external_contact, joint: arm_joint_2}"
+    said = command("excite", *SMALL, RIVALS.replace("]", f", {contact}]"), "hydra.run.dir=out")
+    assert said.code == 0 and "no motion makes it come again" in " ".join(said.out)
+    assert len(json.loads(Path("out/design.json").read_text())["questions"][0]) == 2
+    said = command("excite", *SMALL, f"effects=[{contact}, {{effect: payload_change}}]", "hydra.run.dir=none")
+    assert (said.code, said.err) == (0, []) and said.out[-1] == "No motion was designed."
+    assert not Path("none/trajectory.csv").exists()
+
+
+BENT = {"effect": "torque_delay", "joint": "arm_joint_2", "status": "ambiguous", "alternatives": [["actuator_lag"]],
+        "parameters": {}}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("finding", "word"),
+    [
+        ({"effect": 3}, "names 3"),
+        ({"alternatives": [[{}]]}, "names {}"),
+        ({"alternatives": 5}, "not iterable"),
+        ({"evidence": 7}, "not iterable"),
+        ({"parameters": {"delay": 1}}, "subscriptable"),
+        ({"joint": "elbow"}, "'elbow'"),
+        ({"alternatives": [["unknown"]]}, "nothing to tell apart"),
+    ],
+)
+def test_a_bent_diagnosis_is_one_line(command, finding, word):
+    """A diagnosis.json whose findings are not what diagnose writes: one line, exit code 2."""
+    tree = {"schema": "invdyn-diagnosis/1", "findings": [{**BENT, **finding}]}
+    Path("bent.json").write_text(json.dumps(tree))
+    said = command("excite", *SMALL, "diagnosis=bent.json", "hydra.run.dir=out")
+    assert (said.code, len(said.err)) == (2, 1)
+    assert word in said.err[0]
