@@ -18,7 +18,7 @@ from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
 GRID, CELL = 120, 0.1
 """Edges of windows that are tried in a trajectory, and the shortest step between them [s]."""
 
-SHORTEST = 0.2
+SHORTEST = 0.4
 """[s] of a window: what is shorter is a blow, of which nothing is known but its momentum."""
 
 PRICE, PRICE_OF_COEFFICIENT = 40.0, 4.0
@@ -28,8 +28,11 @@ coefficient) to 50 (ten)."""
 SHARE = 0.01
 """Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there."""
 
-MOST = 8
-"""Windows that are tried for one log."""
+MOST, ROUNDS = 3, 4
+"""Windows that are looked for in one residual, and how often, with what was found taken out."""
+
+SAME = 0.05
+"""[s] by which edges of windows together may differ, and they are the same."""
 
 EDGE = 1.0
 """[s] from an end of its trajectory within which a window begins or ends there."""
@@ -75,31 +78,41 @@ def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str)
 
 
 def proposed(
-    evidence: Evidence, everywhere: Sequence[Place], residual: np.ndarray, weights: np.ndarray, number: int
+    evidence: Evidence,
+    everywhere: Sequence[Place],
+    residuals: Sequence[np.ndarray],
+    weights: np.ndarray,
+    known: Sequence[When],
 ) -> list[list[Candidate]]:
-    """For each window in which something comes and goes, every effect that may be it; the windows that explain most of
-    a residual (R, n) first.
+    """For each window in which something comes and goes, every effect that may be it; the windows that explain most
+    first.
 
     Args:
+        residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
         weights: (n,) of a row, in noise variances.
-        number: of the first window.
+        known: windows that were proposed before.
     """
-    left, made = residual.copy(), []
-    least = max(PRICE, SHARE * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
-    while len(made) < MOST:
-        tries = [_window(evidence, p, left, weights) for p in everywhere]
-        value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
-        if value <= least or when is None:
-            break
-        left = left - explained
-        made += [
-            [
-                passing_candidate(evidence, p.effect, p.joint, one._replace(number=number + len(made) + i))
-                for p in everywhere
-            ]
-            for i, one in enumerate((when, *_other_end(evidence, when)))
-        ]
-    return made
+    made: list[When] = []
+    first = 1 + max((w.number for w in known), default=-1)
+    for residual in residuals:
+        left = residual.copy()
+        least = max(PRICE, SHARE * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
+        for _ in range(MOST):
+            tries = [_window(evidence, p, left, weights) for p in everywhere]
+            value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
+            if value <= least or when is None:
+                break
+            left = left - explained
+            for one in (when, *_other_end(evidence, when)):
+                if not any(_alike(one, other) for other in (*known, *made)):
+                    made.append(one._replace(number=first + len(made)))
+    return [[passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made]
+
+
+def _alike(one: When, other: When) -> bool:
+    """Whether two windows are the same but for their edges' last row or two."""
+    apart = abs(one.start - other.start) + abs(one.end - other.end)
+    return one.trajectory == other.trajectory and apart < SAME
 
 
 def _other_end(evidence: Evidence, when: When) -> list[When]:

@@ -13,7 +13,7 @@ from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_al
 from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import WHOLE, search
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import Acting, When
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect
 
@@ -60,25 +60,27 @@ def inquire(
     """
     inquiry = _lasting(evidence, effects, allowed, most, compares)
     everywhere = [] if compares else events.places(evidence, effects, side)
-    windows: list[Sequence[Candidate]] = []
-    while len(windows) < events.MOST:
-        number = 1 + max((w[0].when.number for w in windows if w[0].when is not None), default=-1)
-        found = events.proposed(inquiry.evidence, everywhere, inquiry.whole.residual, inquiry.noise.weights, number)
+    held: list[Sequence[Candidate]] = []
+    tried: list[When] = []
+    for _ in range(events.ROUNDS):
+        nominal = inquiry.model.residual([a for a in inquiry.whole.acting if a.when is not None])
+        residuals = inquiry.whole.residual, nominal
+        found = events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise.weights, tried)
         if not found:
             return inquiry
-        windows += found
+        windows = [*held, *found]
         passing = [c for window in windows for c in window]
-        evidence = inquiry.evidence
-        if not parted:
-            evidence = events.interleaved(evidence, [window[0].when for window in windows if window[0].when])
+        times = [c.when for c, *_ in windows if c.when is not None]
+        tried += [w for w in times if w not in tried]
+        evidence = inquiry.evidence if parted else events.interleaved(inquiry.evidence, times)
         lasting = [c for c in evidence.candidates if c.when is None]
         more = replace(evidence, candidates=[*lasting, *passing])
         again = _lasting(more, effects, allowed, most, compares, inquiry.hypothesis)
-        held = {c.when.number for c in again.hypothesis if c.when is not None}
-        if len(held) <= sum(c.when is not None for c in inquiry.hypothesis):
+        numbers = {c.when.number for c in again.hypothesis if c.when is not None}
+        if len(numbers) <= sum(c.when is not None for c in inquiry.hypothesis):
             return inquiry
         inquiry = again
-        windows = [w for w in windows if w[0].when is not None and w[0].when.number in held]
+        held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
     return inquiry
 
 

@@ -80,7 +80,8 @@ def rivals(
     mine = judge.by_row(always + hypothesis)
     best: dict[tuple, tuple[float, Candidate]] = {}
     # what another joint alone feels is no rival
-    near = [c for c in free_beside(others, pool) if c.key != own.key and not c.columns.keys().isdisjoint(own.columns)]
+    free = [c for c in free_beside(others, pool) if c.key[:2] != own.key[:2]]
+    near = [c for c in free if not c.columns.keys().isdisjoint(own.columns)]
     for value, c in zip(judge.extended((*always, *others), near)[0], near, strict=True):
         value = float(value) - judge.price((c,)) + PRICE_OF_COEFFICIENT * judge.freedom(c)
         if c.key not in best or value < best[c.key][0]:

@@ -60,7 +60,7 @@ def looked_for(evidence: Evidence) -> list:
     """The windows that are proposed for all that the nominal model leaves."""
     left = evidence.tau - evidence.nominal
     weights = np.full(3, 1 / np.var(left[evidence.on_rows("t") < 2.5], axis=0))
-    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), left, weights, 0)
+    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), [left], weights, ())
 
 
 @pytest.mark.parametrize("name", HIDDEN)
