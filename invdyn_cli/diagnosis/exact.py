@@ -291,7 +291,7 @@ def _step(acting: Acting, name: str, value: float, rate: float) -> float:
     if name in EDGES:
         return 1 / rate
     if acting.effect.point == "gear":
-        return 3e-2 * value
+        return max(3e-2 * value, 1e-6)
     if name in ("delay", "time_constant") and acting.effect.point == "channel":
         return 2e-4
     if acting.effect.point == "motion":

@@ -28,7 +28,7 @@ class Backlash(AbstractGearEffect):
     title = "backlash"
     equation = "link free of the motor within ±gap/2"
     reference = "Nordin and Gutman, Automatica 2002"
-    parameters = {"gap": Parameter("rad", 0.0, 0.1)}
+    parameters = {"gap": Parameter("rad", 1e-5, 0.1)}
     confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
     advice = "the same slow motion with the load always pulling to one side, and through its zero; a link encoder"
     picture = "load"
