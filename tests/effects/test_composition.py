@@ -25,12 +25,13 @@ RATE, SECONDS, JOINT = 1000.0, 7.0, 1
 SHARES = {name: 2e-3 for name in SIZES} | {
     "actuator_lag": 5e-3,
     "torque_delay": 5e-3,
-    "joint_elasticity": 0.02,
+    "joint_elasticity": 0.05,
     "backlash": 0.1,
 }
 """Of the effect that may be left: the plant's own error (a permille, `docs/plant.md`), twice; lag and delay are a
-derivative of the torque, and the held torque's steps are part of them. A spring is damped by a share of critical, in
-the plant by a number; and the blow at the end of play comes at a sample, in the plant it takes some milliseconds."""
+derivative of the torque, and the held torque's steps are part of them. A spring's damping is 0.3 of critical, in the
+plant 0.02: a phase of 2 x 0.28 x frequency / resonance, 0.05 at a tenth of it. The blow at the end of play comes at a
+sample, in the plant it takes some milliseconds."""
 
 WINDOW = (2.5, 4.5)
 """[s] of what comes and goes."""
