@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis import events, known, naming, noise
+from invdyn_cli.diagnosis import events, known, naming, noise, realisable
 from invdyn_cli.diagnosis.candidates import trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
@@ -168,7 +168,8 @@ NEARLY = 0.9
 
 def _unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
     """Effects and joints whose parameters came out as no such effect has them."""
-    return {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
+    odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
+    return odd | realisable.beyond(evidence, refined)
 
 
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:

@@ -30,6 +30,10 @@ SEEN = 1.0
 LIGHT = 1e-3
 """Share of the arm's mass below which a link of the URDF is a stand-in that says nothing of the real one."""
 
+FAR = 100.0
+"""Times what chance would cost, above which inertials that no body has are no wrong inertials: the weights of noise may
+be off by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
+
 SURE = 2.0
 """Standard errors by which a mass is below zero to be said so."""
 
@@ -74,17 +78,28 @@ def realisable(
     return after, (notes + said if any(moving) else notes)
 
 
+def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
+    """Links (the keys of their effects) that the data want to be what no body is, by far more than chance: something
+    else looks like them. A payload may be less than none: then the last link is lighter than its model."""
+    found = set()
+    for body in _bodies(evidence, refined, evidence.robot.joints)[0]:
+        one = refined.acting[refined.labels[body.places[0]][0]]
+        if one.effect.name in LOADS or _can_be(refined, body):
+            continue
+        wanted, known, beforehand = _known(evidence, refined, [body])
+        _, cost, chance = _change(body.reference[None], wanted, known, beforehand)
+        if cost > FAR * chance:
+            found.add(one.key)
+    return found
+
+
 def _moved(
     evidence: Evidence, model: Model, refined: Refined, bodies: Sequence[Body]
 ) -> tuple[Refined, tuple[str, ...]]:
     """The refined effects with these bodies moved to where they can be, and what is to be said of it."""
     at = np.concatenate([b.places for b in bodies])
-    wanted = np.array([_row(refined, b) for b in bodies])
     reference = np.array([b.reference for b in bodies])
-    beforehand = np.array([_precision(evidence, refined, k) for k in at])
-    # the rows of `unknown` are a root of the covariance, in which all that is no body of these is marginalised
-    root = np.linalg.inv(np.linalg.qr(refined.unknown[:, at], mode="r"))
-    known = root @ root.T
+    wanted, known, beforehand = _known(evidence, refined, bodies)
     change, cost, chance = _change(reference, wanted, known, beforehand)
     move = change @ np.linalg.lstsq(refined.unknown[:, at], refined.unknown, rcond=None)[0]
     move[at] = change
@@ -100,6 +115,16 @@ def _moved(
     if not said and cost > chance:
         said.append(_sentence(evidence, refined, after, bodies, cost, chance))
     return after, tuple(said)
+
+
+def _known(evidence: Evidence, refined: Refined, bodies: Sequence[Body]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The wanted rows (n, 10) of bodies, their inverse covariance (10 n, 10 n), and what was known of them beforehand
+    (10 n,)."""
+    at = np.concatenate([b.places for b in bodies])
+    # the rows of `unknown` are a root of the covariance, in which all that is no body of these is marginalised
+    root = np.linalg.inv(np.linalg.qr(refined.unknown[:, at], mode="r"))
+    wanted = np.array([_row(refined, b) for b in bodies])
+    return wanted, root @ root.T, np.array([_precision(evidence, refined, k) for k in at])
 
 
 def _change(
