@@ -243,13 +243,27 @@ def passing_candidate(evidence: Evidence, effect: AbstractEffect, joint: int | N
 def passing_columns(evidence: Evidence, effect: AbstractEffect, joint: int | None, when: When | None) -> np.ndarray:
     """Columns (k, n, R) of what comes and goes, in a window; None: of what it would be always."""
     recording = evidence.recording
-    if (effect.name, joint) not in evidence.kept:
-        evidence.kept[effect.name, joint] = [
-            _basis(evidence, effect, joint, number) for number in range(len(recording.pieces))
-        ]
-    parts = evidence.kept[effect.name, joint]
     shares = [weight(when, recording.stretch(piece)) for piece in recording.pieces]
+    parts = _passing(evidence, effect, joint)
     return filtered(recording, [x * share for x, share in zip(parts, shares, strict=True)])
+
+
+def passing_torque(evidence: Evidence, acting: Acting, factors: np.ndarray) -> list[np.ndarray]:
+    """(n, T) of every piece: what comes and goes, of its columns' factors (k,)."""
+    recording = evidence.recording
+    parts = _passing(evidence, acting.effect, acting.joint)
+    return [
+        weight(acting.when, recording.stretch(piece)) * np.tensordot(factors, x, 1)
+        for piece, x in zip(recording.pieces, parts, strict=True)
+    ]
+
+
+def _passing(evidence: Evidence, effect: AbstractEffect, joint: int | None) -> list[np.ndarray]:
+    """Columns (k, n, T) of every piece of what comes and goes, kept."""
+    if (effect.name, joint) not in evidence.kept:
+        count = len(evidence.recording.pieces)
+        evidence.kept[effect.name, joint] = [_basis(evidence, effect, joint, number) for number in range(count)]
+    return evidence.kept[effect.name, joint]
 
 
 def _basis(evidence: Evidence, effect: AbstractEffect, joint: int | None, number: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from invdyn_cli.diagnosis.candidates import passing_columns
+from invdyn_cli.diagnosis.candidates import passing_columns, passing_torque
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.judge import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search import WHOLE
@@ -85,17 +85,24 @@ class Model:
         return out
 
     def _moved(self, acting: Sequence[Acting]) -> tuple:
-        """The key of the inverse dynamics (n, T) of every piece with the body and motion effects, which are there."""
+        """The key of the inverse dynamics (n, T) of every piece with the effects that reach more than one joint, which
+        are there. What comes and goes adds to that of the nominal motion: its columns are at hand."""
         whole = [a for a in acting if a.effect.point in WHOLE]
         key = _keys(whole)
         if key not in self._bodies:
             if len(self._bodies) > 40:
                 self._bodies.clear()
-            robot = self.evidence.robot
-            self._bodies[key] = [
-                link_torque(robot, whole, piece.motion, self.evidence.recording.stretch(piece))
-                for piece in self.evidence.recording.pieces
-            ]
+            lasting = [a for a in whole if a.when is None]
+            if lasting == whole:
+                robot, recording = self.evidence.robot, self.evidence.recording
+                made = [link_torque(robot, whole, piece.motion, recording.stretch(piece)) for piece in recording.pieces]
+            else:
+                made = [body.copy() for body in self._bodies[self._moved(lasting)]]
+            for one in whole:
+                if one.when is not None:
+                    torques = passing_torque(self.evidence, one, np.array(_coordinates(self.evidence, one)))
+                    made = [body + x for body, x in zip(made, torques, strict=True)]
+            self._bodies[key] = made
         return key
 
     def _row(self, acting: Sequence[Acting], bodies: tuple, j: int) -> np.ndarray:
@@ -297,7 +304,7 @@ def _step(acting: Acting, name: str, value: float, rate: float) -> float:
     if acting.effect.point == "motion":
         return 1e-4
     if name in ("velocity", "stiffness"):
-        return 1e-2 * value
+        return max(1e-2 * abs(value), 1e-6)
     return 1e-4 * max(abs(value), 1e-2)
 
 

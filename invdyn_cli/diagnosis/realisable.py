@@ -161,7 +161,7 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
         places = np.array([k for k, (of, name, _) in enumerate(refined.labels) if of == number and not name])
         if one.effect.name in LOADS:
             mass, *moment = refined.theta[places[:4]]
-            ball = pseudo_inertia.ball(mass, np.array(moment) / mass)
+            ball = pseudo_inertia.ball(abs(mass), np.array(moment) / mass)
             bodies.append(Body("the payload", places, np.zeros(10), ball))
             continue
         assert one.joint is not None
