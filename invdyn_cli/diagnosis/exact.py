@@ -32,10 +32,12 @@ STEPS = 4
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
 
+BOUNDLESS = 1e100
+"""Beyond it nothing is known of a parameter (the place of no mass), and squares overflow."""
+
 SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 """Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the
 simulated arm (`make confusion`)."""
-
 
 GEARED = 0.03
 """Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide."""
@@ -240,8 +242,8 @@ def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) 
     theta = _inside(refined.acting, refined.labels, refined.theta + move)
     acting = _with(evidence, refined.acting, refined.labels, theta)
     residual = refined.residual + model.residual(acting) - model.residual(refined.acting)
-    replicas = refined.replicas + (theta - refined.theta)
-    return replace(refined, acting=acting, theta=theta, replicas=replicas, residual=residual)
+    there = refined.replicas + (theta - refined.theta)
+    return replace(refined, acting=acting, theta=theta, replicas=there, residual=residual)
 
 
 def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
@@ -249,7 +251,7 @@ def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.
     that the noise leaves unknown."""
     count = len(replicas)
     spread = np.sqrt((count - 1) / count * np.sum((replicas - replicas.mean(0)) ** 2, axis=0))
-    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(unknown**2, axis=0))
+    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(np.clip(unknown, -BOUNDLESS, BOUNDLESS) ** 2, axis=0))
     return np.maximum(stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread, by_noise)
 
 

@@ -25,8 +25,8 @@ from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Diagnosis
 
-SIZE = 0.1
-"""Relative error that a size may have: what a user still calls right."""
+SIZE = 1.0
+"""Error that a size may have, as a share of what `experiments.confusion` allows: 10 %, of play and elasticity 20 %."""
 
 SECONDS = 24.0
 
