@@ -284,6 +284,8 @@ class AbstractForceEffect(AbstractEffect):
     """A force on the arm from outside, linear in its parameters."""
 
     point = "force"
+    scale: ClassVar[float]
+    """What a coefficient hardly exceeds: what a log does not show of a force stays near zero."""
 
     @abc.abstractmethod
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:

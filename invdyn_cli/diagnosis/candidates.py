@@ -233,11 +233,16 @@ def passing_candidate(evidence: Evidence, effect: AbstractEffect, joint: int | N
     """What comes and goes, in a window."""
     columns = passing_columns(evidence, effect, joint, when)
     own = isinstance(effect, AbstractChannelEffect)
-    precision = np.zeros(len(columns))
-    if isinstance(effect, AbstractBodyEffect):
-        precision = np.array([1 / scale**2 for *_, scale in effect.directions(evidence.robot, joint)])
+    precision = beforehand(evidence.robot, effect, joint, len(columns))
     where = {j: ((), evidence.append(j, list(columns[:, j]))) for j in range(evidence.dofs) if not own or j == joint}
     return Candidate(effect, joint, {}, where, precision, when=when)
+
+
+def beforehand(robot: Robot, effect: AbstractEffect, joint: int | None, count: int) -> np.ndarray:
+    """(count,) what is known of the factors of an effect's columns: 1 / scale^2."""
+    if isinstance(effect, AbstractBodyEffect):
+        return np.array([1 / scale**2 for *_, scale in effect.directions(robot, joint)])
+    return np.full(count, 1 / effect.scale**2 if isinstance(effect, AbstractForceEffect) else 0.0)
 
 
 def passing_columns(evidence: Evidence, effect: AbstractEffect, joint: int | None, when: When | None) -> np.ndarray:

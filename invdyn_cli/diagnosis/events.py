@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.candidates import passing_candidate, passing_columns
+from invdyn_cli.diagnosis.candidates import beforehand, passing_candidate, passing_columns
 from invdyn_cli.diagnosis.evidence import BLOCK, Candidate, Evidence
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.effects.composition import When
@@ -67,9 +67,7 @@ def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str)
         own: list[Place] = []
         for joint in (None,) if whole else reversed(range(evidence.dofs)):
             columns = passing_columns(evidence, effect, joint, None)
-            precision = np.zeros(len(columns))
-            if isinstance(effect, AbstractBodyEffect):
-                precision = np.array([1 / scale**2 for *_, scale in effect.directions(evidence.robot, joint)])
+            precision = beforehand(evidence.robot, effect, joint, len(columns))
             felt = np.abs(columns).max() > 1e-6 * loud
             if felt and not any(np.allclose(columns, x.columns, atol=1e-6 * np.abs(columns).max()) for x in own):
                 own.append(Place(effect, joint, columns, precision))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from invdyn_cli.diagnosis.candidates import passing_columns, passing_torque
+from invdyn_cli.diagnosis.candidates import beforehand, passing_columns, passing_torque
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.judge import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search import WHOLE
@@ -38,7 +38,6 @@ BOUNDLESS = 1e100
 SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 """Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the
 simulated arm (`make confusion`)."""
-
 GEARED = 0.03
 """Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide."""
 
@@ -249,9 +248,10 @@ def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) 
 def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
     """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958); at least that of the moves (m, …)
     that the noise leaves unknown."""
+    replicas, unknown = (np.clip(x, -BOUNDLESS, BOUNDLESS) for x in (replicas, unknown))
     count = len(replicas)
     spread = np.sqrt((count - 1) / count * np.sum((replicas - replicas.mean(0)) ** 2, axis=0))
-    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(np.clip(unknown, -BOUNDLESS, BOUNDLESS) ** 2, axis=0))
+    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(unknown**2, axis=0))
     return np.maximum(stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread, by_noise)
 
 
@@ -392,9 +392,6 @@ def _precision(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarr
     """What is known of coordinates beforehand: what the data do not show of a body stays near zero."""
     out = []
     for number, name, index in labels:
-        effect = acting[number].effect
-        if isinstance(effect, AbstractBodyEffect) and not name:
-            out.append(1 / effect.directions(evidence.robot, acting[number].joint)[index][2] ** 2)
-        else:
-            out.append(0.0)
+        known = beforehand(evidence.robot, acting[number].effect, acting[number].joint, index + 1)
+        out.append(0.0 if name else known[index])
     return np.array(out)

@@ -84,6 +84,7 @@ class ExternalContact(AbstractForceEffect):
     equation = "−Jᵀ force, J of the joint frame's origin, for a time"
     reference = "Haddadin, De Luca and Albu-Schäffer, IEEE T-RO 2017"
     parameters = {"force": Parameter("N")}
+    scale = 300.0
     passing = True
     confounders = (("external_contact",), ("payload_change",), ("torque_gain_change",))
     advice = "a force sensor or a camera at the contact; the contact held while the arm moves on"
