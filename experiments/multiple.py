@@ -6,11 +6,10 @@ Logs are drawn as in `cases.py`. A finding counts as right where `confusion.matc
 what theory allows. Three effects are drawn for every log from all that act on a joint; pairs on one joint take turns.
 """
 
-import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
 from experiments.confusion import claims, judge, matches
 from experiments.options import only_of, options_of
+from experiments.results import tell
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.types import Diagnosis
 
@@ -113,10 +113,7 @@ def main(argv: Sequence[str]) -> int:
             print(
                 f"{task} {seed} {one.hidden}: missed {one.missed}, beside {one.extra}; {one.seconds:.0f} s", flush=True
             )
-    text = table(counted)
-    print(text)
-    (folder / "multiple.md").write_text(f"seed {options.seed}\n\n{text}\n")
-    (folder / "multiple.json").write_text(json.dumps([asdict(x) for x in counted], indent=1) + "\n")
+    tell(folder, "multiple", f"seed {options.seed}", table(counted), counted)
     return 0
 
 

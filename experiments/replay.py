@@ -8,11 +8,10 @@ its error is the RMS over all such windows, mean of the joints. Printed is by ho
 the extended one, and, as what could be had at best, to the arm with exactly what was hidden.
 """
 
-import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from experiments.cases import SIZES, Case, draw_case
 from experiments.confusion import WHOLE_ARM, claims
 from experiments.options import options_of
+from experiments.results import tell
 from invdyn_cli.diagnosis import Options as Wanted
 from invdyn_cli.diagnosis import diagnose, extension
 from invdyn_cli.simulation import mjcf
@@ -125,10 +125,7 @@ def main(argv: Sequence[str]) -> int:
             f"{100 * one.gain:.0f} %; held {one.held_before:.3g} to {one.held_after:.3g}; {one.seconds:.0f} s",
             flush=True,
         )
-    text = table(logs)
-    print(text)
-    (folder / "replay.md").write_text(f"seed {options.seed}\n\n{text}\n")
-    (folder / "replay.json").write_text(json.dumps([asdict(x) for x in logs], indent=1) + "\n")
+    tell(folder, "replay", f"seed {options.seed}", table(logs), logs)
     return 0
 
 

@@ -7,17 +7,17 @@ Friction (Coulomb and viscous), rotors of the wrist, the time of the load, its p
 drawn from the seed. Prints for every log the errors of mass and window, and how many of the frictions are named.
 """
 
-import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from experiments.confusion import claims
 from experiments.options import options_of
+from experiments.results import tell
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.logfile import Log
 from invdyn_cli.robots import load_urdf
@@ -136,10 +136,7 @@ def main(argv: Sequence[str]) -> int:
         started = time.perf_counter()
         found.append(judged(seed, hidden, diagnose(log, robot), time.perf_counter() - started))
         print(found[-1], flush=True)
-    text = table(found)
-    print(text)
-    (folder / "taken_up.md").write_text(f"seed {options.seed}\n\n{text}\n")
-    (folder / "taken_up.json").write_text(json.dumps([asdict(x) for x in found], indent=1) + "\n")
+    tell(folder, "taken_up", f"seed {options.seed}", table(found), found)
     return 0
 
 

@@ -6,13 +6,12 @@ Every invention acts on one joint of an arm of its own, drawn as in `cases.py`, 
 joint's. Logs where that is less than three times the noise are drawn again.
 """
 
-import json
 import sys
 import time
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from experiments.cases import Case, Scene, draw_scene, play
 from experiments.confusion import LOUD, claims
 from experiments.options import only_of, options_of
+from experiments.results import tell
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation.hidden import Hidden
@@ -161,10 +161,7 @@ def main(argv: Sequence[str]) -> int:
             all_said.append(said)
             told = f"{said.unexplained:.2f} unexplained, {said.share:.0f} times the noise, {said.seconds:.0f} s"
             print(f"{name} {seed} on {joint}: named {said.named}, ambiguous {said.ambiguous}; {told}", flush=True)
-    text = table(all_said)
-    print(text)
-    (folder / "unknown.md").write_text(f"seed {options.seed}\n\n{text}\n")
-    (folder / "unknown.json").write_text(json.dumps([asdict(x) for x in all_said], indent=1) + "\n")
+    tell(folder, "unknown", f"seed {options.seed}", table(all_said), all_said)
     return 0
 
 

@@ -175,8 +175,7 @@ def _change(evidence: Evidence, acting: Acting) -> np.ndarray:
     """(n, R) what a body, motion or gear effect changes of the nominal torque."""
     robot, recording = evidence.robot, evidence.recording
     changes = [
-        link_torque(robot, (acting,), piece.motion, recording.stretch(piece))
-        - np.stack([s.transmitted for s in states])
+        link_torque(robot, (acting,), piece.motion, recording.stretch(piece)) - nominal(states)
         for piece, states in zip(recording.pieces, evidence.states, strict=True)
     ]
     return filtered(recording, changes)

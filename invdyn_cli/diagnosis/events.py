@@ -11,6 +11,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.candidates import beforehand, passing_candidate, passing_columns
 from invdyn_cli.diagnosis.evidence import BLOCK, Candidate, Evidence
+from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.effects.composition import When
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
@@ -21,9 +22,9 @@ GRID, CELL = 120, 0.1
 SHORTEST = 0.4
 """[s] of a window: what is shorter is a blow, of which nothing is known but its momentum."""
 
-PRICE, PRICE_OF_COEFFICIENT = 40.0, 4.0
-"""Noise variances that a window must explain to be tried: the best of ten thousand in white noise has 25 (one
-coefficient) to 50 (ten)."""
+PRICE = 40.0
+"""Noise variances that a window must explain, beyond the price of its coefficients, to be tried: the best of ten
+thousand in white noise has 25 (one coefficient) to 50 (ten)."""
 
 SHARE = 0.01
 """Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there."""

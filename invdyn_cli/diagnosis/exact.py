@@ -160,7 +160,7 @@ def refine(
     allowed, allowed_precision = _allowed(evidence, always)
     timing = np.concatenate([allowed, timing])
     timing_precision = np.concatenate([allowed_precision, timing_precision])
-    precision = np.concatenate([_precision(evidence, acting, labels), timing_precision])
+    precision = np.concatenate([precision_of(evidence, acting, labels), timing_precision])
     extra = np.zeros(len(timing))
     best = None
     residual = model.residual(acting)
@@ -388,10 +388,11 @@ def _inside(acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
     return np.clip(theta, [b.lower for b in bounds], [b.upper for b in bounds])
 
 
-def _precision(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
-    """What is known of coordinates beforehand: what the data do not show of a body stays near zero."""
-    out = []
-    for number, name, index in labels:
-        known = beforehand(evidence.robot, acting[number].effect, acting[number].joint, index + 1)
-        out.append(0.0 if name else known[index])
-    return np.array(out)
+def precision_of(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
+    """What is known of coordinates beforehand: what the data do not show of a body or a force stays near zero."""
+    out = np.zeros(len(labels))
+    for number, a in enumerate(acting):
+        own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]
+        if own:
+            out[own] = beforehand(evidence.robot, a.effect, a.joint, len(own))
+    return out

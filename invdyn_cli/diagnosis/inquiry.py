@@ -58,7 +58,7 @@ def inquire(
         side: the torque's.
         parted: whether a user said what chooses and what judges; it then stays so.
     """
-    inquiry = _lasting(evidence, effects, allowed, most, compares)
+    inquiry = _searched(evidence, effects, allowed, most, compares)
     everywhere = [] if compares else events.places(evidence, effects, side)
     held: list[Sequence[Candidate]] = []
     tried: list[When] = []
@@ -75,7 +75,7 @@ def inquire(
         evidence = inquiry.evidence if parted else events.interleaved(inquiry.evidence, times)
         lasting = [c for c in evidence.candidates if c.when is None]
         more = replace(evidence, candidates=[*lasting, *passing])
-        again = _lasting(more, effects, allowed, most, compares, inquiry.hypothesis)
+        again = _searched(more, effects, allowed, most, compares, inquiry.hypothesis)
         numbers = {c.when.number for c in again.hypothesis if c.when is not None}
         if len(numbers) <= sum(c.when is not None for c in inquiry.hypothesis):
             return inquiry
@@ -84,7 +84,7 @@ def inquire(
     return inquiry
 
 
-def _lasting(
+def _searched(
     evidence: Evidence,
     effects: Mapping[str, AbstractEffect],
     allowed: Sequence[tuple[str, int | None]],

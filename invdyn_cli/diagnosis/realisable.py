@@ -12,9 +12,8 @@ import numpy as np
 from scipy import stats
 
 from invdyn_cli.diagnosis.evidence import Evidence
-from invdyn_cli.diagnosis.exact import Model, Refined, moved
+from invdyn_cli.diagnosis.exact import Model, Refined, moved, precision_of
 from invdyn_cli.diagnosis.judge import RELEVANT
-from invdyn_cli.interfaces import AbstractBodyEffect
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent
 
@@ -124,7 +123,7 @@ def _known(evidence: Evidence, refined: Refined, bodies: Sequence[Body]) -> tupl
     # the rows of `unknown` are a root of the covariance, in which all that is no body of these is marginalised
     root = np.linalg.inv(np.linalg.qr(refined.unknown[:, at], mode="r"))
     wanted = np.array([_row(refined, b) for b in bodies])
-    return wanted, root @ root.T, np.array([_precision(evidence, refined, k) for k in at])
+    return wanted, root @ root.T, precision_of(evidence, refined.acting, refined.labels)[at]
 
 
 def _change(
@@ -183,14 +182,6 @@ def _row(refined: Refined, body: Body) -> np.ndarray:
 
 def _can_be(refined: Refined, body: Body) -> bool:
     return pseudo_inertia.is_realisable(_row(refined, body))
-
-
-def _precision(evidence: Evidence, refined: Refined, place: int) -> float:
-    """What is known of a body's coordinate beforehand."""
-    number, _, index = refined.labels[place]
-    one = refined.acting[number]
-    assert isinstance(one.effect, AbstractBodyEffect)
-    return 1 / one.effect.directions(evidence.robot, one.joint)[index][2] ** 2
 
 
 def _alone(information: np.ndarray, own: slice) -> np.ndarray:
