@@ -16,6 +16,7 @@ from invdyn_cli.effects.composition import (
     Acting,
     When,
     chunked,
+    identity,
     inertia_column,
     kinematics_of,
     link_torque,
@@ -77,8 +78,9 @@ def gather(
     return evidence
 
 
-def trial_at(evidence: Evidence, acting: Acting) -> Candidate:
-    """The candidate of an effect at parameters that were found: its nonlinear ones tried there and nowhere else."""
+def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> Candidate:
+    """The candidate of an effect at parameters that were found, beside others: its nonlinear ones tried there and
+    nowhere else."""
     effect, joint = acting.effect, acting.joint
     if acting.when is not None:
         return passing_candidate(evidence, effect, joint, acting.when)
@@ -86,7 +88,7 @@ def trial_at(evidence: Evidence, acting: Acting) -> Candidate:
         return body_candidate(evidence, effect, joint, acting.parameters)
     assert joint is not None
     if isinstance(effect, AbstractGearEffect):
-        return gear_candidate(evidence, effect, joint, acting.parameters, exact=True)
+        return gear_candidate(evidence, effect, joint, acting.parameters, beside, exact=True)
     if isinstance(effect, AbstractChannelEffect):
         return channel_candidate(evidence, effect, joint, acting.parameters)
     assert isinstance(effect, AbstractTorqueEffect)
@@ -171,47 +173,64 @@ def nominal(states: Sequence[JointState]) -> np.ndarray:
     return np.stack([np.asarray(s.transmitted) for s in states])
 
 
-def _change(evidence: Evidence, acting: Acting) -> np.ndarray:
-    """(n, R) what a body, motion or gear effect changes of the nominal torque."""
+def _change(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> np.ndarray:
+    """(n, R) what a body, motion or gear effect changes of the torque with others."""
     robot, recording = evidence.robot, evidence.recording
-    changes = [
-        link_torque(robot, (acting,), piece.motion, recording.stretch(piece)) - nominal(states)
-        for piece, states in zip(recording.pieces, evidence.states, strict=True)
-    ]
+    changes = []
+    for piece, states in zip(recording.pieces, evidence.states, strict=True):
+        stretch = recording.stretch(piece)
+        before = link_torque(robot, beside, piece.motion, stretch) if beside else nominal(states)
+        changes.append(link_torque(robot, (*beside, acting), piece.motion, stretch) - before)
     return filtered(recording, changes)
 
 
 def gear_candidate(
-    evidence: Evidence, effect: AbstractGearEffect, joint: int, shape: Parameters, exact: bool = False
+    evidence: Evidence,
+    effect: AbstractGearEffect,
+    joint: int,
+    shape: Parameters,
+    beside: Sequence[Acting] = (),
+    exact: bool = False,
 ) -> Candidate:
-    """A gear that yields so far: what that changes (fixed), and the change with its softness (free). The change goes
-    with the link's acceleration against the motor's, and with its angle; `exact`: the fixed one as it is."""
-    recording, n = evidence.recording, evidence.dofs
-    softness = effect.softness(shape)
+    """A gear that yields so far to what it carries with others: what that changes (fixed), and the change with its
+    softness (free); `exact`: the fixed one as it is."""
+    change, slope = gear_columns(evidence, Acting(effect, joint, shape), beside)
+    fixed = _change(evidence, Acting(effect, joint, shape), beside) if exact else change
+    columns = {}
+    for j in range(evidence.dofs):
+        numbers = evidence.append(j, [fixed[j], slope[j]])
+        columns[j] = numbers[:1], numbers[1:]
+    return Candidate(effect, joint, shape, columns, np.array([1 / (0.3 * effect.softness(shape)) ** 2]))
+
+
+def gear_columns(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """(n, R) what a gear that yields changes of the torque with others, and the change with its softness, to first
+    order: it goes with the link's acceleration against the motor's, and with its angle."""
+    effect, joint, recording = acting.effect, acting.joint, evidence.recording
+    assert isinstance(effect, AbstractGearEffect) and joint is not None
+    softness, carried = effect.softness(acting.parameters), _carried(evidence, joint, beside)
 
     def change(factor: float) -> np.ndarray:
         parts = []
         own = effect.of_softness(factor * softness)
-        for (load, inertia), (mass, slope) in zip(_carried(evidence, joint), _answers(evidence, joint), strict=True):
+        for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
             b, b2 = effect.deflection(own, load, inertia, recording.filter.rate)
             parts.append(mass * b2 + slope * b)
         return filtered(recording, parts)
 
-    fixed = _change(evidence, Acting(effect, joint, shape)) if exact else change(1.0)
-    free = (change(1 + YIELD) - change(1 - YIELD)) / (2 * YIELD * softness)
-    columns = {}
-    for j in range(n):
-        numbers = evidence.append(j, [fixed[j], free[j]])
-        columns[j] = numbers[:1], numbers[1:]
-    return Candidate(effect, joint, shape, columns, np.array([1 / (0.3 * softness) ** 2]))
+    return change(1.0), (change(1 + YIELD) - change(1 - YIELD)) / (2 * YIELD * softness)
 
 
-def _carried(evidence: Evidence, joint: int) -> list[tuple[Array, Array]]:
-    """Of every piece the torque (T,) that a joint transmits, and the inertia (T,) that it carries."""
-    answers = _answers(evidence, joint)
-    return [
-        (states[joint].transmitted, mass[joint]) for states, (mass, _) in zip(evidence.states, answers, strict=True)
-    ]
+def _carried(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> list[tuple[Array, Array]]:
+    """Of every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
+    kept."""
+    key = ("carried", joint, identity(beside))
+    if key not in evidence.kept:
+        robot, recording = evidence.robot, evidence.recording
+        loads = [link_torque(robot, beside, p.motion, recording.stretch(p))[joint] for p in recording.pieces]
+        inertias = [mass[joint] for mass, _ in _answers(evidence, joint)]
+        evidence.kept[key] = list(zip(loads, inertias, strict=True))
+    return evidence.kept[key]
 
 
 def _answers(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:

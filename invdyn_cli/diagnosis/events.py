@@ -12,6 +12,7 @@ import numpy as np
 from invdyn_cli.diagnosis.candidates import beforehand, passing_candidate, passing_columns
 from invdyn_cli.diagnosis.evidence import BLOCK, Candidate, Evidence
 from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT
+from invdyn_cli.diagnosis.noise import Noise
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.effects.composition import When
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
@@ -28,6 +29,13 @@ thousand in white noise has 25 (one coefficient) to 50 (ten)."""
 
 SHARE = 0.01
 """Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there."""
+
+WITHIN = 0.2
+"""The same of what is left in the window beyond noise: what comes and goes is there all the time between."""
+
+EVEN = 0.35
+"""Share of the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
+and the like leave pulses."""
 
 MOST, ROUNDS = 3, 4
 """Windows that are looked for in one residual, and how often, with what was found taken out."""
@@ -79,32 +87,31 @@ def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str)
 def proposed(
     evidence: Evidence,
     everywhere: Sequence[Place],
-    residuals: Sequence[np.ndarray],
-    weights: np.ndarray,
+    residual: np.ndarray,
+    measured: Noise,
     known: Sequence[When],
 ) -> list[list[Candidate]]:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
     first.
 
     Args:
-        residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
-        weights: (n,) of a row, in noise variances.
+        residual: (R, n), in which windows are looked for.
         known: windows that were proposed before.
     """
     made: list[When] = []
+    weights = measured.weights
     first = 1 + max((w.number for w in known), default=-1)
-    for residual in residuals:
-        left = residual.copy()
-        least = max(PRICE, SHARE * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
-        for _ in range(MOST):
-            tries = [_window(evidence, p, left, weights) for p in everywhere]
-            value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
-            if value <= least or when is None:
-                break
-            left = left - explained
-            for one in (when, *_other_end(evidence, when)):
-                if not any(_alike(one, other) for other in (*known, *made)):
-                    made.append(one._replace(number=first + len(made)))
+    left = residual.copy()
+    least = max(PRICE, SHARE * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
+    for _ in range(MOST):
+        tries = [_window(evidence, p, left, measured) for p in everywhere]
+        value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
+        if value <= least or when is None:
+            break
+        left = left - explained
+        for one in (when, *_other_end(evidence, when)):
+            if not any(_alike(one, other) for other in (*known, *made)):
+                made.append(one._replace(number=first + len(made)))
     return [[passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made]
 
 
@@ -155,12 +162,12 @@ def interleaved(evidence: Evidence, windows: Sequence[When]) -> Evidence:
 
 
 def _window(
-    evidence: Evidence, place: Place, left: np.ndarray, weights: np.ndarray
+    evidence: Evidence, place: Place, left: np.ndarray, measured: Noise
 ) -> tuple[float, When | None, np.ndarray]:
     """What an effect explains in its best window, less its price; the window, and its torque (R, n)."""
     t, k = evidence.on_rows("t"), len(place.columns)
     names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
-    used = evidence.valid * weights
+    used = evidence.valid * measured.weights
     best: tuple[float, When | None, np.ndarray] = -np.inf, None, left
     for name in dict.fromkeys(names):
         rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
@@ -185,14 +192,25 @@ def _window(
         at = int(np.argmax(gain(a, b)))
         a, b = _sharpened(gain, a[at], b[at], time, 2 * step)
         value = float(gain(np.array([a]), np.array([b]))[0]) - PRICE_OF_COEFFICIENT * k
-        if value > best[0]:
-            factors = np.linalg.solve(normal[b] - normal[a] + prior, moment[b] - moment[a])
-            explained = np.zeros_like(left)
-            explained[rows[a:b]] = np.tensordot(factors, x[:, :, a:b], 1).T
+        if value <= best[0]:
+            continue
+        factors = np.linalg.solve(normal[b] - normal[a] + prior, moment[b] - moment[a])
+        explained = np.zeros_like(left)
+        explained[rows[a:b]] = np.tensordot(factors, x[:, :, a:b], 1).T
+        there, own = rows[a:b], used[rows[a:b]]
+        gained = np.sum(own * (left[there] ** 2 - (left - explained)[there] ** 2), axis=1)
+        excess = np.sum(own * (left[there] ** 2 - measured.deviation**2))
+        if value > WITHIN * excess and _spread(gained) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
             end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
             best = value, When(str(name), float(start), float(end)), explained
     return best
+
+
+def _spread(gained: np.ndarray) -> float:
+    """Over how much of a window it is that something was gained at its rows: 1 all over alike, less for blows."""
+    parts = np.array([x.sum() for x in np.array_split(gained, PARTS)])
+    return float(parts.sum() ** 2 / (PARTS * np.sum(parts**2)))
 
 
 def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:

@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from invdyn_cli.diagnosis.candidates import beforehand, passing_columns, passing_torque
+from invdyn_cli.diagnosis.candidates import beforehand, gear_columns, passing_columns, passing_torque
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.judge import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search import WHOLE
-from invdyn_cli.effects.composition import Acting, channel, joint_terms, link_torque
+from invdyn_cli.effects.composition import Acting, channel, identity, joint_terms, link_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractForceEffect,
+    AbstractGearEffect,
     AbstractTorqueEffect,
     Parameter,
 )
@@ -87,28 +88,29 @@ class Model:
 
     def _moved(self, acting: Sequence[Acting]) -> tuple:
         """The key of the inverse dynamics (n, T) of every piece with the effects that reach more than one joint, which
-        are there. What comes and goes adds to that of the nominal motion: its columns are at hand."""
+        are there. What comes and goes adds to that of the nominal motion, its columns being at hand; but a gear yields
+        to it."""
         whole = [a for a in acting if a.effect.point in WHOLE]
-        key = _keys(whole)
+        key = identity(whole)
         if key not in self._bodies:
             if len(self._bodies) > 40:
                 self._bodies.clear()
             lasting = [a for a in whole if a.when is None]
-            if lasting == whole:
+            if lasting == whole or any(a.effect.point == "gear" for a in whole):
                 robot, recording = self.evidence.robot, self.evidence.recording
                 made = [link_torque(robot, whole, piece.motion, recording.stretch(piece)) for piece in recording.pieces]
             else:
-                made = [body.copy() for body in self._bodies[self._moved(lasting)]]
-            for one in whole:
-                if one.when is not None:
-                    torques = passing_torque(self.evidence, one, np.array(_coordinates(self.evidence, one)))
-                    made = [body + x for body, x in zip(made, torques, strict=True)]
+                made = self._bodies[self._moved(lasting)]
+                for one in whole:
+                    if one.when is not None:
+                        torques = passing_torque(self.evidence, one, np.array(_coordinates(self.evidence, one)))
+                        made = [body + x for body, x in zip(made, torques, strict=True)]
             self._bodies[key] = made
         return key
 
     def _row(self, acting: Sequence[Acting], bodies: tuple, j: int) -> np.ndarray:
         own = [a for a in acting if a.joint == j and a.effect.point in ("torque", "channel")]
-        key = (bodies, j, _keys(own))
+        key = (bodies, j, identity(own))
         if key not in self._rows:
             if len(self._rows) > 400:
                 self._rows.clear()
@@ -128,13 +130,6 @@ class Model:
                 parts.append(logged - tau)
             self._rows[key] = filtered(self.evidence.recording, parts, j)
         return self._rows[key]
-
-
-def _keys(acting: Sequence[Acting]) -> tuple:
-    return tuple(
-        (a.effect.name, a.joint, a.when, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items()))
-        for a in acting
-    )
 
 
 def refine(
@@ -277,6 +272,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
     for a in acting:
         if a.effect.name == "torque_gain_error":
             gains[a.joint] /= a.parameters["gain"]
+    direct = all(a.effect.point != "channel" or a.effect.name == "torque_gain_error" for a in acting)
     for i, (number, name, index) in enumerate(labels):
         a = acting[number]
         if not name and a.when is not None:
@@ -292,7 +288,18 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
         step = _step(a, name, theta[i], evidence.recording.filter.rate)
         moved = theta.copy()
         moved[i] += step
-        out[i] = (residual - model.residual(_with(evidence, acting, labels, moved))) / step
+        there = _with(evidence, acting, labels, moved)
+        if direct and isinstance(a.effect, AbstractGearEffect):
+            others = [x for x in acting if x is not a and x.effect.point in WHOLE]
+            softer = a.effect.softness(there[number].parameters) - a.effect.softness(a.parameters)
+            out[i] = (gains[:, None] * gear_columns(evidence, a, others)[1] * softer / step).T
+        elif direct and name in EDGES and a.effect.point in WHOLE:
+            factors = np.array(_coordinates(evidence, a))
+            ends = [passing_torque(evidence, x, factors) for x in (there[number], a)]
+            change = filtered(evidence.recording, [x - y for x, y in zip(*ends, strict=True)])
+            out[i] = (gains[:, None] * change / step).T
+        else:
+            out[i] = (residual - model.residual(there)) / step
     return out
 
 

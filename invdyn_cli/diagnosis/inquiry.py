@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn_cli.diagnosis import events, known, naming, noise, realisable
-from invdyn_cli.diagnosis.candidates import trial_at
+from invdyn_cli.diagnosis.candidates import gear_candidate, trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_all
@@ -58,29 +58,31 @@ def inquire(
         side: the torque's.
         parted: whether a user said what chooses and what judges; it then stays so.
     """
-    inquiry = _searched(evidence, effects, allowed, most, compares)
     everywhere = [] if compares else events.places(evidence, effects, side)
+    inquiry: Inquiry | None = None
     held: list[Sequence[Candidate]] = []
     tried: list[When] = []
+    residual = np.column_stack([table[:, 0] for table in evidence.tables])
+    measured = noise.measure(evidence, evidence.role == ROLES.index("train"))
     for _ in range(events.ROUNDS):
-        nominal = inquiry.model.residual([a for a in inquiry.whole.acting if a.when is not None])
-        residuals = inquiry.whole.residual, nominal
-        found = events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise.weights, tried)
-        if not found:
+        found = events.proposed(evidence, everywhere, residual, measured, tried)
+        if inquiry is not None and not found:
             return inquiry
         windows = [*held, *found]
         passing = [c for window in windows for c in window]
         times = [c.when for c, *_ in windows if c.when is not None]
         tried += [w for w in times if w not in tried]
-        evidence = inquiry.evidence if parted else events.interleaved(inquiry.evidence, times)
+        if times and not parted:
+            evidence = events.interleaved(evidence, times)
         lasting = [c for c in evidence.candidates if c.when is None]
-        more = replace(evidence, candidates=[*lasting, *passing])
-        again = _searched(more, effects, allowed, most, compares, inquiry.hypothesis)
+        start = inquiry.hypothesis if inquiry else ()
+        again = _searched(replace(evidence, candidates=[*lasting, *passing]), effects, allowed, most, compares, start)
         numbers = {c.when.number for c in again.hypothesis if c.when is not None}
-        if len(numbers) <= sum(c.when is not None for c in inquiry.hypothesis):
+        if inquiry is not None and len(numbers) <= sum(c.when is not None for c in inquiry.hypothesis):
             return inquiry
-        inquiry = again
+        inquiry, evidence, residual, measured = again, again.evidence, again.whole.residual, again.noise
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
+    assert inquiry is not None
     return inquiry
 
 
@@ -126,8 +128,9 @@ def _searched(
             pool = [c for c in pool if c.key not in unlikely]
             hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
             continue
-        trials = tuple(trial_at(evidence, a) for a in refined.acting)
-        pool = [*pool, *(c for c in trials if not any(c is p for p in pool))]
+        trials = tuple(trial_at(evidence, a, _others(refined.acting, a)) for a in refined.acting)
+        more = [*trials, *_geared(evidence, refined.acting)]
+        pool = [*pool, *(c for c in more if not any(c is p for p in pool))]
         judge.refresh()
         hypothesis = search(judge, pool, always, trials, most)
         hypothesis = naming.simplified(judge, always, hypothesis, pool)
@@ -144,6 +147,22 @@ def _searched(
         pool = [c for c in pool if c.key not in unlikely]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
         hypothesis = naming.simplified(judge, always, hypothesis, pool)
+
+
+def _others(acting: Sequence[Acting], one: Acting) -> list[Acting]:
+    """The other effects that reach more than a joint of their own."""
+    return [a for a in acting if a is not one and a.effect.point in WHOLE]
+
+
+def _geared(evidence: Evidence, acting: Sequence[Acting]) -> list[Candidate]:
+    """The trials of every gear that might be on a joint where one was found, with what else it was found to carry."""
+    made = []
+    for one in acting:
+        others = _others(acting, one)
+        if one.effect.point == "gear" and others:
+            trials = [c for c in evidence.candidates if c.effect.point == "gear" and c.joint == one.joint]
+            made += [gear_candidate(evidence, c.effect, one.joint, c.shape, others) for c in trials]
+    return made
 
 
 def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:

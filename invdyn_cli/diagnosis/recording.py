@@ -104,13 +104,19 @@ class Filter:
 
     def of(self, joint: int, x: np.ndarray) -> np.ndarray:
         """A joint's columns (..., T) -> (..., rows)."""
-        sections = _sections(self.rate, self.cutoffs[joint])
-        out = np.asarray(signal.sosfiltfilt(sections, np.asarray(x), axis=-1, padlen=self.inset))
-        return out[..., self.rows(x.shape[-1])]
+        return self._passed(self.cutoffs[joint], np.asarray(x))
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Columns of all joints (..., n, T) -> (..., n, rows)."""
-        return np.stack([self.of(j, x[..., j, :]) for j in range(len(self.cutoffs))], axis=-2)
+        rows, cutoffs = self.rows(x.shape[-1]), np.array(self.cutoffs)
+        out = np.empty((*x.shape[:-1], len(rows)))
+        for cutoff in set(self.cutoffs):
+            out[..., cutoffs == cutoff, :] = self._passed(cutoff, x[..., cutoffs == cutoff, :])
+        return out
+
+    def _passed(self, cutoff: float, x: np.ndarray) -> np.ndarray:
+        out = np.asarray(signal.sosfiltfilt(_sections(self.rate, cutoff), x, axis=-1, padlen=self.inset))
+        return out[..., self.rows(x.shape[-1])]
 
     def spread(self, mask: np.ndarray) -> np.ndarray:
         """Rows (n, rows) that any True of a mask (n, T) reaches through the filters."""

@@ -54,6 +54,14 @@ class Acting:
         return self.effect.name, self.joint, *(() if self.when is None else (self.when.number,))
 
 
+def identity(acting: Sequence[Acting]) -> tuple:
+    """What is the same for the same effects with the same parameters, to keep results by."""
+    return tuple(
+        (a.effect.name, a.joint, a.when, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items()))
+        for a in acting
+    )
+
+
 @dataclass(frozen=True)
 class Stretch:
     """Where and when a motion was: its trajectory, t (T,) [s] from its first sample, rate [Hz]."""
@@ -99,7 +107,12 @@ def link_torque(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch:
     robot, motion = changed(robot, acting, motion)
     for one in acting:
         if isinstance(one.effect, AbstractGearEffect):
-            motion = _behind(robot, one, motion, stretch)
+            motion = _behind(robot, acting, one, motion, stretch)
+    return _moving(robot, acting, motion, stretch)
+
+
+def _moving(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch) -> np.ndarray:
+    """Torque (n, T) that moves the links of a robot along their motion, with what comes and goes among `acting`."""
     torque = rigid_torque(robot, motion)
     for one in acting:
         share = weight(one.when, stretch)
@@ -112,10 +125,10 @@ def link_torque(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch:
     return torque
 
 
-def _behind(robot: Robot, one: Acting, motion: Motion, stretch: Stretch) -> Motion:
-    """The motion (n, T) of the links behind a gear that yields."""
+def _behind(robot: Robot, acting: Sequence[Acting], one: Acting, motion: Motion, stretch: Stretch) -> Motion:
+    """The motion (n, T) of the links behind a gear that yields to all that they carry."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
-    load = rigid_torque(robot, motion)[one.joint]
+    load = _moving(robot, acting, motion, stretch)[one.joint]
     inertia = inertia_column(robot, motion.q, one.joint)[one.joint]
     b, b2 = one.effect.deflection(one.parameters, load, inertia, stretch.rate)
     b1 = np.gradient(b) * stretch.rate

@@ -12,6 +12,9 @@ import numpy as np
 from invdyn_cli.interfaces import AbstractGearEffect, Parameter, Parameters
 from invdyn_cli.types import Array
 
+BLOW = 3
+"""Samples over which filters spread the blow of flanks that meet."""
+
 
 @dataclass(frozen=True)
 class Backlash(AbstractGearEffect):
@@ -37,8 +40,7 @@ class Backlash(AbstractGearEffect):
         return [{"gap": x} for x in self.gaps]
 
     def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
-        b = _within_gap(np.asarray(load), np.asarray(inertia), parameters["gap"], rate)
-        return b, _twice_differentiated(b, rate)
+        return _within_gap(np.asarray(load), np.asarray(inertia), parameters["gap"], rate)
 
 
 @dataclass(frozen=True)
@@ -76,30 +78,36 @@ class JointElasticity(AbstractGearEffect):
         return {"stiffness": float(1 / max(softness, 1e-9))}
 
 
-def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) -> np.ndarray:
-    """Deflection (T,) of a link that is pushed by one flank or the other, or falls: inertia times its acceleration
-    against the motor is then -load. Flanks take it up without bouncing."""
+def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Deflection (T,) of a link that is pushed by one flank or the other, or falls without bouncing, and its second
+    derivative, blows with their whole momentum; inertia times the link's acceleration against the motor is then -load.
+
+    A blow stops the motor as well, and filters spread that over some samples: the link is left to fall, the motor's own
+    acceleration braking it, until they go together; what is left of its speed after BLOW of them goes at once.
+    """
     step, half = 1 / rate, gap / 2
     side = np.where(load > 0, -half, half)
     turns = np.flatnonzero(np.diff(side) != 0) + 1
-    out = np.empty(len(load))
+    out, bend = np.empty(len(load)), np.zeros(len(load))
     fall = (-load / inertia).tolist()
     k, end, at = 0, len(load), float(side[0])
     while k < end:
         later = turns[np.searchsorted(turns, k) :]
         leaves = next((int(x) for x in later if side[x] != at), end) if side[k] == at else k
         out[k:leaves] = at
-        k, b, speed = leaves, at, 0.0
+        k, b, speed, there = leaves, at, 0.0, 0
         while k < end:
             now, before = fall[k], fall[k - 1] if k else fall[k]
             b += speed * step + (2 * before + now) / 6 * step * step
             speed += (before + now) / 2 * step
-            out[k] = b
+            out[k], bend[k] = min(max(b, -half), half), now
             k += 1
-            if abs(b) >= half:
-                out[k - 1] = at = half if b > 0 else -half
+            there = there + 1 if abs(b) >= half else 0
+            if there and (b * speed <= 0 or there >= BLOW):
+                at = half if b > 0 else -half
+                bend[k - 1] -= bend[leaves:k].sum()
                 break
-    return out
+    return out, bend
 
 
 def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: float, rate: float):
@@ -125,10 +133,3 @@ def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: f
         speed = drift + vb * off + vv * lag
     b, speed = np.array(deflections), np.array(speeds)
     return b, -load / inertia - 2 * ratio * omega * speed - omega**2 * b
-
-
-def _twice_differentiated(b: np.ndarray, rate: float) -> np.ndarray:
-    """Second differences (T,), in which a blow between two samples has its whole momentum."""
-    out = np.zeros_like(b)
-    out[1:-1] = (b[2:] - 2 * b[1:-1] + b[:-2]) * rate**2
-    return out

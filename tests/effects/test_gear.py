@@ -58,23 +58,37 @@ def through_play(load: CubicSpline, inertia: CubicSpline, gap: float) -> np.ndar
 
 @pytest.mark.parametrize("seed", range(4))
 def test_play(seed):
-    """The link is where SciPy has it, to 1 % of the gap: it leaves its flank and lands at a sample, up to 2 ms late; it
-    never leaves the gap, and touches both flanks."""
+    """The link is where SciPy has it, to 2 % of the gap: it leaves its flank and lands at a sample, up to 2 ms late,
+    and rests for three samples before it leaves again; it never leaves the gap, and touches both flanks."""
     load, inertia = drawn(seed)
     given = parameters("backlash", np.random.default_rng(seed))
     b, _ = EFFECTS["backlash"].deflection(given, load(T), inertia(T), RATE)
     off = np.abs(b - through_play(load, inertia, given["gap"])) / given["gap"]
     assert b.max() == given["gap"] / 2 and b.min() == -given["gap"] / 2
-    assert off.max() < 0.01
+    assert off.max() < 0.02
 
 
 def test_a_blow_has_its_momentum():
-    """Second derivatives of the deflection integrate to it: on its way from flank to flank the link has been given as
-    much momentum as was taken from it again."""
+    """Second derivatives of the deflection leave a link at rest on its flank: on its way from flank to flank it has
+    been given as much momentum as was taken from it again."""
     load, inertia = drawn(0)
     b, b2 = EFFECTS["backlash"].deflection({"gap": 0.004}, load(T), inertia(T), RATE)
-    rate = np.append(0.0, np.cumsum(b2)[:-1]) / RATE
-    np.testing.assert_allclose(b[0] + np.append(0.0, np.cumsum(rate[1:])) / RATE, b, atol=1e-12)
+    speed = np.cumsum(b2) / RATE
+    lies = np.convolve(np.abs(b) == 0.002, np.ones(9), mode="valid") == 9
+    assert 0.2 < np.mean(lies) < 0.98
+    np.testing.assert_allclose(speed[4:-4][lies], 0, atol=1e-9)
+    assert np.ptp(speed) > 0.01
+
+
+def test_a_blow_that_stops_the_motor_is_one():
+    """Where flanks meet, the motor's own deceleration, seen some milliseconds late, does not throw the link back across
+    the play: a light motor that ran ahead of its link and is stopped by it leaves the link on that flank."""
+    t = np.arange(1000) / 250.0
+    runs, stopped = (np.exp(-(((t - x) / width) ** 2)) for x, width in ((2.01, 0.01), (2.028, 0.006)))
+    load = 0.2 * (t - 2.0) + 10.0 * runs - 15.0 * stopped
+    b, _ = EFFECTS["backlash"].deflection({"gap": 0.004}, load, np.ones_like(t), 250.0)
+    assert np.all(b[t < 1.9] == 0.002) and np.all(b[t > 2.1] == -0.002)
+    assert np.sum(np.diff(np.sign(b)) != 0) == 1
 
 
 @pytest.mark.parametrize("seed", range(3))
