@@ -78,9 +78,13 @@ def gather(
     return evidence
 
 
-def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> Candidate:
+STRAIGHT = 0.005
+"""[rad] As far as a gear may yield for torques to go with its angle as a line does."""
+
+
+def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = (), exact: bool = True) -> Candidate:
     """The candidate of an effect at parameters that were found, beside others: its nonlinear ones tried there and
-    nowhere else."""
+    nowhere else; `exact` as in `gear_candidate`."""
     effect, joint = acting.effect, acting.joint
     if acting.when is not None:
         return passing_candidate(evidence, effect, joint, acting.when)
@@ -88,7 +92,7 @@ def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) 
         return body_candidate(evidence, effect, joint, acting.parameters)
     assert joint is not None
     if isinstance(effect, AbstractGearEffect):
-        return gear_candidate(evidence, effect, joint, acting.parameters, beside, exact=True)
+        return gear_candidate(evidence, effect, joint, acting.parameters, beside, exact)
     if isinstance(effect, AbstractChannelEffect):
         return channel_candidate(evidence, effect, joint, acting.parameters)
     assert isinstance(effect, AbstractTorqueEffect)
@@ -193,9 +197,10 @@ def gear_candidate(
     exact: bool = False,
 ) -> Candidate:
     """A gear that yields so far to what it carries with others: what that changes (fixed), and the change with its
-    softness (free); `exact`: the fixed one as it is."""
-    change, slope = gear_columns(evidence, Acting(effect, joint, shape), beside)
-    fixed = _change(evidence, Acting(effect, joint, shape), beside) if exact else change
+    softness (free); `exact`: the fixed one as it is, however small."""
+    fixed, slope, far = gear_columns(evidence, Acting(effect, joint, shape), beside)
+    if exact or far > STRAIGHT:
+        fixed = _change(evidence, Acting(effect, joint, shape), beside)
     columns = {}
     for j in range(evidence.dofs):
         numbers = evidence.append(j, [fixed[j], slope[j]])
@@ -203,22 +208,27 @@ def gear_candidate(
     return Candidate(effect, joint, shape, columns, np.array([1 / (0.3 * effect.softness(shape)) ** 2]))
 
 
-def gear_columns(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> tuple[np.ndarray, np.ndarray]:
+def gear_columns(
+    evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()
+) -> tuple[np.ndarray, np.ndarray, float]:
     """(n, R) what a gear that yields changes of the torque with others, and the change with its softness, to first
-    order: it goes with the link's acceleration against the motor's, and with its angle."""
+    order: it goes with the link's acceleration against the motor's, and with its angle; how far it yields [rad; m]."""
     effect, joint, recording = acting.effect, acting.joint, evidence.recording
     assert isinstance(effect, AbstractGearEffect) and joint is not None
     softness, carried = effect.softness(acting.parameters), _carried(evidence, joint, beside)
 
-    def change(factor: float) -> np.ndarray:
-        parts = []
+    def change(factor: float) -> tuple[np.ndarray, float]:
+        parts, far = [], 0.0
         own = effect.of_softness(factor * softness)
         for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
             b, b2 = effect.deflection(own, load, inertia, recording.filter.rate)
             parts.append(mass * b2 + slope * b)
-        return filtered(recording, parts)
+            far = max(far, float(np.abs(b).max()))
+        return filtered(recording, parts), far
 
-    return change(1.0), (change(1 + YIELD) - change(1 - YIELD)) / (2 * YIELD * softness)
+    ends = change(1 + YIELD)[0] - change(1 - YIELD)[0]
+    there, far = change(1.0)
+    return there, ends / (2 * YIELD * softness), far
 
 
 def _carried(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> list[tuple[Array, Array]]:

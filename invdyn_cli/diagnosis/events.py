@@ -27,8 +27,9 @@ PRICE = 40.0
 """Noise variances that a window must explain, beyond the price of its coefficients, to be tried: the best of ten
 thousand in white noise has 25 (one coefficient) to 50 (ten)."""
 
-SHARE = 0.01
-"""Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there."""
+SHARE, LARGE = 0.01, 0.2
+"""Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there; and
+before anything else was looked for."""
 
 WITHIN = 0.2
 """The same of what is left in the window beyond noise: what comes and goes is there all the time between."""
@@ -44,7 +45,7 @@ SAME = 0.05
 """[s] by which edges of windows together may differ, and they are the same."""
 
 EDGE = 1.0
-"""[s] from an end of its trajectory within which a window begins or ends there."""
+"""[s] from an end of its trajectory within which a window begins or ends there; if it does both it is none."""
 
 PARTS, FINEST = 6, 0.2
 """Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge; at least
@@ -87,31 +88,34 @@ def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str)
 def proposed(
     evidence: Evidence,
     everywhere: Sequence[Place],
-    residual: np.ndarray,
+    residuals: Sequence[np.ndarray],
     measured: Noise,
-    known: Sequence[When],
+    known: Sequence[When] = (),
+    share: float = SHARE,
 ) -> list[list[Candidate]]:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
     first.
 
     Args:
-        residual: (R, n), in which windows are looked for.
+        residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
         known: windows that were proposed before.
+        share: of a residual's squares that a window must explain.
     """
     made: list[When] = []
     weights = measured.weights
     first = 1 + max((w.number for w in known), default=-1)
-    left = residual.copy()
-    least = max(PRICE, SHARE * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
-    for _ in range(MOST):
-        tries = [_window(evidence, p, left, measured) for p in everywhere]
-        value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
-        if value <= least or when is None:
-            break
-        left = left - explained
-        for one in (when, *_other_end(evidence, when)):
-            if not any(_alike(one, other) for other in (*known, *made)):
-                made.append(one._replace(number=first + len(made)))
+    for residual in residuals:
+        left = residual.copy()
+        least = max(PRICE, share * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
+        for _ in range(MOST):
+            tries = [_window(evidence, p, left, measured) for p in everywhere]
+            value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
+            if value <= least or when is None:
+                break
+            left = left - explained
+            for one in (when, *_other_end(evidence, when)):
+                if not any(_alike(one, other) for other in (*known, *made)):
+                    made.append(one._replace(number=first + len(made)))
     return [[passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made]
 
 
@@ -186,13 +190,15 @@ def _window(
         grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
         a, b = (grid[i] for i in np.triu_indices(len(grid), 1))
         long = time[b - 1] - time[a] >= SHORTEST
+        long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
         a, b = a[long], b[long]
         if not len(a):
             continue
         at = int(np.argmax(gain(a, b)))
         a, b = _sharpened(gain, a[at], b[at], time, 2 * step)
         value = float(gain(np.array([a]), np.array([b]))[0]) - PRICE_OF_COEFFICIENT * k
-        if value <= best[0]:
+        ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
+        if value <= best[0] or ends:
             continue
         factors = np.linalg.solve(normal[b] - normal[a] + prior, moment[b] - moment[a])
         explained = np.zeros_like(left)

@@ -23,7 +23,6 @@ from invdyn_cli.interfaces import (
     AbstractForceEffect,
     AbstractGearEffect,
     AbstractTorqueEffect,
-    Parameter,
 )
 
 STEPS = 4
@@ -172,7 +171,7 @@ def refine(
         if step == steps:
             break
         move = solved(x @ x.T, x @ y - precision * here, precision)
-        theta = _inside(acting, labels, theta + move[: len(theta)])
+        theta = _inside(evidence, acting, labels, theta + move[: len(theta)])
         extra = extra + move[len(theta) :]
         acting = _with(evidence, acting, labels, theta)
         residual = model.residual(acting)
@@ -233,7 +232,7 @@ def _told(acting: Acting) -> dict[str, Any]:
 
 def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:
     """The same with parameters moved by (k,), as far as they are physics, replicas and all."""
-    theta = _inside(refined.acting, refined.labels, refined.theta + move)
+    theta = _inside(evidence, refined.acting, refined.labels, refined.theta + move)
     acting = _with(evidence, refined.acting, refined.labels, theta)
     residual = refined.residual + model.residual(acting) - model.residual(refined.acting)
     there = refined.replicas + (theta - refined.theta)
@@ -389,10 +388,17 @@ def _with(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarra
     return tuple(made)
 
 
-def _inside(acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
-    """Parameters moved back to where they are physics at all."""
-    bounds = [acting[number].effect.parameters.get(name, Parameter("")) for number, name, _ in labels]
-    return np.clip(theta, [b.lower for b in bounds], [b.upper for b in bounds])
+def _inside(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
+    """Parameters moved back to where they are physics at all, and windows to their trajectory."""
+    lower, upper = np.full(len(theta), -np.inf), np.full(len(theta), np.inf)
+    for i, (number, name, _) in enumerate(labels):
+        a = acting[number]
+        if name in EDGES and a.when is not None:
+            times = [p.t[[0, -1]] for p in evidence.recording.pieces if p.trajectory == a.when.trajectory]
+            lower[i], upper[i] = np.min(times), np.max(times)
+        elif name in a.effect.parameters:
+            lower[i], upper[i] = a.effect.parameters[name].lower, a.effect.parameters[name].upper
+    return np.clip(theta, lower, upper)
 
 
 def precision_of(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:

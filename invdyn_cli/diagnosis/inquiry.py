@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn_cli.diagnosis import events, known, naming, noise, realisable
-from invdyn_cli.diagnosis.candidates import gear_candidate, trial_at
+from invdyn_cli.diagnosis.candidates import trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_all
@@ -62,12 +62,12 @@ def inquire(
     inquiry: Inquiry | None = None
     held: list[Sequence[Candidate]] = []
     tried: list[When] = []
-    residual = np.column_stack([table[:, 0] for table in evidence.tables])
+    nominal = np.column_stack([table[:, 0] for table in evidence.tables])
     measured = noise.measure(evidence, evidence.role == ROLES.index("train"))
-    for _ in range(events.ROUNDS):
-        found = events.proposed(evidence, everywhere, residual, measured, tried)
-        if inquiry is not None and not found:
-            return inquiry
+    found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
+    if found and not _outdoes(evidence, measured, [c for window in found for c in window]):
+        found = []
+    for _ in range(1 + events.ROUNDS):
         windows = [*held, *found]
         passing = [c for window in windows for c in window]
         times = [c.when for c, *_ in windows if c.when is not None]
@@ -79,11 +79,31 @@ def inquire(
         again = _searched(replace(evidence, candidates=[*lasting, *passing]), effects, allowed, most, compares, start)
         numbers = {c.when.number for c in again.hypothesis if c.when is not None}
         if inquiry is not None and len(numbers) <= sum(c.when is not None for c in inquiry.hypothesis):
-            return inquiry
-        inquiry, evidence, residual, measured = again, again.evidence, again.whole.residual, again.noise
+            break
+        inquiry, evidence = again, again.evidence
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
+        nominal = inquiry.model.residual([a for a in inquiry.whole.acting if a.when is not None])
+        found = events.proposed(evidence, everywhere, [inquiry.whole.residual, nominal], inquiry.noise, tried)
+        if not found:
+            break
     assert inquiry is not None
     return inquiry
+
+
+def _outdoes(evidence: Evidence, measured: noise.Noise, passing: Sequence[Candidate]) -> bool:
+    """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
+    lasts."""
+    judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
+    judge.refresh()
+    nothing = judge.quick(())[0]
+    losses, own = judge.extended((), passing)
+    possible = [x for x, c, o in zip(losses, passing, own, strict=True) if not judge.impossible(c, o)]
+    best: dict[int | None, float] = {}
+    for loss, c in zip(judge.extended((), evidence.candidates)[0], evidence.candidates, strict=True):
+        place = c.joint if len(c.columns) == 1 else None
+        best[place] = max(best.get(place, 0.0), nothing - loss)
+    arm = best.pop(None, 0.0)
+    return nothing - min(possible, default=nothing) > max(arm, sum(best.values()))
 
 
 def _searched(
@@ -161,7 +181,7 @@ def _geared(evidence: Evidence, acting: Sequence[Acting]) -> list[Candidate]:
         others = _others(acting, one)
         if one.effect.point == "gear" and others:
             trials = [c for c in evidence.candidates if c.effect.point == "gear" and c.joint == one.joint]
-            made += [gear_candidate(evidence, c.effect, one.joint, c.shape, others) for c in trials]
+            made += [trial_at(evidence, Acting(c.effect, c.joint, c.shape), others, exact=False) for c in trials]
     return made
 
 

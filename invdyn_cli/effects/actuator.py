@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import signal
@@ -189,9 +190,11 @@ class TorqueSaturation(AbstractChannelEffect):
 
     Attributes:
         shares: of the samples that a tried limit would cut off.
+        apart: ratio of neighbouring limits at most; others are tried between.
     """
 
     shares: tuple[float, ...] = (0.004, 0.01, 0.02, 0.04, 0.08, 0.12, 0.17, 0.23, 0.3)
+    apart: float = 1.3
 
     name = "torque_saturation"
     title = "torque saturation"
@@ -203,7 +206,11 @@ class TorqueSaturation(AbstractChannelEffect):
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         limits = np.quantile(abs(np.asarray(tau)), [1 - x for x in self.shares])
-        return [{"limit": float(x)} for x in limits if x > 0]
+        limits = limits[limits > 0]
+        for high, low in pairwise(limits):  # a controller that asks for ever more leaves a gap
+            between = int(np.ceil(np.log(high / low) / np.log(self.apart)))
+            limits = np.append(limits, np.geomspace(high, low, between + 1)[1:-1] if between > 1 else [])
+        return [{"limit": float(x)} for x in limits]
 
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         xp = tau.__array_namespace__()

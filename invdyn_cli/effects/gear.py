@@ -12,7 +12,8 @@ import numpy as np
 from invdyn_cli.interfaces import AbstractGearEffect, Parameter, Parameters
 from invdyn_cli.types import Array
 
-BLOW = 3
+BLOW = 1
+SLOWED = 1.5
 """Samples over which filters spread the blow of flanks that meet."""
 
 
@@ -53,8 +54,8 @@ class JointElasticity(AbstractGearEffect):
             ring on: below the resonance it plays no part.
     """
 
-    resonances: tuple[float, ...] = (6.0, 9.0, 13.0, 20.0, 30.0)
-    damping_ratio: float = 0.3
+    resonances: tuple[float, ...] = (2.7, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0)
+    damping_ratio: float = 0.5
 
     name = "joint_elasticity"
     title = "joint elasticity"
@@ -83,7 +84,8 @@ def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) 
     derivative, blows with their whole momentum; inertia times the link's acceleration against the motor is then -load.
 
     A blow stops the motor as well, and filters spread that over some samples: the link is left to fall, the motor's own
-    acceleration braking it, until they go together; what is left of its speed after BLOW of them goes at once.
+    acceleration braking it, until they go together. Where that does not happen within BLOW of them, its speed goes at
+    once.
     """
     step, half = 1 / rate, gap / 2
     side = np.where(load > 0, -half, half)
@@ -103,7 +105,9 @@ def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) 
             out[k], bend[k] = min(max(b, -half), half), now
             k += 1
             there = there + 1 if abs(b) >= half else 0
-            if there and (b * speed <= 0 or there >= BLOW):
+            if there == 1:
+                braked = abs(speed) > SLOWED * abs(speed + sum(fall[k : k + BLOW]) * step)
+            if there and (b * speed <= 0 or there > BLOW or not braked):
                 at = half if b > 0 else -half
                 bend[k - 1] -= bend[leaves:k].sum()
                 break

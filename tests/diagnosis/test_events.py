@@ -62,7 +62,7 @@ def looked_for(evidence: Evidence) -> list:
     left = evidence.tau - evidence.nominal
     deviation = np.std(left[evidence.on_rows("t") < 2.5], axis=0)
     measured = Noise(deviation, np.ones(3), left)
-    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), left, measured, ())
+    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), [left], measured)
 
 
 @pytest.mark.parametrize("name", HIDDEN)
