@@ -164,7 +164,7 @@ def refine(
         y = ((residual - np.tensordot(extra, timing, 1)) * scale).ravel()
         here = np.concatenate([theta, extra])
         loss = y @ y + precision @ here**2
-        if best is not None and loss > best[0] * (1 + 1e-9):
+        if best is not None and not loss <= best[0] * (1 + 1e-9):
             theta, extra, residual = best[1], best[2], best[3]
             break
         best = loss, theta, extra, residual

@@ -39,6 +39,10 @@ class When(NamedTuple):
     number: int = 0
 
 
+LEAST = 1e-3
+"""Share of the largest inertia that a joint carries, below which none is."""
+
+
 @dataclass(frozen=True)
 class Acting:
     """An effect at work: on a joint (None: the whole arm), with these parameters, in a window (None: always)."""
@@ -130,6 +134,7 @@ def _behind(robot: Robot, acting: Sequence[Acting], one: Acting, motion: Motion,
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
     load = _moving(robot, acting, motion, stretch)[one.joint]
     inertia = inertia_column(robot, motion.q, one.joint)[one.joint]
+    inertia = np.maximum(inertia, LEAST * np.abs(inertia).max())  # on the way to other inertials there may be none
     b, b2 = one.effect.deflection(one.parameters, load, inertia, stretch.rate)
     b1 = np.gradient(b) * stretch.rate
     own = (np.arange(len(motion.q)) == one.joint)[:, None]

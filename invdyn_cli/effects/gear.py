@@ -12,9 +12,9 @@ import numpy as np
 from invdyn_cli.interfaces import AbstractGearEffect, Parameter, Parameters
 from invdyn_cli.types import Array
 
-BLOW = 1
-SLOWED = 1.5
-"""Samples over which filters spread the blow of flanks that meet."""
+BLOW, SLOWED = 1, 1.5
+"""Samples that the blow of flanks that meet may last: filters spread it. It does where the motor's own deceleration
+then takes that much of the link's speed against it."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,8 @@ def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) 
     """Deflection (T,) of a link that is pushed by one flank or the other, or falls without bouncing, and its second
     derivative, blows with their whole momentum; inertia times the link's acceleration against the motor is then -load.
 
-    A blow stops the motor as well, and filters spread that over some samples: the link is left to fall, the motor's own
-    acceleration braking it, until they go together. Where that does not happen within BLOW of them, its speed goes at
-    once.
+    A blow stops the motor as well, and that is seen a sample late: where it brakes the fall, the link is left to it for
+    BLOW samples, or until they go together; elsewhere its speed goes at once.
     """
     step, half = 1 / rate, gap / 2
     side = np.where(load > 0, -half, half)
