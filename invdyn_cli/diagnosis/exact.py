@@ -1,5 +1,4 @@
-"""The composed model against the record: all parameters of a hypothesis refined together, by the effects' formulas, and
-the intervals that blocks of the log give them.
+"""The composed model against the record: all parameters of a hypothesis refined together, by the effects' formulas.
 
 Linear columns chose the hypothesis; here a gain scales the friction behind it, a payload changes the load of the gear,
 and nothing is straightened any more. Gauss and Newton's steps with numerical slopes, a few times.
@@ -7,10 +6,8 @@ and nothing is straightened any more. Gauss and Newton's steps with numerical sl
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from invdyn_cli.diagnosis.candidates import beforehand, gear_columns, passing_columns, passing_torque
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
@@ -31,19 +28,6 @@ STEPS = 4
 
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
-
-BOUNDLESS = 1e100
-"""Beyond it nothing is known of a parameter (the place of no mass), and squares overflow."""
-
-SYSTEMATIC, OWN_TIME = 1e-3, 0.1
-"""Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the
-simulated arm (`make confusion`)."""
-GEARED = 0.03
-"""Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide."""
-
-STUCK = 0.04
-"""Share of a static friction, and of the speed at which it falls, that is hidden by the milliseconds in which a joint
-that turns back sticks."""
 
 
 @dataclass(frozen=True)
@@ -173,9 +157,9 @@ def refine(
         move = solved(x @ x.T, x @ y - precision * here, precision)
         theta = _inside(evidence, acting, labels, theta + move[: len(theta)])
         extra = extra + move[len(theta) :]
-        acting = _with(evidence, acting, labels, theta)
+        acting = with_parameters(evidence, acting, labels, theta)
         residual = model.residual(acting)
-    acting = _with(evidence, acting, labels, theta)
+    acting = with_parameters(evidence, acting, labels, theta)
     spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
     left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
     return Refined(tuple(acting), theta, labels, *spread, left)
@@ -202,66 +186,13 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
     return theta + np.array(moves)[:, : len(theta)], unknown[:, : len(theta)]
 
 
-def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
-    """Every effect's parameters, and the edges of its window, with the ends of their intervals, {name: (value, lower,
-    upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone leaves
-    unknown; angles do not jump."""
-    replicas = [_with(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
-    moved = [_with(evidence, refined.acting, refined.labels, refined.theta + row) for row in refined.unknown]
-    out = []
-    for number, a in enumerate(refined.acting):
-        row = {}
-        for name, value in _told(a).items():
-            away = [
-                np.array([np.asarray(_told(r[number])[name], float) - value for r in rows])
-                for rows in (replicas, moved)
-            ]
-            if name in ("azimuth", "phase"):
-                away = [(x + np.pi) % (2 * np.pi) - np.pi for x in away]
-            error = np.hypot(reach(away[0], away[1], share), 2 * _systematic(evidence, a, name, value))
-            row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
-        out.append(row)
-    return out
-
-
-def _told(acting: Acting) -> dict[str, Any]:
-    """Parameters of an effect, and the edges of its window."""
-    edges = {} if acting.when is None else {name: getattr(acting.when, name) for name in EDGES}
-    return {**acting.parameters, **edges}
-
-
 def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:
     """The same with parameters moved by (k,), as far as they are physics, replicas and all."""
     theta = _inside(evidence, refined.acting, refined.labels, refined.theta + move)
-    acting = _with(evidence, refined.acting, refined.labels, theta)
+    acting = with_parameters(evidence, refined.acting, refined.labels, theta)
     residual = refined.residual + model.residual(acting) - model.residual(refined.acting)
     there = refined.replicas + (theta - refined.theta)
     return replace(refined, acting=acting, theta=theta, replicas=there, residual=residual)
-
-
-def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
-    """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958); at least that of the moves (m, …)
-    that the noise leaves unknown."""
-    replicas, unknown = (np.clip(x, -BOUNDLESS, BOUNDLESS) for x in (replicas, unknown))
-    count = len(replicas)
-    spread = np.sqrt((count - 1) / count * np.sum((replicas - replicas.mean(0)) ** 2, axis=0))
-    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(unknown**2, axis=0))
-    return np.maximum(stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread, by_noise)
-
-
-def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:
-    """Standard error that no spread of blocks shows: what clocks, holding and filters leave of every column."""
-    if name in ("delay", "time_constant") and acting.effect.point == "channel":
-        return OWN_TIME * evidence.recording.period
-    if name in ("static", "velocity"):
-        return STUCK * np.abs(value)
-    if name in EDGES:
-        return 1 / evidence.recording.filter.rate
-    if acting.effect.point == "gear":
-        return GEARED * np.abs(value)
-    if name in ("phase", "azimuth", "rest", "cycles"):
-        return 0.0
-    return SYSTEMATIC * np.abs(np.asarray(value, float) - (1.0 if name == "gain" else 0.0))
 
 
 def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual) -> np.ndarray:
@@ -287,7 +218,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
         step = _step(a, name, theta[i], evidence.recording.filter.rate)
         moved = theta.copy()
         moved[i] += step
-        there = _with(evidence, acting, labels, moved)
+        there = with_parameters(evidence, acting, labels, moved)
         if direct and isinstance(a.effect, AbstractGearEffect):
             others = [x for x in acting if x is not a and x.effect.point in WHOLE]
             softer = a.effect.softness(there[number].parameters) - a.effect.softness(a.parameters)
@@ -371,7 +302,7 @@ def _coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
     return None
 
 
-def _with(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
+def with_parameters(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
     """The effects with parameters from one row of coordinates."""
     made = []
     for number, a in enumerate(acting):

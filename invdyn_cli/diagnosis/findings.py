@@ -12,8 +12,9 @@ import numpy as np
 
 from invdyn_cli.diagnosis import bodies, naming
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.exact import EDGES, Refined, intervals, reach
+from invdyn_cli.diagnosis.exact import EDGES, Refined
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
+from invdyn_cli.diagnosis.intervals import intervals, reach
 from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.realisable import realisable

@@ -232,6 +232,10 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
         return super().refuse(parameters)
 
 
+SHORTEST = 1e-9
+"""[rad] of the way on which bristles bend: shorter ones are none."""
+
+
 @dataclass(frozen=True)
 class PreslidingHysteresis(AbstractTorqueEffect):
     """Friction with a memory: bristles that bend before they slide. What it is depends on the way since the joint last
@@ -261,7 +265,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
         return [{"length": x} for x in self.lengths]
 
     def shape_of(self, parameters: Parameters) -> Parameters:
-        return {"length": parameters["coulomb"] / parameters["stiffness"]}
+        return {"length": max(parameters["coulomb"] / parameters["stiffness"], SHORTEST)}
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (_bristle(state, shape["length"]),)
@@ -276,7 +280,7 @@ def _bristle(state: JointState, length: float) -> Array:
     if np.ndim(state.q) == 0:
         return state.sign
     steps = np.diff(np.asarray(state.q))
-    keep = np.exp(-np.abs(steps) / max(length, 1e-9))
+    keep = np.exp(-np.abs(steps) / max(length, SHORTEST))
     push = (1 - keep) * np.sign(steps)
     out, bent = [0.0], 0.0
     for k, p in zip(keep.tolist(), push.tolist(), strict=True):

@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.candidates import gather
-from invdyn_cli.diagnosis.exact import Model, intervals, refine
+from invdyn_cli.diagnosis.exact import Model, refine
+from invdyn_cli.diagnosis.intervals import intervals
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.load import MASS

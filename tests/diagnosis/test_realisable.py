@@ -9,7 +9,8 @@ import pytest
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.candidates import gather
 from invdyn_cli.diagnosis.evidence import Evidence
-from invdyn_cli.diagnosis.exact import Model, Refined, intervals, refine
+from invdyn_cli.diagnosis.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.intervals import intervals
 from invdyn_cli.diagnosis.realisable import realisable
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
