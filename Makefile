@@ -24,7 +24,7 @@ run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs
 	$(BIN)/invdyn run model=ffnn data=sim_noisy
 
 test: lint  ## everything that must hold: lint, then all tests
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false $(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(INSTALLED)  ## ruff and pyright
 	$(BIN)/ruff check --quiet

@@ -28,8 +28,11 @@ from invdyn_cli.simulation.replay import replay
 ENOUGH = 0.8
 """[-] Share of the error that shall vanish."""
 
-NOT_HELD = ("stribeck_friction", "load_dependent_friction", "thermal_friction_drift", "torque_ripple")
-"""Effects that an MJCF lacks."""
+NOT_HELD = (
+    *("stribeck_friction", "load_dependent_friction", "thermal_friction_drift", "presliding_hysteresis"),
+    *("torque_ripple", "torque_offset_drift", "torque_gain_change", "payload_change", "external_contact"),
+)
+"""Effects that an MJCF lacks, and those that come and go."""
 
 
 @dataclass(frozen=True)

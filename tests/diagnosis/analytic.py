@@ -9,13 +9,14 @@ import numpy as np
 
 from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
+from experiments.confusion import claims
 from invdyn_cli.diagnosis.candidates import gather
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.recording import Conditioning, Recording, prepare
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.types import Motion, Robot
+from invdyn_cli.types import Diagnosis, Motion, Robot
 from tests.diagnosis.sick import motion
 
 Term = Callable[[np.ndarray, Motion], np.ndarray]
@@ -89,3 +90,8 @@ def candidate(evidence: Evidence, name: str, joint: int | None, **shape: float) 
 def column(evidence: Evidence, name: str, joint: int) -> np.ndarray:
     """(R,) first free column of a joint's effect."""
     return evidence.tables[joint][:, candidate(evidence, name, joint).columns[joint][1][0]]
+
+
+def said(diagnosis: Diagnosis) -> set[tuple[str, str | None]]:
+    """(effect, joint) of all claims."""
+    return {(f.effect, f.joint) for f in claims(diagnosis)}

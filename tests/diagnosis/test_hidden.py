@@ -1,0 +1,195 @@
+"""A cause hidden in a simulated arm is found, named and sized; a cause that the catalogue lacks stays unnamed.
+
+Arms, motions, sizes, joints and noise are drawn by `experiments.cases` and played by MuJoCo, verdicts are those of
+`experiments.confusion`. Seeds are taken in order from 0; none is left out.
+"""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.cases import SIZES, Case, Scene, draw_effect, draw_scene, play
+from experiments.confusion import LOUD, claims, judge
+from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.errors import UsageError
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import record
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
+from tests.diagnosis.analytic import said
+
+SIZE = 1.0
+"""Error that a size may have, as a share of what `experiments.confusion` allows: 10 %, of play and elasticity 20 %."""
+
+SECONDS = 24.0
+
+MISSES: dict[tuple[str, int], str] = {
+    ("backlash", 0): "the play is too small to show; its rotor is named as the next link's inertials",
+    (
+        "external_contact",
+        0,
+    ): "ambiguous in half the noise; the force is far off where two of its directions do not show",
+    ("stribeck_friction", 0): "named, but the static level is 12 % too high (inside its interval)",
+    (
+        "hum",
+        0,
+    ): "rotor_inertia is named on the joint of a 2 Hz torque, with which the arm swings and accelerates",
+}
+"""Logs (hidden, seed) on which the diagnosis is wrong as yet, and how."""
+
+
+def marked(names: Sequence[str], seeds: Sequence[int]) -> list:
+    """Every name with every seed; known misses are expected to fail, and say how."""
+    return [
+        pytest.param(
+            name,
+            seed,
+            marks=[pytest.mark.xfail(reason=MISSES[name, seed], strict=False)] if (name, seed) in MISSES else [],
+        )
+        for name in names
+        for seed in seeds
+    ]
+
+
+def played(seed: int, label: str, hide: Callable[[np.random.Generator, Scene], list[Hidden]]) -> Case:
+    """A log of a drawn three-joint arm with what `hide` puts into it; as `experiments.cases.draw_case`, but short."""
+    for attempt in range(20):  # an arm that loses control is no log
+        draw = np.random.default_rng([seed, attempt, zlib.crc32(label.encode())])
+        scene = replace(draw_scene(draw, 3), duration=SECONDS)
+        try:
+            return play(draw, scene, hide(draw, scene))
+        except UsageError:
+            continue
+    raise RuntimeError(f"no stable case from seed {seed} for {label}")
+
+
+def drawn(seed: int, names: str) -> Case:
+    """A log with these effects ("one+other"), on different joints."""
+
+    def hide(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+        strong = draw.permutation(np.flatnonzero(scene.torque > 0.02 * scene.torque.max()))
+        pairs = zip(names.split("+"), strong, strict=False)
+        return [draw_effect(draw, scene, name, int(j)) for name, j in pairs if name]
+
+    return played(seed, names, hide)
+
+
+def test_every_effect_can_be_hidden():
+    """Every effect of the catalogue has its test below."""
+    assert set(SIZES) == set(EFFECTS)
+
+
+@pytest.mark.parametrize(("name", "seed"), marked(list(SIZES), [0]))
+def test_one_hidden_effect_is_named(name, seed):
+    """One effect, and no other, is named, or ambiguous within what theory allows; its size is right within 10 %. Only
+    where it is less than three times the noise may a log stay without a name."""
+    case = drawn(seed, name)
+    outcome = judge(case, diagnose(case.log, case.robot), seed, 0.0)
+    assert outcome.result in ("named", "ambiguous") or (outcome.result == "nothing" and case.share < LOUD), outcome
+    assert all(error < SIZE for error in outcome.size_errors), outcome
+
+
+@pytest.mark.parametrize("names", ["viscous_friction+torque_ripple", "coulomb_friction+rotor_inertia"])
+def test_two_hidden_effects_are_both_named(names):
+    """Two effects on different joints are both found, and nothing else."""
+    case = drawn(0, names)
+    outcome = judge(case, diagnose(case.log, case.robot), 0, 0.0)
+    assert outcome.result in ("named", "ambiguous"), outcome
+    assert all(error < SIZE for error in outcome.size_errors), outcome
+
+
+def test_an_arm_with_play_takes_something_up():
+    """What the hand takes up changes where the load of a gear crosses zero, and so when its flanks part: its time
+    and mass, the play and the friction of another joint are found together, sizes as above."""
+    draw = np.random.default_rng(0)
+    robot = load_urdf("apollo_arm")
+    start = draw.uniform(6, 9)
+    taken = {"mass": draw.uniform(0.5, 0.9), "com": [0.02, 0.0, 0.1], "window": [start, start + draw.uniform(6, 8)]}
+    hidden = [
+        Hidden("payload_change", None, taken),
+        Hidden("coulomb_friction", robot.joints[1], {"coulomb": draw.uniform(2, 4)}),
+        Hidden("backlash", robot.joints[0], {"gap": draw.uniform(0.002, 0.004)}),
+    ]
+    options: dict[str, Any] = {"duration": SECONDS, "noise": Noise(torque=0.05), "position_side": "motor", "seed": 0}
+    log = record(robot, [Multisine()], hidden, **options)
+    case = Case(robot, log, tuple(hidden), np.inf, "")
+    outcome = judge(case, diagnose(log, robot), 0, 0.0)
+    assert outcome.result in ("named", "ambiguous"), outcome
+    assert all(error < SIZE for error in outcome.size_errors), outcome
+
+
+@pytest.mark.parametrize(("name", "seed"), marked(["clean"], [0, 1, 2]))
+def test_a_clean_log_names_nothing(name, seed):
+    """Where nothing is hidden nothing is named, the model has no effects, and no learner finds more than 15 %."""
+    case = drawn(seed, "")
+    diagnosis = diagnose(case.log, case.robot)
+    assert said(diagnosis) == set()
+    assert diagnosis.verdict == "nothing_found" and diagnosis.model.acting == ()
+    assert max(diagnosis.unexplained.values()) < 0.15
+
+
+def bump(scene: Scene, joint: int) -> Callable:
+    """A cam at one posture: up and down again within a fifth of the joint's range, zero on the mean."""
+    low, high = scene.q[:, joint].min(), scene.q[:, joint].max()
+    width, size = 0.08 * (high - low), 0.5 * scene.torque[joint]
+
+    def force(t, q, qd):
+        x = (q - (low + high) / 2) / width
+        return size * (1 - x**2) * np.exp(-(x**2) / 2)
+
+    return force
+
+
+def crosstalk(scene: Scene, joint: int) -> Callable:
+    """A torque that follows another joint's angle: nothing in the catalogue does."""
+    other, size = (joint + 1) % scene.robot.dofs, 0.3 * scene.torque[joint]
+
+    def force(t, q, qd):
+        out = np.zeros(scene.robot.dofs)
+        out[joint] = size * np.sin(5 * q[other])
+        return out
+
+    return force
+
+
+def hum(scene: Scene, joint: int) -> Callable:
+    """2 Hz in time, whatever the arm does."""
+    return lambda t, q, qd: 0.3 * scene.torque[joint] * np.sin(4 * np.pi * t)
+
+
+def switched(scene: Scene, joint: int) -> Callable:
+    """A torque that changes its sign 2.6 times a second."""
+    return lambda t, q, qd: 0.2 * scene.torque[joint] * np.sign(np.sin(2.6 * np.pi * t))
+
+
+UNKNOWN = {"bump": bump, "crosstalk": crosstalk, "hum": hum, "switched": switched}
+
+
+def strange(name: str, seed: int) -> tuple[Case, str]:
+    """A log with a cause that the catalogue lacks, on the joint (also given) that carries most."""
+    where = []
+
+    def hide(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+        j = int(np.argmax(scene.torque))
+        where.append(scene.robot.joints[j])
+        return [Hidden("custom", None if name == "crosstalk" else where[-1], {"force": UNKNOWN[name](scene, j)})]
+
+    return played(seed, name, hide), where[-1]
+
+
+@pytest.mark.parametrize(("name", "seed"), marked(list(UNKNOWN), [0]))
+def test_what_the_catalogue_lacks_stays_unnamed(name, seed):
+    """A cause that is nearly orthogonal to all columns is not named; where it depends on the state, a learner predicts
+    it, and the verdict says so."""
+    case, joint = strange(name, seed)
+    diagnosis = diagnose(case.log, case.robot)
+    assert [f for f in claims(diagnosis) if f.status == "named"] == []
+    if name in ("bump", "crosstalk"):
+        assert diagnosis.unexplained[joint] > 0.15
+        assert diagnosis.verdict != "explained" and joint in diagnosis.summary
