@@ -26,6 +26,9 @@ STEPS = 4
 """Newton steps at most: columns start within a few percent."""
 
 
+FACTORS = (0.75, 0.86, 0.94, 1.0, 1.06, 1.15, 1.3)
+"""Sizes that are tried of a gear's play or stiffness, over the one from where it is refined."""
+
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
 
@@ -134,6 +137,7 @@ def refine(
         return Refined((), theta, labels, np.zeros((2, 0)), np.zeros((0, 0)), model.residual(()))
     used = rows[:, None] & evidence.valid
     scale = np.sqrt(weights)[None, :] * used
+    theta, acting = _scanned(evidence, model, acting, theta, labels, scale)
     timing, timing_precision = _timing(evidence, acting)
     allowed, allowed_precision = _allowed(evidence, always)
     timing = np.concatenate([allowed, timing])
@@ -163,6 +167,21 @@ def refine(
     spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
     left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
     return Refined(tuple(acting), theta, labels, *spread, left)
+
+
+def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale):
+    """Parameters and effects with each gear at the best of a few sizes: flanks meet or do not, and slopes say little of
+    what comes next."""
+    for i, (number, name, _) in enumerate(labels):
+        if acting[number].effect.point == "gear" and name:
+            tried = []
+            for factor in FACTORS:
+                one = theta.copy()
+                one[i] *= factor
+                there = with_parameters(evidence, acting, labels, one)
+                tried.append((float(np.sum((model.residual(there) * scale) ** 2)), one, there))
+            _, theta, acting = min(tried, key=lambda x: x[0])
+    return theta, acting
 
 
 def _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual):

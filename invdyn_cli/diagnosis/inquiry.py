@@ -82,8 +82,9 @@ def inquire(
             break
         inquiry, evidence = again, again.evidence
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
-        nominal = inquiry.model.residual([a for a in inquiry.whole.acting if a.when is not None])
-        found = events.proposed(evidence, everywhere, [inquiry.whole.residual, nominal], inquiry.noise, tried)
+        # what lasts may have taken up half of what does not
+        left = [inquiry.whole.residual, *([] if numbers else [nominal])]
+        found = events.proposed(evidence, everywhere, left, inquiry.noise, tried)
         if not found:
             break
     assert inquiry is not None
