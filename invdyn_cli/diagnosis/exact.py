@@ -206,7 +206,8 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
 
 
 def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:
-    """The same with parameters moved by (k,), as far as they are physics, replicas and all."""
+    """The same with parameters moved by (k,), as far as they are physics, replicas and all; windows stay."""
+    move = np.where([name in EDGES for _, name, _ in refined.labels], 0.0, move)
     theta = _inside(evidence, refined.acting, refined.labels, refined.theta + move)
     acting = with_parameters(evidence, refined.acting, refined.labels, theta)
     residual = refined.residual + model.residual(acting) - model.residual(refined.acting)

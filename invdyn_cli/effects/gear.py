@@ -23,10 +23,10 @@ class Backlash(AbstractGearEffect):
     teeth takes it up.
 
     Attributes:
-        gaps: to try [rad]; the found one is refined between them.
+        gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
     """
 
-    gaps: tuple[float, ...] = (0.0004, 0.0008, 0.0016, 0.0032, 0.0064, 0.0128)
+    gaps: tuple[float, ...] = tuple(0.0004 * 2 ** (k / 2) for k in range(11))
 
     name = "backlash"
     title = "backlash"
