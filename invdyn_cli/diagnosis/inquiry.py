@@ -250,16 +250,20 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
     """Encoder offsets and base tilts, taken anew at their own sizes, that nearly do what a body or motion effect of the
     hypothesis does: others bend where their straight line does not."""
     made: list[Candidate] = []
+    bent = [c for c in judge.evidence.candidates if c.effect.point == "motion" or c.effect.name == "base_tilt"]
+    allowed = {c.key for c in pool}
     for i, found in enumerate(hypothesis):
         if found.effect.point not in WHOLE:
             continue
         others = (*always, *hypothesis[:i], *hypothesis[i + 1 :])
         without, now = judge.quick(others)[0], judge.quick((*always, *hypothesis))[0]
-        for c in pool:
-            bends = c.effect.point == "motion" or c.effect.name == "base_tilt"
-            if bends and c.key != found.key and not any(c.key == e.key for e in others):
+        best: dict[tuple, tuple[float, Acting]] = {}
+        for c in bent:
+            if c.key in allowed and c.key != found.key and not any(c.key == e.key for e in others):
                 value, theta = judge.quick((*others, c))
                 parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
-                if without - value > NEARLY * (without - now) and not c.effect.refuse(parameters):
-                    made.append(trial_at(judge.evidence, Acting(c.effect, c.joint, parameters)))
+                better = value < best[c.key][0] if c.key in best else without - value > NEARLY * (without - now)
+                if better and not c.effect.refuse(parameters):
+                    best[c.key] = value, Acting(c.effect, c.joint, parameters)
+        made += [trial_at(judge.evidence, acting) for _, acting in best.values()]
     return made
