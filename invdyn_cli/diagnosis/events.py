@@ -216,7 +216,7 @@ def _window(
 def _spread(gained: np.ndarray) -> float:
     """Over how much of a window it is that something was gained at its rows: 1 all over alike, less for blows."""
     parts = np.array([x.sum() for x in np.array_split(gained, PARTS)])
-    return float(parts.sum() ** 2 / (PARTS * np.sum(parts**2)))
+    return float(parts.sum() ** 2 / max(PARTS * np.sum(parts**2), 1e-300))
 
 
 def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:

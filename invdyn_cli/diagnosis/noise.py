@@ -88,9 +88,9 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 
 
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
-    """Columns of a candidate that may have any factor here: what a gear does at a trial is one of them."""
+    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
     fixed, free = candidate.columns[joint]
-    return (*fixed, *free) if candidate.effect.point == "gear" else free
+    return fixed if candidate.effect.point == "gear" else free
 
 
 def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
