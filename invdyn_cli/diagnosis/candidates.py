@@ -44,6 +44,9 @@ ZEROS = (-0.04, 0.04)
 STEP = 1e-3
 """Relative step of finite differences in a channel's parameters, and the step [rad] in an encoder's zero."""
 
+STRAIGHT = 0.005
+"""[rad] As far as a gear may yield for torques to go with its angle as a line does."""
+
 YIELD = 0.1
 """Relative step of finite differences in how far a gear yields: play shows at its edges, which move by samples."""
 
@@ -76,10 +79,6 @@ def gather(
                 for shape in effect.shapes(load, inertia, recording.filter.rate):
                     evidence.candidates.append(gear_candidate(evidence, effect, joint, shape))
     return evidence
-
-
-STRAIGHT = 0.005
-"""[rad] As far as a gear may yield for torques to go with its angle as a line does."""
 
 
 def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = (), exact: bool = True) -> Candidate:
