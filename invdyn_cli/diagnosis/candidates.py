@@ -81,9 +81,9 @@ def gather(
     return evidence
 
 
-def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = (), exact: bool = True) -> Candidate:
+def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> Candidate:
     """The candidate of an effect at parameters that were found, beside others: its nonlinear ones tried there and
-    nowhere else; `exact` as in `gear_candidate`."""
+    nowhere else."""
     effect, joint = acting.effect, acting.joint
     if acting.when is not None:
         return passing_candidate(evidence, effect, joint, acting.when)
@@ -91,7 +91,7 @@ def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = (), 
         return body_candidate(evidence, effect, joint, acting.parameters)
     assert joint is not None
     if isinstance(effect, AbstractGearEffect):
-        return gear_candidate(evidence, effect, joint, acting.parameters, beside, exact)
+        return gear_candidate(evidence, effect, joint, acting.parameters, beside, exact=True)
     if isinstance(effect, AbstractChannelEffect):
         return channel_candidate(evidence, effect, joint, acting.parameters)
     assert isinstance(effect, AbstractTorqueEffect)

@@ -172,8 +172,8 @@ def refine(
 def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale):
     """Parameters and effects with each gear at the best of a few sizes: flanks meet or do not, and slopes say little of
     what comes next."""
-    for i, (number, name, _) in enumerate(labels):
-        if acting[number].effect.point == "gear" and name:
+    for i, (number, *_) in enumerate(labels):
+        if acting[number].effect.point == "gear":
             tried = []
             for factor in FACTORS:
                 one = theta.copy()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn_cli.diagnosis import events, known, naming, noise, realisable
-from invdyn_cli.diagnosis.candidates import trial_at
+from invdyn_cli.diagnosis.candidates import gear_candidate, trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_all
@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import WHOLE, search
 from invdyn_cli.effects.composition import Acting, When
 from invdyn_cli.effects.transmission import TorqueRipple
-from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
@@ -180,9 +180,12 @@ def _geared(evidence: Evidence, acting: Sequence[Acting]) -> list[Candidate]:
     made = []
     for one in acting:
         others = _others(acting, one)
-        if one.effect.point == "gear" and others:
-            trials = [c for c in evidence.candidates if c.effect.point == "gear" and c.joint == one.joint]
-            made += [trial_at(evidence, Acting(c.effect, c.joint, c.shape), others, exact=False) for c in trials]
+        if one.effect.point == "gear" and one.joint is not None and others:
+            made += [
+                gear_candidate(evidence, c.effect, one.joint, c.shape, others)
+                for c in evidence.candidates
+                if isinstance(c.effect, AbstractGearEffect) and c.joint == one.joint
+            ]
     return made
 
 

@@ -259,7 +259,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     picture = "q"
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["coulomb"] * _bristle(state, parameters["coulomb"] / parameters["stiffness"])
+        return parameters["coulomb"] * _bristle(state, self.shape_of(parameters)["length"])
 
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         return [{"length": x} for x in self.lengths]
@@ -280,7 +280,7 @@ def _bristle(state: JointState, length: float) -> Array:
     if np.ndim(state.q) == 0:
         return state.sign
     steps = np.diff(np.asarray(state.q))
-    keep = np.exp(-np.abs(steps) / max(length, SHORTEST))
+    keep = np.exp(-np.abs(steps) / length)
     push = (1 - keep) * np.sign(steps)
     out, bent = [0.0], 0.0
     for k, p in zip(keep.tolist(), push.tolist(), strict=True):
