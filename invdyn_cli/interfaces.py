@@ -112,7 +112,8 @@ class Parameter(NamedTuple):
 
 class JointState(NamedTuple):
     """One joint over time, (T,) each or one sample: t [s], q, qd, qdd, sign(qd) without jumps at rest, and the rigid
-    body's torque [N m; N] that the joint transmits."""
+    body's torque [N m; N] that the joint transmits; `before`, of what remembers: q (P,) until then, where it is
+    known."""
 
     t: Array
     q: Array
@@ -120,6 +121,7 @@ class JointState(NamedTuple):
     qdd: Array
     sign: Array
     transmitted: Array
+    before: Array | None = None
 
 
 Parameters = Mapping[str, Any]

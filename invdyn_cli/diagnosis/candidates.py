@@ -242,6 +242,11 @@ def _carried(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> l
     return evidence.kept[key]
 
 
+def load_on(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> np.ndarray:
+    """(T,) of all pieces: the torque that a joint transmits with other effects."""
+    return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
+
+
 def _answers(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Of every piece the torques (n, T) for unit acceleration of a joint, and their change with its angle; kept."""
     if ("answers", joint) not in evidence.kept:

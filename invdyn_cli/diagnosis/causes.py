@@ -94,7 +94,7 @@ class Scenes:
     def states(self, joint: int) -> list[JointState]:
         """One joint's state in each scene, (L,) arrays."""
         whole = self.state(joint)
-        return [JointState(*(x[s] for x in whole)) for s in range(self.shape[1])]
+        return [JointState(*(x[s] for x in whole if x is not None)) for s in range(self.shape[1])]
 
     def state(self, joint: int) -> JointState:
         """One joint's state in all scenes, (S, L) arrays."""

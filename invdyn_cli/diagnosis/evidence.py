@@ -42,6 +42,9 @@ STICK_TIME = 0.005
 """[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
 the jump is allowed for, as a free column of its own."""
 
+ADJOINING = 0.1
+"""[s] between two pieces of a trajectory within which what remembers goes on."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -174,7 +177,11 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list
     step = 1 / recording.filter.rate
     width = np.maximum(np.abs(piece.qdd) * step / 2, np.maximum(2 * piece.motion_noise, 1e-6)[:, None])
     sign = sign_of(piece.qd, width)
-    return [JointState(piece.t, piece.q[j], piece.qd[j], piece.qdd[j], sign[j], torque[j]) for j in range(len(torque))]
+    before = [p.q for p in recording.pieces if p.trajectory == piece.trajectory and 0 < piece.t[0] - p.t[-1] < ADJOINING]
+    return [
+        JointState(piece.t, piece.q[j], piece.qd[j], piece.qdd[j], sign[j], torque[j], before[0][j] if before else None)
+        for j in range(len(torque))
+    ]
 
 
 def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:

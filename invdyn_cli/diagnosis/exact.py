@@ -62,6 +62,8 @@ class Model:
         self.rate = evidence.recording.filter.rate
         self._bodies: dict[tuple, list[np.ndarray]] = {}
         self._rows: dict[tuple, np.ndarray] = {}
+        self.scanned: dict[tuple, float] = {}
+        """What each gear, by its key, was last refined to, from sizes far and near."""
 
     def residual(self, acting: Sequence[Acting]) -> np.ndarray:
         """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
@@ -164,16 +166,18 @@ def refine(
         acting = with_parameters(evidence, acting, labels, theta)
         residual = model.residual(acting)
     acting = with_parameters(evidence, acting, labels, theta)
+    model.scanned |= {acting[n].key: theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.point == "gear"}
     spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
     left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
     return Refined(tuple(acting), theta, labels, *spread, left)
 
 
 def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale):
-    """Parameters and effects with each gear at the best of a few sizes: flanks meet or do not, and slopes say little of
-    what comes next."""
+    """Parameters and effects with each gear at the best of a few sizes, unless one of these was it before: flanks meet
+    or do not, and slopes say little of what comes next."""
     for i, (number, *_) in enumerate(labels):
-        if acting[number].effect.point == "gear":
+        before = model.scanned.get(acting[number].key, np.inf)
+        if acting[number].effect.point == "gear" and not FACTORS[2] < theta[i] / before < FACTORS[4]:
             tried = []
             for factor in FACTORS:
                 one = theta.copy()

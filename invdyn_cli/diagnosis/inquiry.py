@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn_cli.diagnosis import events, known, naming, noise, realisable
-from invdyn_cli.diagnosis.candidates import gear_candidate, trial_at
+from invdyn_cli.diagnosis.candidates import gear_candidate, load_on, trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_all
@@ -139,10 +139,11 @@ def _searched(
     judge.refresh()
     model = Model(evidence)
     hypothesis = search(judge, pool, always, start, most)
+    seen: list[set[tuple]] = []
     for _ in range(ROUNDS + evidence.dofs):
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
-        before = {c.key for c in hypothesis}
+        seen.append({c.key for c in hypothesis})
         refined = refine(evidence, model, acting_of(judge, always, hypothesis), choosing, measured.weights, always)
         unlikely = _unlikely(evidence, model, measured, refined)
         if unlikely:
@@ -155,7 +156,7 @@ def _searched(
         judge.refresh()
         hypothesis = search(judge, pool, always, trials, most)
         hypothesis = naming.simplified(judge, always, hypothesis, pool)
-        if {c.key for c in hypothesis} == before:
+        if {c.key for c in hypothesis} in seen:
             break
     while True:
         acting = acting_of(judge, always, hypothesis)
@@ -175,12 +176,22 @@ def _others(acting: Sequence[Acting], one: Acting) -> list[Acting]:
     return [a for a in acting if a is not one and a.effect.point in WHOLE]
 
 
+ALIKE = 0.02
+"""Of the load that a gear carries, what must have changed for it to be tried anew."""
+
+
 def _geared(evidence: Evidence, acting: Sequence[Acting]) -> list[Candidate]:
-    """The trials of every gear that might be on a joint where one was found, with what else it was found to carry."""
+    """The trials of every gear that might be on a joint where one was found, with what else it was found to carry, if
+    it carries anything else by that."""
     made = []
     for one in acting:
         others = _others(acting, one)
         if one.effect.point == "gear" and one.joint is not None and others:
+            loads = evidence.kept.setdefault(("tried", one.joint), [load_on(evidence, one.joint)])
+            load = load_on(evidence, one.joint, others)
+            if min(np.std(load - x) for x in loads) < ALIKE * np.std(load):
+                continue
+            loads.append(load)
             made += [
                 gear_candidate(evidence, c.effect, one.joint, c.shape, others)
                 for c in evidence.candidates

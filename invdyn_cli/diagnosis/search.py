@@ -63,7 +63,7 @@ def _best(judge: Judge, always: Hypothesis, moves: Iterable[Move], loss: float) 
 def _additions(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
     """One more effect, in the place of its special cases."""
     groups: dict[tuple[int, ...], list[Candidate]] = {}
-    for c in free_beside(hypothesis, pool):
+    for c in free_beside(hypothesis, pool, instead=True):
         special = tuple(i for i, e in enumerate(hypothesis) if clash(c, e)) if c.effect.contains else ()
         groups.setdefault(special, []).append(c)
     for out, candidates in groups.items():
@@ -80,10 +80,8 @@ def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
     """Another effect in the place of one that is felt by a joint alike."""
     for i, out in enumerate(hypothesis):
         others = hypothesis[:i] + hypothesis[i + 1 :]
-        there = {(e.joint, e.effect.name) for e in others}
         near = [c for c in pool if c is not out and not c.columns.keys().isdisjoint(out.columns)]
-        free = free_beside(others, near)
-        fitting = [c for c in free if not any((c.joint, name) in there for name in c.effect.contains)]
+        fitting = free_beside(others, near)
         if fitting:
             yield others, fitting
 
@@ -103,17 +101,20 @@ def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]
             yield others, fitting
 
 
-def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates that have a place beside these: that are not there yet, no special case of one, and in a window in
-    which nothing else happened."""
+def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate], instead: bool = False) -> list[Candidate]:
+    """Candidates that have a place beside these: that are not there yet, no special case of one nor (unless it comes
+    `instead`) its general case nor the general case of the same, and in a window in which nothing else happened."""
     keys = {e.key for e in hypothesis}
+    there = {(e.joint, e.effect.name) for e in hypothesis}
     special = {(e.joint, name) for e in hypothesis for name in e.effect.contains}
+    taken = special if instead else special | there
     windows = {e.when.number for e in hypothesis if e.when is not None}
     return [
         c
         for c in pool
         if c.key not in keys
         and (c.joint, c.effect.name) not in special
+        and not any((c.joint, name) in taken for name in c.effect.contains)
         and (c.when is None or c.when.number not in windows)
     ]
 

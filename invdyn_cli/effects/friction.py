@@ -5,6 +5,7 @@ Sizes are those of the logged side. sign(qd) comes with the state: whoever makes
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import copysign, exp
 
 import numpy as np
 
@@ -274,16 +275,23 @@ class PreslidingHysteresis(AbstractTorqueEffect):
         return {"coulomb": coefficients[0], "stiffness": coefficients[0] / shape["length"]}
 
 
+TREMBLE = 0.02
+"""Of that way, what a joint must go back before it has turned: what encoders' noise adds up to at rest bends nothing."""
+
+
 def _bristle(state: JointState, length: float) -> Array:
-    """Bending of the bristles over its largest (T,), exact where the joint moves evenly between samples; they start
-    unbent. Of one sample, which has no memory, what they come to: the sign of its velocity."""
+    """Bending of the bristles over its largest (T,), exact where the joint moves evenly between samples. In the
+    beginning, and of one sample, which has no memory, it is what it comes to: the sign of the velocity."""
     if np.ndim(state.q) == 0:
         return state.sign
-    steps = np.diff(np.asarray(state.q))
-    keep = np.exp(-np.abs(steps) / length)
-    push = (1 - keep) * np.sign(steps)
-    out, bent = [0.0], 0.0
-    for k, p in zip(keep.tolist(), push.tolist(), strict=True):
-        bent = k * bent + p
+    first = float(np.trunc(state.sign[0])) if state.before is None else 0.0
+    angles = np.concatenate([() if state.before is None else state.before, state.q])
+    out, bent, at, towards = [], first, angles[0], 0.0
+    for q in angles.tolist():
+        step = q - at
+        if step * towards > 0 or abs(step) > TREMBLE * length:
+            keep = exp(-abs(step) / length)
+            bent = keep * bent + copysign(1 - keep, step)
+            at, towards = q, step
         out.append(bent)
-    return np.array(out)
+    return np.array(out[-len(state.q) :])

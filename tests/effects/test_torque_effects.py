@@ -51,7 +51,7 @@ def test_numpy_and_jax_agree(name):
     """Term and columns are the same of either arrays, to rounding, and jax arrays stay jax arrays."""
     effect, draw = EFFECTS[name], np.random.default_rng(0)
     state, given = joint_state(draw), parameters(name, draw)
-    there = JointState(*(jnp.asarray(x) for x in state))
+    there = jax.tree.map(jnp.asarray, state)
     term = effect.term(given, there)
     assert isinstance(effect.term(given, state), np.ndarray) and isinstance(term, jnp.ndarray)
     np.testing.assert_allclose(term, effect.term(given, state), rtol=1e-12)
