@@ -177,7 +177,9 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list
     step = 1 / recording.filter.rate
     width = np.maximum(np.abs(piece.qdd) * step / 2, np.maximum(2 * piece.motion_noise, 1e-6)[:, None])
     sign = sign_of(piece.qd, width)
-    before = [p.q for p in recording.pieces if p.trajectory == piece.trajectory and 0 < piece.t[0] - p.t[-1] < ADJOINING]
+    before = [
+        p.q for p in recording.pieces if p.trajectory == piece.trajectory and 0 < piece.t[0] - p.t[-1] < ADJOINING
+    ]
     return [
         JointState(piece.t, piece.q[j], piece.qd[j], piece.qdd[j], sign[j], torque[j], before[0][j] if before else None)
         for j in range(len(torque))

@@ -91,33 +91,44 @@ class Model:
                 made = self._bodies[self._moved(lasting)]
                 for one in whole:
                     if one.when is not None:
-                        torques = passing_torque(self.evidence, one, np.array(_coordinates(self.evidence, one)))
+                        torques = passing_torque(self.evidence, one, np.array(coordinates(self.evidence, one)))
                         made = [body + x for body, x in zip(made, torques, strict=True)]
             self._bodies[key] = made
         return key
 
     def _row(self, acting: Sequence[Acting], bodies: tuple, j: int) -> np.ndarray:
-        own = [a for a in acting if a.joint == j and a.effect.point in ("torque", "channel")]
+        own = _own(acting, j)
         key = (bodies, j, identity(own))
         if key not in self._rows:
             if len(self._rows) > 400:
                 self._rows.clear()
-            parts = []
-            pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
-            for piece, states, body in zip(pieces, self.evidence.states, moved, strict=True):
-                state = states[j]._replace(transmitted=body[j])
-                tau = body[j] + sum(joint_terms(own, j, state))
-                logged = piece.tau[j]
-                for a in own:
-                    if not isinstance(a.effect, AbstractChannelEffect):
-                        continue
-                    if a.effect.name == "torque_saturation":  # what was asked for beyond the limit, no model can know
-                        logged = a.effect.delivered(a.parameters, logged, self.rate)
-                    else:
-                        tau = np.asarray(channel([a], j, tau, self.evidence.recording.stretch(piece)))
-                parts.append(logged - tau)
-            self._rows[key] = filtered(self.evidence.recording, parts, j)
+            self._rows[key] = filtered(self.evidence.recording, self._parts(own, bodies, j), j)
         return self._rows[key]
+
+    def unfiltered(self, acting: Sequence[Acting], j: int) -> list[np.ndarray]:
+        """A joint's residual (T,) in every piece, as it is before the filter."""
+        return self._parts(_own(acting, j), self._moved(acting), j)
+
+    def _parts(self, own: Sequence[Acting], bodies: tuple, j: int) -> list[np.ndarray]:
+        parts = []
+        pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
+        for piece, states, body in zip(pieces, self.evidence.states, moved, strict=True):
+            state = states[j]._replace(transmitted=body[j])
+            tau = body[j] + sum(joint_terms(own, j, state))
+            logged = piece.tau[j]
+            for a in own:
+                if not isinstance(a.effect, AbstractChannelEffect):
+                    continue
+                if a.effect.name == "torque_saturation":  # what was asked for beyond the limit, no model can know
+                    logged = a.effect.delivered(a.parameters, logged, self.rate)
+                else:
+                    tau = np.asarray(channel([a], j, tau, self.evidence.recording.stretch(piece)))
+            parts.append(logged - tau)
+        return parts
+
+
+def _own(acting: Sequence[Acting], joint: int) -> list[Acting]:
+    return [a for a in acting if a.joint == joint and a.effect.point in ("torque", "channel")]
 
 
 def refine(
@@ -248,7 +259,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
             softer = a.effect.softness(there[number].parameters) - a.effect.softness(a.parameters)
             out[i] = (gains[:, None] * gear_columns(evidence, a, others)[1] * softer / step).T
         elif direct and name in EDGES and a.effect.point in WHOLE:
-            factors = np.array(_coordinates(evidence, a))
+            factors = np.array(coordinates(evidence, a))
             ends = [passing_torque(evidence, x, factors) for x in (there[number], a)]
             change = filtered(evidence.recording, [x - y for x, y in zip(*ends, strict=True)])
             out[i] = (gains[:, None] * change / step).T
@@ -304,7 +315,7 @@ def _flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tup
     index)."""
     values, labels = [], []
     for number, a in enumerate(acting):
-        row = _coordinates(evidence, a)
+        row = coordinates(evidence, a)
         if row is not None:
             values += row
             labels += [(number, "", index) for index in range(len(row))]
@@ -317,7 +328,7 @@ def _flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tup
     return np.array(values), tuple(labels)
 
 
-def _coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
+def coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
     """What the torque is linear in, of bodies and forces."""
     if isinstance(acting.effect, AbstractBodyEffect):
         return acting.effect.coefficients(acting.parameters, evidence.robot, acting.joint)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import bodies, naming
+from invdyn_cli.diagnosis import bodies, naming, resting
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import EDGES, Refined
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
@@ -78,7 +78,8 @@ def report(
     whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
     wanted = intervals(evidence, whole)
     whole, impossible = realisable(evidence, inquiry.model, whole, bodies.link_names(evidence.robot))
-    ends = intervals(evidence, whole)
+    whole, rested = resting.edges(evidence, inquiry.model, whole)
+    ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
     claims, acting, shown = [], [], []
     for i, candidate in enumerate(hypothesis):

@@ -276,7 +276,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
 
 
 TREMBLE = 0.02
-"""Of that way, what a joint must go back before it has turned: what encoders' noise adds up to at rest bends nothing."""
+"""Of that way, what a joint must go back before it has turned: noise that adds up at rest bends nothing."""
 
 
 def _bristle(state: JointState, length: float) -> Array:
