@@ -69,16 +69,27 @@ def gather(
                 for shape in effect.shapes(longest):
                     evidence.candidates.append(torque_candidate(evidence, effect, joint, shape))
             elif isinstance(effect, AbstractChannelEffect):
-                logged = np.concatenate([p.tau[joint] for p in recording.pieces])
-                for shape in effect.shapes(logged, recording.filter.rate):
-                    if shape.get("limit", np.inf) < 6 * recording.torque_noise[joint]:
-                        continue  # a limit within the noise
+                for shape in _channel_shapes(evidence, effect, joint):
                     evidence.candidates.append(channel_candidate(evidence, effect, joint, shape))
             elif isinstance(effect, AbstractGearEffect):
                 load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
                 for shape in effect.shapes(load, inertia, recording.filter.rate):
                     evidence.candidates.append(gear_candidate(evidence, effect, joint, shape))
     return evidence
+
+
+def _channel_shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: int) -> list[Parameters]:
+    """The trials of a channel effect; limits beyond the noise, and what the motion took where that is less than all of
+    them: a drive that is at its limit most of the time."""
+    recording = evidence.recording
+    logged = np.concatenate([p.tau[joint] for p in recording.pieces])
+    shapes = list(effect.shapes(logged, recording.filter.rate))
+    if effect.name != "torque_saturation":
+        return shapes
+    least = min((shape["limit"] for shape in shapes), default=0.0)
+    taken = np.quantile(np.abs(load_on(evidence, joint)), [0.9, 0.95, 0.99])
+    shapes += [{"limit": float(x)} for x in taken if x < least]
+    return [shape for shape in shapes if shape["limit"] > 6 * recording.torque_noise[joint]]
 
 
 def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> Candidate:

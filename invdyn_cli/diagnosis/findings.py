@@ -43,6 +43,8 @@ SLIDING = {
 }
 """Units at a joint that turns, and at one that slides."""
 
+GEARS = {name for name, e in EFFECTS.items() if e.point == "gear"}
+
 DRAWS = 1000
 
 
@@ -309,18 +311,19 @@ def _is_vague(finding: Finding) -> bool:
 
 
 def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Finding, ...]:
-    """Findings, of which none is named that saves less than what a learner still predicts on its joint: something else
-    is at work there, and may be all of it.
+    """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
+    by what is left there: something else is at work, and may be all of it.
 
     Args:
         learned: {joint: share of the residual's variance that the learner predicts}.
     """
     out = []
     for one in found:
-        saved = sum(g.rmse_before**2 - g.rmse_after**2 for g in one.gain.values())
+        saved = sum((g.rmse_before / max(g.rmse_after, 1e-300)) ** 2 - 1 for g in one.gain.values())
         shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
-        unknown = sum(shares[j] * g.rmse_after**2 for j, g in one.gain.items())
-        mostly = one.joint is not None and max(shares.values(), default=0.0) > UNKNOWN
+        unknown = sum(shares.values())
+        near = [x for j, x in shares.items() if j == one.joint or one.effect not in GEARS]
+        mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
         doubtful = saved < (MOSTLY_UNKNOWN if mostly else UNKNOWN_FIRST) * unknown or (mostly and one.effect in LATE)
         if one.status == "named" and doubtful:
             advice = "what else may act on this joint: most of what the model misses there is still unknown"

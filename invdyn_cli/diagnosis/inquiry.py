@@ -78,13 +78,16 @@ def inquire(
         start = inquiry.hypothesis if inquiry else ()
         again = _searched(replace(evidence, candidates=[*lasting, *passing]), effects, allowed, most, compares, start)
         numbers = {c.when.number for c in again.hypothesis if c.when is not None}
-        if inquiry is not None and len(numbers) <= sum(c.when is not None for c in inquiry.hypothesis):
+        if inquiry is not None and numbers == {c.when.number for c in inquiry.hypothesis if c.when is not None}:
             break
         inquiry, evidence = again, again.evidence
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
-        # what lasts may have taken up half of what does not
-        left = [inquiry.whole.residual, *([] if numbers else [nominal])]
-        found = events.proposed(evidence, everywhere, left, inquiry.noise, tried)
+        whole = inquiry.whole
+        refined = [a.when for a in whole.acting if a.when is not None]
+        # each window anew, now that the rest is known; at first what lasts may have taken up half of what does not
+        without = [inquiry.model.residual([a for a in whole.acting if a.when != when]) for when in refined]
+        left = [whole.residual, *(without or [nominal])]
+        found = events.proposed(evidence, everywhere, left, inquiry.noise, [*tried, *refined])
         if not found:
             break
     assert inquiry is not None
