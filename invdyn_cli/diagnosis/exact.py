@@ -26,8 +26,11 @@ STEPS = 4
 """Newton steps at most: columns start within a few percent."""
 
 
-FACTORS = (0.75, 0.86, 0.94, 1.0, 1.06, 1.15, 1.3)
+FACTORS = (0.6, 0.67, 0.75, 0.82, 0.9, 1.0, 1.1, 1.21, 1.33, 1.5, 1.7)
 """Sizes that are tried of a gear's play or stiffness, over the one from where it is refined."""
+
+NEAR = 0.06
+"""Share of it by which it differs from one that was found like that, and is not tried again."""
 
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
@@ -63,7 +66,7 @@ class Model:
         self._bodies: dict[tuple, list[np.ndarray]] = {}
         self._rows: dict[tuple, np.ndarray] = {}
         self.scanned: dict[tuple, float] = {}
-        """What each gear, by its key, was last refined to, from sizes far and near."""
+        """What each gear, by its key and the number of rows, was last refined to, from sizes far and near."""
 
     def residual(self, acting: Sequence[Acting]) -> np.ndarray:
         """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
@@ -150,45 +153,50 @@ def refine(
         return Refined((), theta, labels, np.zeros((2, 0)), np.zeros((0, 0)), model.residual(()))
     used = rows[:, None] & evidence.valid
     scale = np.sqrt(weights)[None, :] * used
-    theta, acting = _scanned(evidence, model, acting, theta, labels, scale)
+    theta, acting = _scanned(evidence, model, acting, theta, labels, scale, rows.sum())
     timing, timing_precision = _timing(evidence, acting)
     allowed, allowed_precision = _allowed(evidence, always)
     timing = np.concatenate([allowed, timing])
     timing_precision = np.concatenate([allowed_precision, timing_precision])
     precision = np.concatenate([precision_of(evidence, acting, labels), timing_precision])
     extra = np.zeros(len(timing))
-    best = None
-    residual = model.residual(acting)
-    for step in range(steps + 1):
+
+    def weighed(theta: np.ndarray, extra: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        residual = model.residual(with_parameters(evidence, acting, labels, theta))
+        y = ((residual - np.tensordot(extra, timing, 1)) * scale).ravel()
+        return float(y @ y + precision @ np.concatenate([theta, extra]) ** 2), residual, y
+
+    gears = np.array([acting[n].effect.point == "gear" for n, *_ in labels] + [False] * len(extra))
+    loss, residual, y = weighed(theta, extra)
+    for _ in range(steps):
         slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
         x = (slopes * scale).reshape(len(slopes), -1)
-        y = ((residual - np.tensordot(extra, timing, 1)) * scale).ravel()
-        here = np.concatenate([theta, extra])
-        loss = y @ y + precision @ here**2
-        if best is not None and not loss <= best[0] * (1 + 1e-9):
-            theta, extra, residual = best[1], best[2], best[3]
+        normal, moment = x @ x.T, x @ y - precision * np.concatenate([theta, extra])
+        for free in (gears | True, ~gears):  # a gear's slope may lead astray, and the others with it
+            move = np.zeros(len(free))
+            move[free] = solved(normal[np.ix_(free, free)], moment[free], precision[free])
+            there = _inside(evidence, acting, labels, theta + move[: len(theta)]), extra + move[len(theta) :]
+            after = weighed(*there)
+            if after[0] < loss or not gears.any():
+                break
+        if not after[0] < loss:
             break
-        best = loss, theta, extra, residual
-        if step == steps:
-            break
-        move = solved(x @ x.T, x @ y - precision * here, precision)
-        theta = _inside(evidence, acting, labels, theta + move[: len(theta)])
-        extra = extra + move[len(theta) :]
+        (theta, extra), (loss, residual, y) = there, after
         acting = with_parameters(evidence, acting, labels, theta)
-        residual = model.residual(acting)
-    acting = with_parameters(evidence, acting, labels, theta)
-    model.scanned |= {acting[n].key: theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.point == "gear"}
+    model.scanned |= {
+        (*acting[n].key, rows.sum()): theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.point == "gear"
+    }
     spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
     left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
     return Refined(tuple(acting), theta, labels, *spread, left)
 
 
-def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale):
+def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale, rows: int):
     """Parameters and effects with each gear at the best of a few sizes, unless one of these was it before: flanks meet
     or do not, and slopes say little of what comes next."""
     for i, (number, *_) in enumerate(labels):
-        before = model.scanned.get(acting[number].key, np.inf)
-        if acting[number].effect.point == "gear" and not FACTORS[2] < theta[i] / before < FACTORS[4]:
+        before = model.scanned.get((*acting[number].key, rows), np.inf)
+        if acting[number].effect.point == "gear" and abs(theta[i] / before - 1) > NEAR:
             tried = []
             for factor in FACTORS:
                 one = theta.copy()

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis import events, known, naming, noise, realisable
+from invdyn_cli.diagnosis import events, known, naming, noise, realisable, resting
 from invdyn_cli.diagnosis.candidates import gear_candidate, load_on, trial_at
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
@@ -163,8 +163,14 @@ def _searched(
             break
     while True:
         acting = acting_of(judge, always, hypothesis)
+        model.scanned.clear()  # gears once more from far and near, now that all of their load is known
         chosen = refine(evidence, model, acting, choosing, measured.weights, always)
         hypothesis, chosen, close = told_apart(judge, model, effects, always, hypothesis, chosen)
+        chosen, timed = resting.edges(evidence, model, chosen)
+        hypothesis = tuple(
+            trial_at(evidence, a) if edges else c for c, a, edges in zip(hypothesis, chosen.acting, timed, strict=True)
+        )
+        judge.refresh()
         whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
         unlikely = _unlikely(evidence, model, measured, chosen) | _unlikely(evidence, model, measured, whole)
         if not unlikely:

@@ -41,10 +41,11 @@ def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, 
         always = np.tensordot(_factors(evidence, one), columns, 1).T
         telling = np.any(evidence.valid & (np.abs(always) > _left(evidence, refined)), axis=1)
         for edge in EDGES:
-            rest = _rest(evidence, one, getattr(one.when, edge), telling)
+            rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
             if rest is not None:
                 low, high = _bearable(evidence, model, refined, i, edge, *rest)
-                known[i][edge] = (low + high) / 2, low, high
+                at_end = [x for x in ends if low <= x <= high]  # what may have been there from the start, or still is
+                known[i][edge] = (at_end[0] if at_end else (low + high) / 2, low, high)
         when = one.when._replace(**{edge: value for edge, (value, *_) in known[i].items()})
         acting[i] = replace(one, when=when)
     return replace(refined, acting=tuple(acting)), known
@@ -56,16 +57,21 @@ def _left(evidence: Evidence, refined: Refined) -> np.ndarray:
     return np.sqrt(np.sum(refined.residual**2 * used, axis=0) / np.maximum(used.sum(axis=0), 1))
 
 
-def _rest(evidence: Evidence, one: Acting, edge: float, telling: np.ndarray) -> tuple[float, float] | None:
-    """From when to when [s] no row of a trajectory tells of what comes or goes, around an edge."""
+def _rest(
+    evidence: Evidence, one: Acting, edge: float, telling: np.ndarray
+) -> tuple[tuple[float, float] | None, tuple[float, float]]:
+    """From when to when [s] no row of a trajectory tells of what comes or goes, around an edge; None: they do. And the
+    trajectory's ends."""
     assert one.when is not None
+    pieces = [p for p in evidence.recording.pieces if p.trajectory == one.when.trajectory]
+    ends = float(min(p.t[0] for p in pieces)), float(max(p.t[-1] for p in pieces))
     names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
     row = evidence.recording.filter.keep / evidence.recording.filter.rate
     t = evidence.on_rows("t")[telling & (names == one.when.trajectory)]
-    for start, end in pairwise(t):
+    for start, end in pairwise([ends[0], *t, ends[1]]):
         if end - start > SHORTEST and start - 2 * row <= edge <= end + 2 * row:
-            return float(start), float(end)
-    return None
+            return (float(start), float(end)), ends
+    return None, ends
 
 
 def _bearable(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from invdyn_cli.diagnosis import naming
-from invdyn_cli.diagnosis.evidence import Evidence
+from invdyn_cli.diagnosis.evidence import Evidence, shared_out
 from invdyn_cli.diagnosis.exact import Refined, refine
 from invdyn_cli.diagnosis.inquiry import Inquiry
 from invdyn_cli.diagnosis.judge import Hypothesis
@@ -27,7 +27,7 @@ FEIGNED = 0.5
 rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
 
 RARE = 0.1
-"""Of its mean square, what an effect must have on the held-out rows to be judged there."""
+"""Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
 
 
 def judged(evidence: Evidence) -> np.ndarray:
@@ -87,7 +87,8 @@ def _fails(
     rare = np.mean(change[rows]) < RARE * np.mean(change)  # it hardly comes up on the held-out rows
     if gain <= 0 and not rare:
         return gain, "it does not hold on data that did not choose it"
-    if np.sum(np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0)) <= 0 and not rare:  # rows at rest count too
+    everywhere = np.sum(np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0))  # rows at rest count too
+    if everywhere <= 0 and not rare and _acts_at_rest(inquiry, hypothesis, i):
         return gain, "with it the arm as a whole is predicted worse on data that did not choose it"
     rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
@@ -110,6 +111,15 @@ def _fails(
                 "it is small beside what is left, and a controller that answers to its encoders' noise feigns it",
             )
     return None
+
+
+def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
+    """Whether an effect is there while joints rest: of one that is not they say nothing, but of what friction bears."""
+    evidence, every = inquiry.evidence, (*inquiry.always, *hypothesis)
+    own = [theta for _, theta in shared_out(every, inquiry.judge.verdict(every).theta)][len(inquiry.always) + i]
+    term = (evidence.left((), own) - evidence.left((hypothesis[i],), own)) ** 2 * inquiry.noise.weights
+    at_rest = ~evidence.valid
+    return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
 
 def _exactly(inquiry: Inquiry, place: int) -> tuple[bool, float]:

@@ -20,7 +20,7 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
-from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.references import AbstractReference, Multisine, PickPlace
 from invdyn_cli.simulation.sensors import Noise
 from tests.diagnosis.analytic import said
 
@@ -57,11 +57,17 @@ def marked(names: Sequence[str], seeds: Sequence[int]) -> list:
     ]
 
 
-def played(seed: int, label: str, hide: Callable[[np.random.Generator, Scene], list[Hidden]]) -> Case:
+def played(
+    seed: int,
+    label: str,
+    hide: Callable[[np.random.Generator, Scene], list[Hidden]],
+    reference: AbstractReference | None = None,
+) -> Case:
     """A log of a drawn three-joint arm with what `hide` puts into it; as `experiments.cases.draw_case`, but short."""
     for attempt in range(20):  # an arm that loses control is no log
         draw = np.random.default_rng([seed, attempt, zlib.crc32(label.encode())])
         scene = replace(draw_scene(draw, 3), duration=SECONDS)
+        scene = scene if reference is None else replace(scene, reference=reference)
         try:
             return play(draw, scene, hide(draw, scene))
         except UsageError:
@@ -122,6 +128,42 @@ def test_an_arm_with_play_takes_something_up():
     outcome = judge(case, diagnose(log, robot), 0, 0.0)
     assert outcome.result in ("named", "ambiguous"), outcome
     assert all(error < SIZE for error in outcome.size_errors), outcome
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_load_on_an_arm_with_friction(seed):
+    """Friction on every joint takes up half of a load that comes and goes, until the load is there: all of it is found
+    and nothing else, sizes as above, the edges within 50 ms, though some fall into rests."""
+
+    def hide(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+        joints = range(scene.robot.dofs)
+        frictions = [draw_effect(draw, scene, "coulomb_friction", j) for j in joints]
+        return [draw_effect(draw, scene, "payload_change"), *frictions]
+
+    case = played(seed, "load and friction", hide, PickPlace())
+    diagnosis = diagnose(case.log, case.robot)
+    found = {(f.effect, f.joint): f for f in claims(diagnosis)}
+    assert {(h.effect, h.joint) for h in case.hidden} == found.keys(), diagnosis.summary
+    outcome = judge(case, diagnosis, seed, 0.0)
+    assert all(error < SIZE for error in outcome.size_errors), outcome
+    window = found["payload_change", None].window
+    assert window is not None
+    np.testing.assert_allclose(window, case.hidden[0].parameters["window"], atol=0.05)
+
+
+def test_a_drive_that_is_always_at_its_limit():
+    """A controller that asks for ever more than the drive gives: the limit, a few percent of what is asked for, is that
+    which the motion took."""
+
+    def hide(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+        limit = draw.uniform(0.3, 0.6) * np.quantile(np.abs(scene.tau[:, 0]), 0.99)
+        return [Hidden("torque_saturation", scene.robot.joints[0], {"limit": float(limit)})]
+
+    case = played(0, "weak drive", hide)
+    (found,) = claims(diagnose(case.log, case.robot))
+    (hidden,) = case.hidden
+    assert (found.effect, found.joint, found.status) == (hidden.effect, hidden.joint, "named")
+    assert found.parameters["limit"].value == pytest.approx(hidden.parameters["limit"], rel=0.1)
 
 
 @pytest.mark.parametrize(("name", "seed"), marked(["clean"], [0, 1, 2]))

@@ -5,7 +5,7 @@ import pytest
 
 from invdyn_cli.diagnosis import noise
 from invdyn_cli.diagnosis.judge import FOLDS, Judge
-from invdyn_cli.diagnosis.search import search
+from invdyn_cli.diagnosis.search import free_beside, search
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 
 NAMES = [
@@ -136,3 +136,18 @@ def test_many_are_judged_at_once_as_one_by_one(name, evidence, judge):
     losses, factors = judge.extended(base, others)
     np.testing.assert_allclose(losses, wanted, rtol=0, atol=1e-6 * nothing)
     assert [len(x) for x in factors] == [len(c.precision) for c in others]
+
+
+def test_a_joint_has_one_level_of_friction(evidence):
+    """What contains Coulomb friction is not put beside it, nor beside another that does: two levels on one joint are
+    one number written as two. In the place of its special case it is a candidate."""
+    names = ["coulomb_friction", "stribeck_friction", "presliding_hysteresis", "viscous_friction"]
+    pool = evidence_of(log_of(raw(*moved())), names).candidates
+    for name in names[:3]:
+        (one, *_) = [c for c in pool if c.key == (name, 0)]
+        beside = {c.effect.name for c in free_beside([one], pool) if c.joint == 0}
+        assert beside == {"viscous_friction"}
+        assert {c.effect.name for c in free_beside([one], pool) if c.joint == 1} == set(names)
+    coulomb = candidate(evidence, "coulomb_friction", 0)
+    instead = {c.effect.name for c in free_beside([coulomb], pool, instead=True) if c.joint == 0}
+    assert instead == {"stribeck_friction", "presliding_hysteresis", "viscous_friction"}

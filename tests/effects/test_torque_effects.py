@@ -1,5 +1,6 @@
 """Effects on a joint's torque: the linear form that the search uses is the formula that stands in the model."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -87,7 +88,8 @@ def swaying(t: np.ndarray, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(2))
 def test_bristles_are_dahls(seed):
     """Along a motion, coulomb and stiffness drawn at random, the term is stiffness z of dz/dt = qd - stiffness/coulomb
-    |qd| z as SciPy integrates it, to 1 % of the level: samples are 2 ms apart, and the joint turns between them."""
+    |qd| z as SciPy integrates it, to 4 % of the level: a joint has turned after 2 % of the bristles' length, over which
+    the term would have fallen by twice that. Bristles of a joint that moves are bent in the beginning."""
     given = parameters("presliding_hysteresis", np.random.default_rng(seed))
     t = np.arange(0, 3, 0.002)
     speed = make_interp_spline(t, swaying(t, seed), k=5).derivative()
@@ -96,9 +98,10 @@ def test_bristles_are_dahls(seed):
         qd = float(speed(now))
         return qd - given["stiffness"] / given["coulomb"] * abs(qd) * z
 
-    z = solve_ivp(slope, (0, t[-1]), [0.0], t_eval=t, rtol=1e-6, atol=1e-7, max_step=0.01).y[0]
+    bent = np.sign(speed(0.0)) * given["coulomb"] / given["stiffness"]
+    z = solve_ivp(slope, (0, t[-1]), [bent], t_eval=t, rtol=1e-6, atol=1e-7, max_step=0.01).y[0]
     got = EFFECTS["presliding_hysteresis"].term(given, bristled(swaying(t, seed), t))
-    np.testing.assert_allclose(got, given["stiffness"] * z, atol=0.01 * given["coulomb"])
+    np.testing.assert_allclose(got, given["stiffness"] * z, atol=0.04 * given["coulomb"])
     assert got.min() < -0.8 * given["coulomb"] and got.max() > 0.8 * given["coulomb"]
 
 
@@ -110,6 +113,30 @@ def test_bristles_know_the_way_and_not_the_time():
     uneven = effect.term(given, bristled(q, np.cumsum(np.random.default_rng(0).uniform(0.001, 0.1, len(q)))))
     np.testing.assert_allclose(uneven, even, atol=1e-12)
     assert np.abs(even).max() <= 2.0
+
+
+def test_bristles_stay_bent_at_rest():
+    """A joint that moves, rests for 100 s and goes back: encoder noise of 10 microradians at 500 Hz adds up to 0.4 rad,
+    a hundred times the bristles' length; the term stays that of the true motion to 10 % of the level."""
+    effect, given = EFFECTS["presliding_hysteresis"], {"coulomb": 2.0, "stiffness": 2.0 / 0.004}
+    t = np.arange(0, 104, 0.002)
+    q = np.interp(t, [0, 2, 102, 104], [0.0, 0.5, 0.5, 0.0])
+    noisy = q + 1e-5 * np.random.default_rng(0).normal(size=len(q))
+    got, true = (effect.term(given, bristled(x)._replace(sign=0 * x)) for x in (noisy, q))
+    np.testing.assert_allclose(got, true, atol=0.1 * 2.0)
+    assert true[len(t) // 2] > 1.9
+
+
+def test_bristles_remember_what_was_before():
+    """A motion that is cut in two: with the way until then the second part's term is that of the whole motion."""
+    effect, given = EFFECTS["presliding_hysteresis"], {"coulomb": 2.0, "stiffness": 300.0}
+    q = swaying(np.arange(0, 5, 0.002), 1)
+    first = int(np.flatnonzero(np.diff(np.sign(np.diff(q))))[0]) + 5  # just after it has turned back
+    parts = bristled(q[:first]), bristled(q[first:])._replace(before=q[:first])
+    whole = effect.term(given, bristled(q)._replace(sign=0 * q))
+    got = [effect.term(given, x._replace(sign=0 * x.q)) for x in parts]
+    np.testing.assert_allclose(np.concatenate(got), whole, atol=1e-12)
+    assert abs(effect.term(given, bristled(q[first:]))[0] - whole[first]) > 1.0  # and not without
 
 
 def test_bristles_of_one_sample():
