@@ -172,7 +172,7 @@ def refine(
         slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
         x = (slopes * scale).reshape(len(slopes), -1)
         normal, moment = x @ x.T, x @ y - precision * np.concatenate([theta, extra])
-        for free in (gears | True, ~gears):  # a gear's slope may lead astray, and the others with it
+        for free in (np.ones_like(gears), ~gears):  # a gear's slope may lead astray, and the others with it
             move = np.zeros(len(free))
             move[free] = solved(normal[np.ix_(free, free)], moment[free], precision[free])
             there = _inside(evidence, acting, labels, theta + move[: len(theta)]), extra + move[len(theta) :]

@@ -143,6 +143,7 @@ def _searched(
     model = Model(evidence)
     hypothesis = search(judge, pool, always, start, most)
     seen: list[set[tuple]] = []
+    loads: dict[int, list[np.ndarray]] = {}
     for _ in range(ROUNDS + evidence.dofs):
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
@@ -154,7 +155,7 @@ def _searched(
             hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
             continue
         trials = tuple(trial_at(evidence, a, _others(refined.acting, a)) for a in refined.acting)
-        more = [*trials, *_geared(evidence, refined.acting)]
+        more = [*trials, *_geared(evidence, refined.acting, loads)]
         pool = [*pool, *(c for c in more if not any(c is p for p in pool))]
         judge.refresh()
         hypothesis = search(judge, pool, always, trials, most)
@@ -189,14 +190,14 @@ ALIKE = 0.02
 """Of the load that a gear carries, what must have changed for it to be tried anew."""
 
 
-def _geared(evidence: Evidence, acting: Sequence[Acting]) -> list[Candidate]:
+def _geared(evidence: Evidence, acting: Sequence[Acting], tried: dict[int, list[np.ndarray]]) -> list[Candidate]:
     """The trials of every gear that might be on a joint where one was found, with what else it was found to carry, if
-    it carries anything else by that."""
+    that is another load than it was tried with."""
     made = []
     for one in acting:
         others = _others(acting, one)
         if one.effect.point == "gear" and one.joint is not None and others:
-            loads = evidence.kept.setdefault(("tried", one.joint), [load_on(evidence, one.joint)])
+            loads = tried.setdefault(one.joint, [load_on(evidence, one.joint)])
             load = load_on(evidence, one.joint, others)
             if min(np.std(load - x) for x in loads) < ALIKE * np.std(load):
                 continue

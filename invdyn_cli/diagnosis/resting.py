@@ -104,9 +104,9 @@ def _bearable(
 
 
 def _levels(acting: Sequence[Acting], joint: int, state: JointState) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) each: the least and the most that a joint's friction, springs and offsets are at rest."""
-    at_rest = [state._replace(qd=0 * state.qd, sign=0 * state.qd + sign) for sign in (-1.0, 1.0)]
-    levels = np.array([0 * state.qd + sum(joint_terms(acting, joint, x)) for x in at_rest])
+    """(T,) each: the least and the most of a joint's friction, springs and offsets, whichever way it is pushed."""
+    either_way = [state._replace(sign=0 * state.qd + sign) for sign in (-1.0, 1.0)]
+    levels = np.array([0 * state.qd + sum(joint_terms(acting, joint, x)) for x in either_way])
     return levels.min(axis=0), levels.max(axis=0)
 
 
