@@ -47,6 +47,9 @@ STEP = 1e-3
 STRAIGHT = 0.005
 """[rad] As far as a gear may yield for torques to go with its angle as a line does."""
 
+FAR_LESS = 0.5
+"""Of the least limit that is tried anyway, below which that of a drive always at its limit is tried as well."""
+
 YIELD = 0.1
 """Relative step of finite differences in how far a gear yields: play shows at its edges, which move by samples."""
 
@@ -79,8 +82,8 @@ def gather(
 
 
 def _channel_shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: int) -> list[Parameters]:
-    """The trials of a channel effect; limits beyond the noise, and what the motion took where that is less than all of
-    them: a drive that is at its limit most of the time."""
+    """The trials of a channel effect; limits beyond the noise, and what the motion took where that is far less than all
+    of them: a drive that is at its limit most of the time."""
     recording = evidence.recording
     logged = np.concatenate([p.tau[joint] for p in recording.pieces])
     shapes = list(effect.shapes(logged, recording.filter.rate))
@@ -88,7 +91,7 @@ def _channel_shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: in
         return shapes
     least = min((shape["limit"] for shape in shapes), default=0.0)
     taken = np.quantile(np.abs(load_on(evidence, joint)), [0.9, 0.95, 0.99])
-    shapes += [{"limit": float(x)} for x in taken if x < least]
+    shapes += [{"limit": float(x)} for x in taken if x < FAR_LESS * least]
     return [shape for shape in shapes if shape["limit"] > 6 * recording.torque_noise[joint]]
 
 

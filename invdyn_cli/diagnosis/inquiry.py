@@ -96,14 +96,15 @@ def inquire(
 
 def _outdoes(evidence: Evidence, measured: noise.Noise, passing: Sequence[Candidate]) -> bool:
     """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
-    lasts."""
+    lasts; but for limits, which cut off much of what comes and goes."""
     judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
     nothing = judge.quick(())[0]
     losses, own = judge.extended((), passing)
     possible = [x for x, c, o in zip(losses, passing, own, strict=True) if not judge.impossible(c, o)]
     best: dict[int | None, float] = {}
-    for loss, c in zip(judge.extended((), evidence.candidates)[0], evidence.candidates, strict=True):
+    lasting = [c for c in evidence.candidates if c.effect.name != "torque_saturation"]
+    for loss, c in zip(judge.extended((), lasting)[0], lasting, strict=True):
         place = c.joint if len(c.columns) == 1 else None
         best[place] = max(best.get(place, 0.0), nothing - loss)
     arm = best.pop(None, 0.0)
