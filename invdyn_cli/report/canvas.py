@@ -83,13 +83,14 @@ def label_below(axes: Axes, label: str, i: int, panels: int, *, shared: bool = T
     axes.xaxis.set_in_layout(not last or i + columns >= rows * columns)
 
 
-def limit_around(axes: Axes, measured: np.ndarray, other: np.ndarray) -> None:
-    """Limits for both curves; one that runs away from the measured one is shown for once its range each way."""
+def limit_around(axes: Axes, measured: np.ndarray, other: np.ndarray, least: float = 0.0) -> None:
+    """Limits for both curves; one that runs away from the measured one is shown for once its range each way, or for
+    `least`."""
     measured, other = measured[np.isfinite(measured)], other[np.isfinite(other)]
     if not len(measured):
         return
     low, high = measured.min(), measured.max()
-    span = high - low
+    span = max(high - low, least)
     both = np.concatenate([measured, other])
     if span > 0:
         both = np.clip(both, low - span, high + span)

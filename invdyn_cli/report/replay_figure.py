@@ -11,6 +11,9 @@ from invdyn_cli.types import Diagnosis
 REPLAY = "replay"
 """What the picture's file is called."""
 
+LEAST = 0.001
+"""[rad; m] either way of a joint that rests, within which a simulated one is shown."""
+
 
 def replay_figure(diagnosis: Diagnosis) -> Figure:
     """A few windows of the joint that gains most, and the error of every joint, nominal and extended."""
@@ -28,7 +31,7 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
         axes.plot(t, trace.before, color=BEFORE, lw=1.8, label="nominal arm")
         axes.plot(t, trace.after, color=AFTER, lw=1.8, label="extended arm")
         axes.plot(t, trace.measured, color=MEASURED, lw=1.2, ls="--", label="measured")
-        limit_around(axes, trace.measured, np.concatenate([trace.before, trace.after]))
+        limit_around(axes, trace.measured, np.concatenate([trace.before, trace.after]), LEAST)
         axes.set_title(f"{plain(trace.name)}\nfrom {trace.t[0]:.4g} s")
         axes.set_xlabel("time in the window [ms]")
         axes.margins(x=0.01)

@@ -72,3 +72,14 @@ def test_the_figure_shows_curves_and_bars(after):
         assert curves["nominal arm"][-1] - curves["measured"][-1] == pytest.approx(2 * 0.2**2)
     heights = [x.get_height() for x in bars.patches]
     assert heights == pytest.approx([0.4] * 7 + [after] * 7)
+
+
+def test_a_window_at_rest_has_a_scale_for_eyes():
+    """A joint that rests within 10 nanoradians is drawn on an axis of a milliradian or more, not on its noise."""
+    found = replayed()
+    assert found.replay is not None
+    trace = found.replay.traces[0]
+    resting = replace(trace, measured=-0.9 + 1e-8 * np.sin(50 * trace.t))
+    window = replay_figure(replace(found, replay=replace(found.replay, traces=(resting,)))).axes[0]
+    low, high = window.get_ylim()
+    assert low < -0.9 < high and high - low > 0.001
