@@ -92,18 +92,19 @@ def proposed(
     measured: Noise,
     known: Sequence[When] = (),
     share: float = SHARE,
+    first: int = 0,
 ) -> list[list[Candidate]]:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
     first.
 
     Args:
         residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
-        known: windows that were proposed before.
+        known: windows that need not be proposed.
         share: of a residual's squares that a window must explain.
+        first: number of the first one that is proposed.
     """
     made: list[When] = []
     weights = measured.weights
-    first = 1 + max((w.number for w in known), default=-1)
     for residual in residuals:
         left = residual.copy()
         least = max(PRICE, share * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))

@@ -84,10 +84,11 @@ def inquire(
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
         whole = inquiry.whole
         refined = [a.when for a in whole.acting if a.when is not None]
-        # each window anew, now that the rest is known; at first what lasts may have taken up half of what does not
-        without = [inquiry.model.residual([a for a in whole.acting if a.when != when]) for when in refined]
-        left = [whole.residual, *(without or [nominal])]
-        found = events.proposed(evidence, everywhere, left, inquiry.noise, [*tried, *refined])
+        # all windows anew, now that the rest is known; at first what lasts may have taken up half of what does not
+        without = inquiry.model.residual([a for a in whole.acting if a.when is None]) if refined else nominal
+        there = [*(w[0].when for w in held if w[0].when is not None), *refined]
+        residuals = [whole.residual, without]
+        found = events.proposed(evidence, everywhere, residuals, inquiry.noise, there, first=len(tried))
         if not found:
             break
     assert inquiry is not None
