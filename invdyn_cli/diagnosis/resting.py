@@ -95,12 +95,13 @@ def _bearable(
         over = [np.maximum(np.maximum(x - high, low - x) - slack, 0.0) / noise for x in (borne, borne - loads[number])]
         times.append(piece.t[at])
         asked.append(np.sum(np.square(over)[:, :, at], axis=1))
+    if not times:  # a gap of the log
+        return start, end
     t, (before, after) = np.concatenate(times), np.concatenate(asked, axis=1)[:: 1 if edge == "start" else -1]
     cost = np.append(0.0, np.cumsum(before)) + np.append(np.cumsum(after[::-1])[::-1], 0.0)
-    possible = np.flatnonzero(cost <= cost.min() + BEYOND)
-    step = 1 / evidence.recording.filter.rate
-    edges = np.append(t, t[-1] + step)[possible]
-    return float(max(start, edges[0] - ANSWER)), float(min(end, edges[-1] + step))
+    possible = np.flatnonzero(cost <= cost.min() + BEYOND)  # the k-th: between the samples before and at k
+    low, high = np.append(start, t)[possible[0]] - ANSWER, np.append(t, end)[possible[-1]]
+    return float(max(start, low)), float(min(end, high + 1 / evidence.recording.filter.rate))
 
 
 def _levels(acting: Sequence[Acting], joint: int, state: JointState) -> tuple[np.ndarray, np.ndarray]:

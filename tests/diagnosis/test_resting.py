@@ -1,5 +1,7 @@
 """When something came while the arm rested: as sharply as friction betrays it, and no sharper."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -31,9 +33,10 @@ def stepping(draw: np.random.Generator, moves: int = 6) -> tuple[np.ndarray, Mot
     return t, Motion(q, rates[0] * moving, rates[1] * moving)
 
 
-def taken(seed: int, level: float, stays: bool) -> tuple[float, dict, float]:
+def taken(seed: int, level: float, stays: bool, gap: float = 0.0) -> tuple[float, dict, float]:
     """A load that comes in the middle of the third rest, friction being `level` times its torque on each joint: bears
-    it where it `stays`, and gives way where not. When it came, what is said of it, and the other end of its window."""
+    it where it `stays`, and gives way where not; `gap` [s] of the log around it is lost. When it came, what is said of
+    it, and when it comes then."""
     draw = np.random.default_rng(seed)
     t, m = stepping(draw)
     came, over = 2 * (MOVE + REST) + MOVE + draw.uniform(0.5, 1.5), 4 * (MOVE + REST) + 1.0
@@ -48,7 +51,8 @@ def taken(seed: int, level: float, stays: bool) -> tuple[float, dict, float]:
     torque = load * there + borne
     if stays:  # the friction bears the load as long as the arm rests: nothing changes in the motors
         torque[resting] = np.where(moves, torque, held)[resting]
-    log = log_of(raw(t, m, lambda *_: torque, torque=0.02, seed=seed))
+    whole, kept = raw(t, m, lambda *_: torque, torque=0.02, seed=seed), np.abs(t - came) >= gap / 2
+    log = log_of(replace(whole, t=t[kept], q=whole.q[kept], tau=whole.tau[kept]))
     evidence = evidence_of(log, ["coulomb_friction"], cutoffs=(20.0,))
     when = When(evidence.recording.pieces[0].trajectory, 2 * (MOVE + REST) + MOVE + 0.1, over, 0)
     acting = (
@@ -78,6 +82,15 @@ def test_a_load_that_friction_bears_came_at_any_time_of_the_rest(seed):
     came, known, _ = taken(seed, 3.0, stays=True)
     _, low, high = known["start"]
     assert low <= came <= high and high - low > 0.9 * REST
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_came_while_nothing_was_recorded(seed):
+    """Half a second of the log is lost around the time: the interval holds it, and the edge does not leave the rest."""
+    came, known, start = taken(seed, 0.2, stays=False, gap=0.5)
+    _, low, high = known["start"]
+    assert low <= came <= high and 0.4 < high - low < REST
+    assert low <= start <= high
 
 
 def test_an_edge_in_motion_is_left_alone():
