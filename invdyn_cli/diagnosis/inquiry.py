@@ -13,7 +13,7 @@ from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_al
 from invdyn_cli.diagnosis.late import told_apart
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.diagnosis.search import WHOLE, search
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 
@@ -61,8 +61,8 @@ def inquire(
     everywhere = [] if compares else events.places(evidence, effects, side)
     inquiry: Inquiry | None = None
     held: list[Sequence[Candidate]] = []
-    tried: list[When] = []
-    nominal = np.column_stack([table[:, 0] for table in evidence.tables])
+    proposals = 0
+    nominal = evidence.left((), np.zeros(0))
     measured = noise.measure(evidence, evidence.role == ROLES.index("train"))
     found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
     if found and not _outdoes(evidence, measured, [c for window in found for c in window]):
@@ -71,7 +71,7 @@ def inquire(
         windows = [*held, *found]
         passing = [c for window in windows for c in window]
         times = [c.when for c, *_ in windows if c.when is not None]
-        tried += [w for w in times if w not in tried]
+        proposals += len(found)
         if times and not parted:
             evidence = events.interleaved(evidence, times)
         lasting = [c for c in evidence.candidates if c.when is None]
@@ -88,7 +88,7 @@ def inquire(
         without = inquiry.model.residual([a for a in whole.acting if a.when is None]) if refined else nominal
         there = [*(w[0].when for w in held if w[0].when is not None), *refined]
         residuals = [whole.residual, without]
-        found = events.proposed(evidence, everywhere, residuals, inquiry.noise, there, first=len(tried))
+        found = events.proposed(evidence, everywhere, residuals, inquiry.noise, there, first=proposals)
         if not found:
             break
     assert inquiry is not None

@@ -33,13 +33,13 @@ MARGIN = 0.1
 def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, list[dict[str, tuple]]]:
     """The same with every edge that falls into a rest in the middle of where it can be; and for each effect {edge:
     (value, lower, upper)} of these."""
-    acting, known = list(refined.acting), [{} for _ in refined.acting]
+    acting, known, left = list(refined.acting), [{} for _ in refined.acting], _left(evidence, refined)
     for i, one in enumerate(refined.acting):
         if one.when is None or isinstance(one.effect, AbstractChannelEffect):
             continue
         columns = passing_columns(evidence, one.effect, one.joint, None)
         always = np.tensordot(_factors(evidence, one), columns, 1).T
-        telling = np.any(evidence.valid & (np.abs(always) > _left(evidence, refined)), axis=1)
+        telling = np.any(evidence.valid & (np.abs(always) > left), axis=1)
         for edge in EDGES:
             rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
             if rest is not None:
