@@ -230,18 +230,16 @@ def gear_columns(
     assert isinstance(effect, AbstractGearEffect) and joint is not None
     softness, carried = effect.softness(acting.parameters), _carried(evidence, joint, beside)
 
-    def change(factor: float) -> tuple[np.ndarray, float]:
-        parts, far = [], 0.0
-        own = effect.of_softness(factor * softness)
+    def change(factor: float) -> list[tuple[np.ndarray, float]]:
+        own, made = effect.of_softness(factor * softness), []
         for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
             b, b2 = effect.deflection(own, load, inertia, recording.filter.rate)
-            parts.append(mass * b2 + slope * b)
-            far = max(far, float(np.abs(b).max()))
-        return filtered(recording, parts), far
+            made.append((mass * b2 + slope * b, float(np.abs(b).max())))
+        return made
 
-    ends = change(1 + YIELD)[0] - change(1 - YIELD)[0]
-    there, far = change(1.0)
-    return there, ends / (2 * YIELD * softness), far
+    softer = [more - less for (more, _), (less, _) in zip(change(1 + YIELD), change(1 - YIELD), strict=True)]
+    parts, far = zip(*change(1.0), strict=True)
+    return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * softness), max(far)
 
 
 def _carried(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> list[tuple[Array, Array]]:

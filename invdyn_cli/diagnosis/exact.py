@@ -32,6 +32,9 @@ FACTORS = (0.6, 0.67, 0.75, 0.82, 0.9, 1.0, 1.1, 1.21, 1.33, 1.5, 1.7)
 NEAR = 0.06
 """Share of it by which it differs from one that was found like that, and is not tried again."""
 
+MOTIONS = 40
+"""Of links behind gears that are kept of every piece, so that one gear more or less is not all of them."""
+
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
 
@@ -65,6 +68,7 @@ class Model:
         self.rate = evidence.recording.filter.rate
         self._bodies: dict[tuple, list[np.ndarray]] = {}
         self._rows: dict[tuple, np.ndarray] = {}
+        self._gears: list[dict] = [{} for _ in evidence.recording.pieces]
         self.scanned: dict[tuple, float] = {}
         """What each gear, by its key and the number of rows, was last refined to, from sizes far and near."""
 
@@ -89,7 +93,11 @@ class Model:
             lasting = [a for a in whole if a.when is None]
             if lasting == whole or any(a.effect.point == "gear" for a in whole):
                 robot, recording = self.evidence.robot, self.evidence.recording
-                made = [link_torque(robot, whole, piece.motion, recording.stretch(piece)) for piece in recording.pieces]
+                made = []
+                for piece, kept in zip(recording.pieces, self._gears, strict=True):
+                    if len(kept) > MOTIONS:
+                        kept.clear()
+                    made.append(link_torque(robot, whole, piece.motion, recording.stretch(piece), kept))
             else:
                 made = self._bodies[self._moved(lasting)]
                 for one in whole:

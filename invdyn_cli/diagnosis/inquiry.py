@@ -21,6 +21,13 @@ ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
 
 
+CROWDED = 2
+"""Causes a joint, above which there seem to be many because what comes and goes is not among them."""
+
+ABSORBING = ("torque_saturation", "asymmetric_coulomb_friction")
+"""Effects that take up much of what comes and goes."""
+
+
 @dataclass(frozen=True)
 class Inquiry:
     """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
@@ -63,10 +70,7 @@ def inquire(
     held: list[Sequence[Candidate]] = []
     proposals = 0
     nominal = evidence.left((), np.zeros(0))
-    measured = noise.measure(evidence, evidence.role == ROLES.index("train"))
-    found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
-    if found and not _outdoes(evidence, measured, [c for window in found for c in window]):
-        found = []
+    found = _at_first(evidence, everywhere, nominal, most) if everywhere else []
     for _ in range(1 + events.ROUNDS):
         windows = [*held, *found]
         passing = [c for window in windows for c in window]
@@ -95,16 +99,32 @@ def inquire(
     return inquiry
 
 
-def _outdoes(evidence: Evidence, measured: noise.Noise, passing: Sequence[Candidate]) -> bool:
-    """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
-    lasts; but for limits, which cut off much of what comes and goes."""
+def _at_first(
+    evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int
+) -> list[list[Candidate]]:
+    """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
+    measured = noise.measure(evidence, evidence.role == ROLES.index("train"))
     judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
+    lasting = [c for c in evidence.candidates if c.effect.name not in ABSORBING]
+    found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
+    judge.refresh()
+    if found and _outdoes(judge, [c for window in found for c in window], lasting):
+        return found
+    crowd = search(judge, [c for c in lasting if c.effect.point != "gear"], most=most)
+    if len(crowd) <= CROWDED * evidence.dofs:
+        return []
+    left = evidence.left(crowd, judge.quick(crowd)[1])
+    return events.proposed(evidence, everywhere, [left, nominal], measured)
+
+
+def _outdoes(judge: Judge, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
+    """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
+    lasts."""
     nothing = judge.quick(())[0]
     losses, own = judge.extended((), passing)
     possible = [x for x, c, o in zip(losses, passing, own, strict=True) if not judge.impossible(c, o)]
     best: dict[int | None, float] = {}
-    lasting = [c for c in evidence.candidates if c.effect.name != "torque_saturation"]
     for loss, c in zip(judge.extended((), lasting)[0], lasting, strict=True):
         place = c.joint if len(c.columns) == 1 else None
         best[place] = max(best.get(place, 0.0), nothing - loss)
@@ -143,7 +163,10 @@ def _searched(
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
     judge.refresh()
     model = Model(evidence)
-    hypothesis = search(judge, pool, always, start, most)
+    at_first = pool
+    if not start and any(c.when is not None for c in pool):  # what a gear carries is known when what comes and goes is
+        at_first = [c for c in pool if c.effect.point != "gear"]
+    hypothesis = search(judge, at_first, always, start, most)
     seen: list[set[tuple]] = []
     loads: dict[int, list[np.ndarray]] = {}
     for _ in range(ROUNDS + evidence.dofs):

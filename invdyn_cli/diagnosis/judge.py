@@ -1,8 +1,8 @@
 """The judge: what Gram matrices of the chosen rows, by block, say of any set of causes, in a millisecond."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -50,14 +50,34 @@ class Verdict:
     theta: np.ndarray
 
 
+@dataclass
+class _Alike:
+    """Candidates with as many fixed and free columns on as many joints, and what of them no hypothesis changes."""
+
+    joints: list[list[int]] = field(default_factory=list)
+    columns: list[list[tuple[int, ...]]] = field(default_factory=list)
+    square: list[np.ndarray] = field(default_factory=list)
+    precision: list[np.ndarray] = field(default_factory=list)
+    price: list[float] = field(default_factory=list)
+
+    @cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The same as arrays: (N, J), (N, J, m), (N, m, m), (N, free), (N,)."""
+        return tuple(np.array(getattr(self, f.name)) for f in fields(self))
+
+
 class Judge:
-    """Gram matrices of the chosen rows, by block, and what they say of hypotheses.
+    """Gram matrices of the chosen rows, and what they say of hypotheses.
 
     Args:
-        rows: (R,) bool, which rows count.
+        rows: (R,) bool, which rows count; a block's are one behind the other.
         weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
         deviation: (n,) standard deviation of the noise [N m; N].
         always: candidates that are part of every hypothesis.
+
+    Attributes:
+        grams: of every joint (F, C, C), by fold; blocks are held out in turn by folds.
+        totals: the same of all folds (C, C).
     """
 
     def __init__(
@@ -69,74 +89,74 @@ class Judge:
         always: Hypothesis = (),
     ) -> None:
         self.evidence, self.rows, self.weights = evidence, rows, weights
-        numbers, self.block = np.unique(evidence.block[rows], return_inverse=True)
-        self.count = len(numbers)
+        first, last = (np.flatnonzero(rows)[i] for i in _runs(evidence.block[rows]))
+        self.blocks = [slice(a, b + 1) for a, b in zip(first, last, strict=True)]
+        self.used = rows[:, None] & evidence.valid
+        self.count = len(self.blocks)
         self.folds = np.arange(self.count) % min(FOLDS, self.count)
-        self.grams: list[np.ndarray] = [np.empty((self.count, 0, 0))] * evidence.dofs
+        self.grams: list[np.ndarray] = [np.empty((min(FOLDS, self.count), 0, 0))] * evidence.dofs
         self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
-        used = evidence.valid[rows]
-        worth = weights * np.sum((RELEVANT * evidence.tau[rows]) ** 2 * used, axis=0)
+        worth = weights * np.sum((RELEVANT * evidence.tau) ** 2 * self.used, axis=0)
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
-        self.rows_worth = weights * used.sum(0)
+        self.rows_worth = weights * self.used.sum(0)
         self.deviation = deviation
         self.always = always
         self._room: list[np.ndarray] = list(self.grams)
         self._freedom: dict[int, float] = {}
         self._prices: dict[int, tuple[float, Candidate]] = {}
+        self._alike: dict[tuple[int, int, int], _Alike] = {}
+        self._places: dict[int, tuple[tuple[int, int, int], int, Candidate]] = {}
         self.tried = 0
 
     def refresh(self) -> None:
         """Take in the columns that were added to the evidence since."""
-        edges = np.searchsorted(self.block, np.arange(self.count + 1))
         for j, table in enumerate(self.evidence.tables):
-            if table.shape[1] != self.grams[j].shape[1]:
-                x, known = table[self.rows] * self.evidence.valid[self.rows, j : j + 1], self.grams[j].shape[1]
-                room, count = self._room[j], x.shape[1]
-                if count > room.shape[1]:
-                    room = np.zeros((self.count, count + SPARE, count + SPARE))
-                    room[:, :known, :known] = self.grams[j]
-                    self._room[j] = room
-                for block, (a, b) in enumerate(pairwise(edges)):
-                    room[block, :count, known:count] = x[a:b].T @ x[a:b, known:]
-                    room[block, known:count, :known] = room[block, :known, known:count].T
-                self.grams[j] = room[:, :count, :count]
-                total = np.empty((count, count))
-                total[:known, :known] = self.totals[j]
-                total[:, known:] = self.grams[j][:, :, known:].sum(0)
-                total[known:, :known] = total[:known, known:].T
-                self.totals[j] = total
+            known, count = self.grams[j].shape[1], table.shape[1]
+            if count == known:
+                continue
+            new = np.where(self.used[:, j : j + 1], table[:, known:], 0.0)
+            room = self._room[j]
+            if count > room.shape[1]:
+                room = np.zeros((len(room), count + SPARE, count + SPARE))
+                room[:, :known, :known] = self.grams[j]
+                self._room[j] = room
+            for fold, rows in zip(self.folds, self.blocks, strict=True):
+                room[fold, :count, known:count] += table[rows].T @ new[rows]
+            room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
+            self.grams[j] = room[:, :count, :count]
+            self.totals[j] = self.grams[j].sum(0)
 
-    def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, ...]:
         """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
-        return self._assembled(hypothesis, self.grams)
+        return _summed([self._of_row(hypothesis, j) for j in range(len(self.grams))])
 
-    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray], only: int | None = None):
-        """`sums` from Gram matrices (..., columns, columns) of all rows of the arm, or of one."""
-        starts = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
-        k, shape = int(starts[-1]), grams[0].shape[:-2]
+    def _of_row(self, hypothesis: Sequence[Candidate], j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`sums` of one row of the arm."""
+        fixed, free, place, k = _columns(hypothesis, j)
+        table, used = self.evidence.tables[j], self.used[:, j]
+        y = np.where(used, table[:, 0] - table[:, fixed].sum(1), 0.0)
+        x = np.where(used[:, None], table[:, free], 0.0)
+        s, r, normal = np.zeros(self.count), np.zeros((self.count, k)), np.zeros((self.count, k, k))
+        for b, rows in enumerate(self.blocks):
+            s[b] = y[rows] @ y[rows]
+            r[b, place] = y[rows] @ x[rows]
+            normal[b, place[:, None], place] = x[rows].T @ x[rows]
+        return self.weights[j] * s, self.weights[j] * r, self.weights[j] * normal
+
+    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray]):
+        """`sums` from Gram matrices (..., columns, columns)."""
+        shape, k = grams[0].shape[:-2], sum(len(c.precision) for c in hypothesis)
         s, r, normal = np.zeros(shape), np.zeros((*shape, k)), np.zeros((*shape, k, k))
-        for j, gram in enumerate(grams):
-            w = self.weights[j]
-            if not w or only not in (None, j):
+        for j, (gram, w) in enumerate(zip(grams, self.weights, strict=True)):
+            if not w:
                 continue
-            fixed, free, place = [0], [], []
-            for c, start in zip(hypothesis, starts[:-1], strict=True):
-                if j in c.columns:
-                    fixed += c.columns[j][0]
-                    free += c.columns[j][1]
-                    place += range(start, start + len(c.precision))
-            if len(fixed) == 1 and not free:
-                s += w * gram[..., 0, 0]
-                continue
-            signs = np.array([1.0] + [-1.0] * (len(fixed) - 1))
-            columns = np.array([*fixed, *free])
+            fixed, free, at, _ = _columns(hypothesis, j)
+            signs = np.array([1.0] + [-1.0] * len(fixed))
+            columns, m = np.array([0, *fixed, *free]), len(signs)
             own = gram[..., columns[:, None], columns]
-            m = len(fixed)
             s += w * (own[..., :m, :m] @ signs @ signs)
-            if free:
-                at = np.array(place)
-                r[..., at] += w * (own[..., m:, :m] @ signs)
-                normal[..., at[:, None], at] += w * own[..., m:, m:]
+            r[..., at] += w * (own[..., m:, :m] @ signs)
+            normal[..., at[:, None], at] += w * own[..., m:, m:]
         return s, r, normal
 
     def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
@@ -159,50 +179,71 @@ class Judge:
         inverse = np.linalg.inv(normal + np.diag(prior + LEAST_PRECISION * np.diag(normal) + 1e-300))
         theta = inverse @ r
         crossed, towards = self._crossed(base, theta)
-        groups: dict[tuple, list[int]] = {}
-        for i, c in enumerate(candidates):
-            fixed = len(next(iter(c.columns.values()))[0])
-            groups.setdefault((tuple(c.columns), fixed, len(c.precision)), []).append(i)
         losses, own_factors = np.empty(len(candidates)), [np.zeros(0)] * len(candidates)
         before = float(s - theta @ r) + self.price(base)
-        for (joints, fixed, free), members in groups.items():
-            m = fixed + free
-            square, cross, moment = (np.zeros((len(members), *shape)) for shape in ((m, m), (m, len(theta)), (m,)))
-            for j in joints:
-                if self.weights[j]:
-                    at = np.array([[*candidates[i].columns[j][0], *candidates[i].columns[j][1]] for i in members])
-                    at = at.reshape(len(members), m)
-                    square += self.weights[j] * self.totals[j][at[:, :, None], at[:, None, :]]
-                    cross += crossed[j][at]
-                    moment += towards[j][at]
+        for (_, fixed, free), (members, numbers) in self._grouped(candidates).items():
+            joints, columns, square, precision, price = (x[numbers] for x in self._alike[_, fixed, free].arrays)
+            cross, moment = crossed[joints[:, :, None], columns].sum(1), towards[joints[:, :, None], columns].sum(1)
             own = np.einsum("caa->ca", square)[:, fixed:]
             square = square - cross @ inverse @ np.swapaxes(cross, 1, 2)
             gain = 2 * moment[:, :fixed].sum(1) - square[:, :fixed, :fixed].sum((1, 2))
             if free:
-                known = np.array([candidates[i].precision for i in members]) + LEAST_PRECISION * own + 1e-300
+                known = precision + LEAST_PRECISION * own + 1e-300
                 normals = square[:, fixed:, fixed:] + known[:, :, None] * np.eye(free)
                 towards_free = moment[:, fixed:] - square[:, fixed:, :fixed].sum(2)
                 factors = np.linalg.solve(normals, towards_free[..., None])[..., 0]
                 gain = gain + np.sum(factors * towards_free, axis=1)
                 for i, factor in zip(members, factors, strict=True):
                     own_factors[i] = factor
-            losses[members] = before - gain + [self.price((candidates[i],)) for i in members]
+            losses[members] = before - gain + price
         return losses, own_factors
 
-    def _crossed(self, base: Sequence[Candidate], theta: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Products of every column of each row with a hypothesis' own (C, k), and with what it leaves (C,)."""
-        crossed, towards = [], []
-        for j, gram in enumerate(self.totals):
-            products, left, start = np.zeros((len(gram), len(theta))), gram[:, 0].copy(), 0
-            for c in base:
-                if j in c.columns:
-                    fixed, free = c.columns[j]
-                    left -= gram[:, list(fixed)].sum(1)
-                    products[:, start : start + len(free)] = gram[:, list(free)]
-                start += len(c.precision)
-            crossed.append(self.weights[j] * products)
-            towards.append(self.weights[j] * (left - products @ theta))
+    def _grouped(self, candidates: Sequence[Candidate]) -> dict[tuple, tuple[list[int], list[int]]]:
+        """Which of these are alike, and their numbers among all that are."""
+        groups: dict[tuple, tuple[list[int], list[int]]] = {}
+        for i, c in enumerate(candidates):
+            kind, number, _ = self._places.get(id(c)) or self._placed(c)
+            members, numbers = groups.setdefault(kind, ([], []))
+            members.append(i)
+            numbers.append(number)
+        return groups
+
+    def _placed(self, c: Candidate) -> tuple[tuple[int, int, int], int, Candidate]:
+        """Put a candidate among those alike; its place."""
+        columns = [(*fixed, *free) for fixed, free in c.columns.values()]
+        kind = len(columns), len(columns[0]) - len(c.precision), len(c.precision)
+        alike = self._alike.setdefault(kind, _Alike())
+        vars(alike).pop("arrays", None)
+        alike.joints.append(list(c.columns))
+        alike.columns.append(columns)
+        squares = [self.weights[j] * self.totals[j][np.ix_(x, x)] for j, x in zip(c.columns, columns, strict=True)]
+        alike.square.append(np.sum(squares, axis=0))
+        alike.precision.append(c.precision)
+        alike.price.append(self.price((c,)))
+        self._places[id(c)] = kind, len(alike.price) - 1, c
+        return self._places[id(c)]
+
+    def _crossed(self, base: Sequence[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Products of every column of each row with a hypothesis' own (n, C, k), and with what it leaves (n, C)."""
+        most = max(len(gram) for gram in self.totals)
+        crossed, towards = np.zeros((len(self.totals), most, len(theta))), np.zeros((len(self.totals), most))
+        for j, (gram, w) in enumerate(zip(self.totals, self.weights, strict=True)):
+            fixed, free, place, _ = _columns(base, j)
+            products = w * gram[free]
+            crossed[j, : len(gram), place] = products
+            towards[j, : len(gram)] = w * (gram[0] - gram[fixed].sum(0)) - theta[place] @ products
         return crossed, towards
+
+    def loss(self, hypothesis: Sequence[Candidate]) -> float:
+        """`verdict`'s, from the folds' Gram matrices."""
+        s, r, normal = self._assembled(hypothesis, self.grams)
+        precision, loss = _precision(hypothesis), 0.0
+        for fold in range(len(s)):
+            others = np.arange(len(s)) != fold if len(s) > 1 else [0]
+            held = solved(normal[others].sum(0), r[others].sum(0), precision)
+            loss += float(_squares(s[fold], r[fold], normal[fold], held))
+        theta = solved(normal.sum(0), r.sum(0), precision)
+        return loss + float(np.sum(precision * theta**2)) + self.price(hypothesis)
 
     def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
         """The held-out judgement."""
@@ -226,8 +267,8 @@ class Judge:
 
     def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
         """Held-out losses (n, B) of every joint's own rows, without prices."""
-        _, r, normal = self.sums(hypothesis)
-        rows = [self._assembled(hypothesis, self.grams, j) for j in range(len(self.grams))]
+        rows = [self._of_row(hypothesis, j) for j in range(len(self.grams))]
+        _, r, normal = _summed(rows)
         out = np.zeros((len(self.grams), self.count))
         for at, held in self._held_out(r, normal, _precision(hypothesis)):
             for j, (s, own, squares) in enumerate(rows):
@@ -282,7 +323,7 @@ class Judge:
         if not candidate.precision.any():
             return float(len(candidate.precision))
         if id(candidate) not in self._freedom:
-            normal = self.sums((candidate,))[2].sum(0)
+            normal = self._assembled((candidate,), self.totals)[2]
             prior = np.diag(candidate.precision)
             self._freedom[id(candidate)] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
         return self._freedom[id(candidate)]
@@ -318,9 +359,33 @@ def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:
     return np.concatenate([c.precision for c in hypothesis]) if hypothesis else np.zeros(0)
 
 
+def _columns(hypothesis: Sequence[Candidate], j: int) -> tuple[list[int], list[int], np.ndarray, int]:
+    """A hypothesis' fixed and free columns in a joint's table, the latter's places among the coefficients, and how many
+    there are of these."""
+    fixed, free, place, start = [], [], [], 0
+    for c in hypothesis:
+        if j in c.columns:
+            fixed += c.columns[j][0]
+            free += c.columns[j][1]
+            place += range(start, start + len(c.precision))
+        start += len(c.precision)
+    return fixed, free, np.array(place, int), start
+
+
+def _summed(rows: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    """Sums of every part of some tuples."""
+    return tuple(np.sum(parts, axis=0) for parts in zip(*rows, strict=True))
+
+
+def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last index of every run of equal numbers."""
+    edges = np.flatnonzero(np.diff(x)) + 1
+    return np.concatenate([[0], edges]), np.concatenate([edges, [len(x)]]) - 1
+
+
 def _squares(s: np.ndarray, r: np.ndarray, normal: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """Sums of squares (B,) that coefficients (k,) leave, of blocks' s (B,), r (B, k) and N (B, k, k)."""
-    return s - 2 * r @ theta + np.einsum("a,bac,c->b", theta, normal, theta)
+    return s - 2 * r @ theta + normal @ theta @ theta
 
 
 def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:

@@ -115,8 +115,17 @@ class Filter:
         return out
 
     def _passed(self, cutoff: float, x: np.ndarray) -> np.ndarray:
-        out = np.asarray(signal.sosfiltfilt(_sections(self.rate, cutoff), x, axis=-1, padlen=self.inset))
-        return out[..., self.rows(x.shape[-1])]
+        """`signal.sosfiltfilt`, which would find the filter's state at rest anew each time."""
+        (sections, rest), pad = _sections(self.rate, cutoff), self.inset
+        if x.shape[-1] <= pad:
+            raise ValueError(f"{x.shape[-1]} samples; a filter with {pad} at either end needs more")
+        rest = rest.reshape(len(rest), *[1] * (x.ndim - 1), 2)
+        x = np.concatenate(
+            [2 * x[..., :1] - x[..., pad:0:-1], x, 2 * x[..., -1:] - x[..., -2 : -pad - 2 : -1]], axis=-1
+        )
+        for _ in range(2):
+            x = signal.sosfilt(sections, x, axis=-1, zi=rest * x[..., :1])[0][..., ::-1]
+        return x[..., pad:-pad][..., self.rows(x.shape[-1] - 2 * pad)]
 
     def spread(self, mask: np.ndarray) -> np.ndarray:
         """Rows (n, rows) that any True of a mask (n, T) reaches through the filters."""
@@ -128,8 +137,10 @@ class Filter:
 
 
 @lru_cache(maxsize=64)
-def _sections(rate: float, cutoff: float) -> np.ndarray:
-    return np.asarray(signal.butter(4, cutoff, fs=rate, output="sos"))
+def _sections(rate: float, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+    """A low-pass, and its state where all that has come in is 1."""
+    sections = np.asarray(signal.butter(4, cutoff, fs=rate, output="sos"))
+    return sections, signal.sosfilt_zi(sections)
 
 
 @dataclass(frozen=True)

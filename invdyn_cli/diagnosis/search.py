@@ -8,6 +8,8 @@ Forward steps, drops, swaps and merges go on until none of them helps.
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 
+import numpy as np
+
 from invdyn_cli.diagnosis.evidence import Candidate
 from invdyn_cli.diagnosis.judge import Hypothesis, Judge
 
@@ -25,7 +27,7 @@ def search(
     judge: Judge, pool: Sequence[Candidate], always: Hypothesis = (), start: Hypothesis = (), most: int = 12
 ) -> Hypothesis:
     """The hypothesis of least loss that steps from `start` lead to; `always` is part of it and not counted."""
-    hypothesis, loss = start, judge.verdict(always + start).loss
+    hypothesis, loss = start, judge.loss(always + start)
     for _ in range(6 * most):
         better = _best(judge, always, _additions(hypothesis, pool), loss) if len(hypothesis) < most else None
         for moves in (_drops, _swaps, _merges):
@@ -38,22 +40,21 @@ def search(
 
 def _best(judge: Judge, always: Hypothesis, moves: Iterable[Move], loss: float) -> tuple[Hypothesis, float] | None:
     """The best hypothesis that one of these moves makes, with its loss, if it is better than `loss`."""
-    quick: list[tuple[float, Hypothesis]] = []
+    quick: list[tuple[float, Hypothesis, np.ndarray]] = []
     for base, candidates in moves:
         judge.tried += max(1, len(candidates))
         if not candidates:
-            quick.append((judge.quick(always + base)[0], base))
-        for value, own, c in zip(*judge.extended(always + base, candidates), candidates, strict=True):
-            if value < loss and not judge.impossible(c, own):
-                quick.append((float(value), (*base, c)))
+            quick.append((judge.quick(always + base)[0], base, np.zeros(0)))
+        losses, own = judge.extended(always + base, candidates)
+        quick += [(losses[i], (*base, candidates[i]), own[i]) for i in np.flatnonzero(losses < loss)]
     quick.sort(key=lambda x: x[0])
     found, seen = None, 0
-    for _, one in quick:
-        if judge.refused(always + one, judge.quick(always + one)[1]):
+    for _, one, own in quick:
+        if (len(own) and judge.impossible(one[-1], own)) or judge.refused(always + one, judge.quick(always + one)[1]):
             continue
-        verdict = judge.verdict(always + one)
-        if verdict.loss < loss - 1e-6:
-            found, loss = (one, verdict.loss), verdict.loss
+        after = judge.loss(always + one)
+        if after < loss - 1e-6:
+            found, loss = (one, after), after
         seen += 1
         if seen == SHORTLIST:
             break

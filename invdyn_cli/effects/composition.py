@@ -7,7 +7,7 @@ and goes is there with the weight of its window, 0 to 1.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -105,19 +105,35 @@ def body_torque(robot: Robot, acting: Sequence[Acting], motion: Motion) -> Array
     return rigid_body.inverse_dynamics(robot, robot.inertial, motion.q, motion.qd, motion.qdd)
 
 
-def link_torque(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch) -> np.ndarray:
+def link_torque(
+    robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch, kept: dict[tuple, Any] | None = None
+) -> np.ndarray:
     """Torque (n, T) [N m; N] that moves the links along a logged motion (n, T), with the motion, body, gear and force
-    effects among `acting`; numpy in and out."""
+    effects among `acting`; numpy in and out.
+
+    Args:
+        kept: of the same robot and motion, what calls with other gears had in common with this one; it grows.
+    """
+    kept = {} if kept is None else kept
     robot, motion = changed(robot, acting, motion)
-    for one in acting:
-        if isinstance(one.effect, AbstractGearEffect):
-            motion = _behind(robot, acting, one, motion, stretch)
+    gears = [a for a in acting if isinstance(a.effect, AbstractGearEffect)]
+    acting = [a for a in acting if not isinstance(a.effect, AbstractGearEffect)]
+    q, bodies, before = motion.q, identity([a for a in acting if a.when is None]), identity(acting)
+    for one in gears:
+        assert one.joint is not None
+        before = *before, identity([one])
+        if before not in kept:
+            carried = bodies, one.joint
+            if carried not in kept:
+                kept[carried] = inertia_column(robot, q, one.joint)[one.joint]
+            kept[before] = _behind(one, motion, _moving(robot, acting, motion, stretch), kept[carried], stretch.rate)
+        motion = kept[before]
     return _moving(robot, acting, motion, stretch)
 
 
 def _moving(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch) -> np.ndarray:
     """Torque (n, T) that moves the links of a robot along their motion, with what comes and goes among `acting`."""
-    torque = rigid_torque(robot, motion)
+    torque = bare = rigid_torque(robot, motion)
     for one in acting:
         share = weight(one.when, stretch)
         if isinstance(one.effect, AbstractForceEffect) and np.any(share):
@@ -125,18 +141,16 @@ def _moving(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Str
             torque = torque + share * np.tensordot(one.effect.coefficients(one.parameters), columns, 1)
         elif isinstance(one.effect, AbstractBodyEffect) and one.when is not None and np.any(share):
             other = one.effect.changed(one.parameters, robot, one.joint)
-            torque = torque + share * (rigid_torque(other, motion) - rigid_torque(robot, motion))
+            torque = torque + share * (rigid_torque(other, motion) - bare)
     return torque
 
 
-def _behind(robot: Robot, acting: Sequence[Acting], one: Acting, motion: Motion, stretch: Stretch) -> Motion:
-    """The motion (n, T) of the links behind a gear that yields to all that they carry."""
+def _behind(one: Acting, motion: Motion, torque: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
+    """The motion (n, T) of the links behind a gear that yields to all that they carry, torque (n, T), inertia (T,)."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
-    load = _moving(robot, acting, motion, stretch)[one.joint]
-    inertia = inertia_column(robot, motion.q, one.joint)[one.joint]
     inertia = np.maximum(inertia, LEAST * np.abs(inertia).max())  # on the way to other inertials there may be none
-    b, b2 = one.effect.deflection(one.parameters, load, inertia, stretch.rate)
-    b1 = np.gradient(b) * stretch.rate
+    b, b2 = one.effect.deflection(one.parameters, torque[one.joint], inertia, rate)
+    b1 = np.gradient(b) * rate
     own = (np.arange(len(motion.q)) == one.joint)[:, None]
     return Motion(motion.q + own * b, motion.qd + own * b1, motion.qdd + own * b2)
 

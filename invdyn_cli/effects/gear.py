@@ -12,6 +12,9 @@ import numpy as np
 from invdyn_cli.interfaces import AbstractGearEffect, Parameter, Parameters
 from invdyn_cli.types import Array
 
+STRETCH = 128
+"""Samples of a spring's course that are followed side by side with others."""
+
 BLOW, SLOWED = 1, 1.5
 """Samples that the blow of flanks that meet may last: filters spread it. It does where the motor's own deceleration
 then takes that much of the link's speed against it."""
@@ -125,14 +128,30 @@ def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: f
     lost = -decay * omega**2 * sine / swing, decay * (cosine - fade / swing * sine)
     rest = -load / stiffness
     slope = np.diff(rest, append=rest[-1]) * rate
-    rows = np.stack([*kept, *lost, rest, slope, 2 * ratio / omega]).T.tolist()
-    b, speed = float(rest[0]), 0.0
-    deflections, speeds = [], []
-    for bb, bv, vb, vv, aim, drift, late in rows:
-        deflections.append(b)
-        speeds.append(speed)
-        off, lag = b - aim + late * drift, speed - drift  # of the course that the load's straight line would keep up
-        b = aim + drift * step - late * drift + bb * off + bv * lag
-        speed = drift + vb * off + vv * lag
-    b, speed = np.array(deflections), np.array(speeds)
+    late = 2 * ratio / omega * slope  # behind the course that the load's straight line would keep up
+    change = np.array([kept, lost])
+    ahead = np.stack([rest - late, slope])
+    drift = ahead - np.einsum("xyt,yt->xt", change, ahead) + np.stack([slope * step, np.zeros_like(slope)])
+    b, speed = _followed(change, drift, np.array([rest[0], 0.0]))
     return b, -load / inertia - 2 * ratio * omega * speed - omega**2 * b
+
+
+def _followed(change: np.ndarray, drift: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """States (m, T) of x[t + 1] = change[t] x[t] + drift[t] for change (m, m, T) and drift (m, T) from a start (m,):
+    stretches side by side from zero and from every unit, and then one behind the other."""
+    m, samples = drift.shape
+    count = -(-samples // STRETCH)
+    step = np.zeros((m, m + 1, count * STRETCH))
+    step[:, :m, :samples], step[:, m, :samples] = change, drift
+    step = step.reshape(m, m + 1, count, STRETCH)
+    state = np.zeros((m, m + 1, count, STRETCH + 1))  # of the units and, last, of zero
+    state[:, :m, :, 0] = np.eye(m)[:, :, None]
+    for t in range(STRETCH):
+        for row in range(m):
+            state[row, :, :, t + 1] = np.sum(step[row, :m, None, :, t] * state[:, :, :, t], axis=0)
+        state[:, m, :, t + 1] += step[:, m, :, t]
+    first = np.empty((m + 1, count))
+    first[:m, 0], first[m] = start, 1.0
+    for k in range(count - 1):
+        first[:m, k + 1] = state[:, :, k, -1] @ first[:, k]
+    return np.einsum("xyct,yc->xct", state[..., :-1], first).reshape(m, -1)[:, :samples]
