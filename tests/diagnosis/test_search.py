@@ -79,6 +79,7 @@ def test_losses_are_those_of_a_direct_least_squares(name, evidence, judge):
             wanted = np.sum((y[number == b] - x[number == b] @ held) ** 2)
             assert verdict.blocks[b] == pytest.approx(wanted, rel=1e-5)
     assert verdict.loss == pytest.approx(verdict.blocks.sum() + precision @ own**2 + judge.price(hypothesis), rel=1e-5)
+    assert judge.loss(hypothesis) == pytest.approx(verdict.loss, rel=1e-9)
 
 
 def test_nothing_costs_nothing(evidence, judge):
