@@ -301,18 +301,20 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
     made: list[Candidate] = []
     bent = [c for c in judge.evidence.candidates if c.effect.point == "motion" or c.effect.name == "base_tilt"]
     allowed = {c.key for c in pool}
-    for i, found in enumerate(hypothesis):
+    for found in hypothesis:
         if found.effect.point not in WHOLE:
             continue
-        others = (*always, *hypothesis[:i], *hypothesis[i + 1 :])
-        without, now = judge.quick(others)[0], judge.quick((*always, *hypothesis))[0]
+        now = judge.quick((*always, *hypothesis))[0]
         best: dict[tuple, tuple[float, Acting]] = {}
         for c in bent:
-            if c.key in allowed and c.key != found.key and not any(c.key == e.key for e in others):
-                value, theta = judge.quick((*others, c))
-                parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
-                better = value < best[c.key][0] if c.key in best else without - value > NEARLY * (without - now)
-                if better and not c.effect.refuse(parameters):
-                    best[c.key] = value, Acting(c.effect, c.joint, parameters)
+            if c.key not in allowed or c.key == found.key:
+                continue
+            others = (*always, *(e for e in hypothesis if e is not found and e.key != c.key))
+            without = judge.quick(others)[0]
+            value, theta = judge.quick((*others, c))
+            parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
+            better = value < best[c.key][0] if c.key in best else without - value > NEARLY * (without - now)
+            if better and not c.effect.refuse(parameters):
+                best[c.key] = value, Acting(c.effect, c.joint, parameters)
         made += [trial_at(judge.evidence, acting) for _, acting in best.values()]
     return made
