@@ -71,6 +71,8 @@ def inquire(
     proposals = 0
     nominal = evidence.left((), np.zeros(0))
     found = _at_first(evidence, everywhere, nominal, most) if everywhere else []
+    gears = [c for c in evidence.candidates if c.effect.point == "gear"]
+    complete, was_complete = not found, False  # what a gear carries is known when what comes and goes is
     for _ in range(1 + events.ROUNDS):
         windows = [*held, *found]
         passing = [c for window in windows for c in window]
@@ -78,11 +80,13 @@ def inquire(
         proposals += len(found)
         if times and not parted:
             evidence = events.interleaved(evidence, times)
-        lasting = [c for c in evidence.candidates if c.when is None]
-        start = inquiry.hypothesis if inquiry else ()
-        again = _searched(replace(evidence, candidates=[*lasting, *passing]), effects, allowed, most, compares, start)
+        lasting = [c for c in evidence.candidates if c.when is None and c.effect.point != "gear"]
+        lasting += gears if complete else []
+        start, rounds = inquiry.hypothesis if inquiry else (), ROUNDS + evidence.dofs if complete else 1
+        taken = replace(evidence, candidates=[*lasting, *passing])
+        again = _searched(taken, effects, allowed, most, compares, start, rounds)
         numbers = {c.when.number for c in again.hypothesis if c.when is not None}
-        if inquiry is not None and numbers == {c.when.number for c in inquiry.hypothesis if c.when is not None}:
+        if was_complete and inquiry and numbers == {c.when.number for c in inquiry.hypothesis if c.when is not None}:
             break
         inquiry, evidence = again, again.evidence
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
@@ -93,8 +97,9 @@ def inquire(
         there = [*(w[0].when for w in held if w[0].when is not None), *refined]
         residuals = [whole.residual, without]
         found = events.proposed(evidence, everywhere, residuals, inquiry.noise, there, first=proposals)
-        if not found:
+        if complete and not found:
             break
+        complete, was_complete = True, complete
     assert inquiry is not None
     return inquiry
 
@@ -138,9 +143,10 @@ def _searched(
     allowed: Sequence[tuple[str, int | None]],
     most: int,
     compares: bool,
-    start: Hypothesis = (),
+    start: Hypothesis,
+    rounds: int,
 ) -> Inquiry:
-    """Search from `start`, refine, search again with the nonlinear parameters that were found."""
+    """Search from `start`, refine, search again with the nonlinear parameters that were found, some rounds at most."""
     new = evidence.role == ROLES.index("train")
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
@@ -163,13 +169,10 @@ def _searched(
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
     judge.refresh()
     model = Model(evidence)
-    at_first = pool
-    if not start and any(c.when is not None for c in pool):  # what a gear carries is known when what comes and goes is
-        at_first = [c for c in pool if c.effect.point != "gear"]
-    hypothesis = search(judge, at_first, always, start, most)
+    hypothesis = search(judge, pool, always, start, most)
     seen: list[set[tuple]] = []
     loads: dict[int, list[np.ndarray]] = {}
-    for _ in range(ROUNDS + evidence.dofs):
+    for _ in range(rounds):
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
         seen.append({c.key for c in hypothesis})
