@@ -28,6 +28,9 @@ UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
 """Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
 effect on one joint where the learner predicts more than this share of what is left: something there has no name yet."""
 
+LATE_UNKNOWN = 1e4
+"""The same of a delay or a lag there, which is like the other, like a spring and like a filter to some percent."""
+
 VAGUE = 0.1
 """Of a ripple's cycles, by which they may be unknown."""
 
@@ -324,8 +327,8 @@ def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Fi
         unknown = sum(shares.values())
         near = [x for j, x in shares.items() if j == one.joint or one.effect not in GEARS]
         mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
-        doubtful = saved < (MOSTLY_UNKNOWN if mostly else UNKNOWN_FIRST) * unknown or (mostly and one.effect in LATE)
-        if one.status == "named" and doubtful:
+        least = (LATE_UNKNOWN if one.effect in LATE else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
+        if one.status == "named" and saved < least * unknown:
             advice = "what else may act on this joint: most of what the model misses there is still unknown"
             one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
         out.append(one)
