@@ -392,7 +392,6 @@ def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarr
     """Coefficients (k,) of the normal equations with what is known beforehand."""
     if not len(r):
         return r
-    diagonal = np.diag(normal)
-    scale = np.sqrt(np.maximum(diagonal, 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
     scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
     return np.linalg.solve(scaled, r / scale) / scale
