@@ -26,6 +26,9 @@ FEIGNED = 0.5
 """Of the squares that are left on its joints, what an effect must save: a controller answers to the noise and the
 rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
 
+FELT = 0.1
+"""Share of an effect's weighted squares that a joint must have to feel it."""
+
 RARE = 0.1
 """Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
 
@@ -124,9 +127,9 @@ def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
 
 def _exactly(inquiry: Inquiry, place: int) -> tuple[bool, float]:
     """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
-    as they are; and by how much, as a share of what is left on its joints. Columns of a channel effect act on the
-    measured torque, and calm its noise; the formula does not. An effect that hardly comes up on the held-out rows is
-    judged on all."""
+    as they are; and by how much, as a share of what is left on the joints that feel it. Columns of a channel effect act
+    on the measured torque, and calm its noise; the formula does not. An effect that hardly comes up on the held-out
+    rows is judged on all."""
     evidence, acting = inquiry.evidence, inquiry.chosen.acting
     others = [a for k, a in enumerate(acting) if k != place]
     change = (inquiry.model.residual(others) - inquiry.model.residual(acting)) * evidence.valid
@@ -136,8 +139,9 @@ def _exactly(inquiry: Inquiry, place: int) -> tuple[bool, float]:
     saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
     per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
     total = float(per_block.sum())
-    touched = [j in inquiry.hypothesis[place].columns for j in range(evidence.dofs)]
-    remains = (inquiry.chosen.residual * evidence.valid)[rows] ** 2 @ (inquiry.noise.weights * touched)
+    of_joint = np.sum(change[rows] ** 2, axis=0) * inquiry.noise.weights
+    felt = of_joint > FELT * of_joint.sum()
+    remains = (inquiry.chosen.residual * evidence.valid)[rows] ** 2 @ (inquiry.noise.weights * felt)
     return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(float(remains.sum()), 1e-300)
 
 
