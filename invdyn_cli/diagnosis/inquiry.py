@@ -20,7 +20,6 @@ from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
 
-
 CROWDED = 2
 """Causes a joint, above which there seem to be many because what comes and goes is not among them."""
 

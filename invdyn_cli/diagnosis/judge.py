@@ -181,8 +181,9 @@ class Judge:
         crossed, towards = self._crossed(base, theta)
         losses, own_factors = np.empty(len(candidates)), [np.zeros(0)] * len(candidates)
         before = float(s - theta @ r) + self.price(base)
-        for (_, fixed, free), (members, numbers) in self._grouped(candidates).items():
-            joints, columns, square, precision, price = (x[numbers] for x in self._alike[_, fixed, free].arrays)
+        for kind, (members, numbers) in self._grouped(candidates).items():
+            joints, columns, square, precision, price = (x[numbers] for x in self._alike[kind].arrays)
+            _, fixed, free = kind
             cross, moment = crossed[joints[:, :, None], columns].sum(1), towards[joints[:, :, None], columns].sum(1)
             own = np.einsum("caa->ca", square)[:, fixed:]
             square = square - cross @ inverse @ np.swapaxes(cross, 1, 2)
