@@ -81,9 +81,10 @@ def inquire(
             evidence = events.interleaved(evidence, times)
         lasting = [c for c in evidence.candidates if c.when is None and c.effect.point != "gear"]
         lasting += gears if complete else []
-        start, rounds = inquiry.hypothesis if inquiry else (), ROUNDS + evidence.dofs if complete else 1
+        starts = ([inquiry.hypothesis] if inquiry else []) + ([] if was_complete else [()])
+        rounds = ROUNDS + evidence.dofs if complete else 1
         taken = replace(evidence, candidates=[*lasting, *passing])
-        again = _searched(taken, effects, allowed, most, compares, start, rounds)
+        again = _searched(taken, effects, allowed, most, compares, starts, rounds)
         numbers = {c.when.number for c in again.hypothesis if c.when is not None}
         if was_complete and inquiry and numbers == {c.when.number for c in inquiry.hypothesis if c.when is not None}:
             break
@@ -115,7 +116,7 @@ def _at_first(
     judge.refresh()
     if found and _outdoes(judge, [c for window in found for c in window], lasting):
         return found
-    crowd = search(judge, [c for c in lasting if c.effect.point != "gear"], most=most)
+    crowd = search(judge, lasting, most=most)
     if len(crowd) <= CROWDED * evidence.dofs:
         return []
     left = evidence.left(crowd, judge.quick(crowd)[1])
@@ -142,15 +143,16 @@ def _searched(
     allowed: Sequence[tuple[str, int | None]],
     most: int,
     compares: bool,
-    start: Hypothesis,
+    starts: Sequence[Hypothesis],
     rounds: int,
 ) -> Inquiry:
-    """Search from `start`, refine, search again with the nonlinear parameters that were found, some rounds at most."""
+    """Search from each of `starts`, refine the best, search again with the nonlinear parameters that were found, some
+    rounds at most."""
     new = evidence.role == ROLES.index("train")
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
-    if isinstance(ripple, TorqueRipple) and not start:
+    if isinstance(ripple, TorqueRipple) and not any(starts):
         lines = noise.ripples(evidence, measured, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines
@@ -164,11 +166,12 @@ def _searched(
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.name == "payload" for c in pool):
         pool = [c for c in pool if c.key != ("link_inertia_error", last)]
-    pool += [c for c in start if not any(c is p for p in pool)]
+    pool += [c for start in starts for c in start if not any(c is p for p in pool)]
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
     judge.refresh()
     model = Model(evidence)
-    hypothesis = search(judge, pool, always, start, most)
+    found = [search(judge, pool, always, start, most) for start in starts]
+    hypothesis = min(found, key=lambda one: judge.loss((*always, *one)))
     seen: list[set[tuple]] = []
     loads: dict[int, list[np.ndarray]] = {}
     for _ in range(rounds):
