@@ -90,6 +90,8 @@ def inquire(
             break
         inquiry, evidence = again, again.evidence
         held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
+        if complete and windows and len(again.hypothesis) >= most:  # no room for more, and nobody knows what is missing
+            break
         whole = inquiry.whole
         refined = [a.when for a in whole.acting if a.when is not None]
         # all windows anew, now that the rest is known; at first what lasts may have taken up half of what does not
