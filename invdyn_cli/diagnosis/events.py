@@ -38,7 +38,7 @@ EVEN = 0.35
 """Share of the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
 and the like leave pulses."""
 
-MOST, ROUNDS = 3, 4
+MOST, ROUNDS = 3, 2
 """Windows that are looked for in one residual, and how often, with what was found taken out."""
 
 SAME = 0.05
