@@ -247,13 +247,13 @@ def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) 
 
 
 def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual) -> np.ndarray:
-    """(k, R, n): change of the modelled torque with each parameter."""
+    """(k, R, n): change of the modelled torque with each parameter; what reaches more than a joint as it is before the
+    channel, but for gains: a delay or a lag changes its slopes by some percent, and not where they lead."""
     out = np.zeros((len(theta), *residual.shape))
     gains = np.ones(evidence.dofs)
     for a in acting:
         if a.effect.name == "torque_gain_error":
             gains[a.joint] /= a.parameters["gain"]
-    direct = all(a.effect.point != "channel" or a.effect.name == "torque_gain_error" for a in acting)
     for i, (number, name, index) in enumerate(labels):
         a = acting[number]
         if not name and a.when is not None:
@@ -270,11 +270,11 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
         moved = theta.copy()
         moved[i] += step
         there = with_parameters(evidence, acting, labels, moved)
-        if direct and isinstance(a.effect, AbstractGearEffect):
+        if isinstance(a.effect, AbstractGearEffect):
             others = [x for x in acting if x is not a and x.effect.point in WHOLE]
             softer = a.effect.softness(there[number].parameters) - a.effect.softness(a.parameters)
             out[i] = (gains[:, None] * gear_columns(evidence, a, others)[1] * softer / step).T
-        elif direct and name in EDGES and a.effect.point in WHOLE:
+        elif name in EDGES and a.effect.point in WHOLE:
             factors = np.array(coordinates(evidence, a))
             ends = [passing_torque(evidence, x, factors) for x in (there[number], a)]
             change = filtered(evidence.recording, [x - y for x, y in zip(*ends, strict=True)])
