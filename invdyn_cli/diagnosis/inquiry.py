@@ -306,22 +306,24 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
     """Encoder offsets and base tilts, taken anew at their own sizes, that nearly do what a body or motion effect of the
     hypothesis does: others bend where their straight line does not."""
     made: list[Candidate] = []
-    bent = [c for c in judge.evidence.candidates if c.effect.point == "motion" or c.effect.name == "base_tilt"]
     allowed = {c.key for c in pool}
+    bent: dict[tuple, list[Candidate]] = {}
+    for c in judge.evidence.candidates:
+        if c.key in allowed and (c.effect.point == "motion" or c.effect.name == "base_tilt"):
+            bent.setdefault(c.key, []).append(c)
+    now = judge.quick((*always, *hypothesis))[0]
     for found in hypothesis:
-        if found.effect.point not in WHOLE:
-            continue
-        now = judge.quick((*always, *hypothesis))[0]
-        best: dict[tuple, tuple[float, Acting]] = {}
-        for c in bent:
-            if c.key not in allowed or c.key == found.key:
+        for key, trials in bent.items():
+            if found.effect.point not in WHOLE or key == found.key:
                 continue
-            others = (*always, *(e for e in hypothesis if e is not found and e.key != c.key))
+            others = (*always, *(e for e in hypothesis if e is not found and e.key != key))
             without = judge.quick(others)[0]
-            value, theta = judge.quick((*others, c))
-            parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
-            better = value < best[c.key][0] if c.key in best else without - value > NEARLY * (without - now)
-            if better and not c.effect.refuse(parameters):
-                best[c.key] = value, Acting(c.effect, c.joint, parameters)
-        made += [trial_at(judge.evidence, acting) for _, acting in best.values()]
+            tried: list[tuple[float, Acting]] = []
+            for c in trials:
+                value, theta = judge.quick((*others, c))
+                parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
+                if not c.effect.refuse(parameters) and without - value > NEARLY * (without - now):
+                    tried.append((value, Acting(c.effect, c.joint, parameters)))
+            if tried:
+                made.append(trial_at(judge.evidence, min(tried, key=lambda x: x[0])[1]))
     return made

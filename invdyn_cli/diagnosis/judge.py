@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -89,8 +90,9 @@ class Judge:
         always: Hypothesis = (),
     ) -> None:
         self.evidence, self.rows, self.weights = evidence, rows, weights
-        first, last = (np.flatnonzero(rows)[i] for i in _runs(evidence.block[rows]))
-        self.blocks = [slice(a, b + 1) for a, b in zip(first, last, strict=True)]
+        at = np.flatnonzero(rows)
+        first = np.unique(evidence.block[rows], return_index=True)[1]
+        self.blocks = [slice(at[a], at[b - 1] + 1) for a, b in pairwise([*first, len(at)])]
         self.used = rows[:, None] & evidence.valid
         self.count = len(self.blocks)
         self.folds = np.arange(self.count) % min(FOLDS, self.count)
@@ -237,41 +239,28 @@ class Judge:
 
     def loss(self, hypothesis: Sequence[Candidate]) -> float:
         """`verdict`'s, from the folds' Gram matrices."""
-        s, r, normal = self._assembled(hypothesis, self.grams)
-        precision, loss = _precision(hypothesis), 0.0
-        for fold in range(len(s)):
-            others = np.arange(len(s)) != fold if len(s) > 1 else [0]
-            held = solved(normal[others].sum(0), r[others].sum(0), precision)
-            loss += float(_squares(s[fold], r[fold], normal[fold], held))
-        theta = solved(normal.sum(0), r.sum(0), precision)
-        return loss + float(np.sum(precision * theta**2)) + self.price(hypothesis)
+        return self._judged(hypothesis, self._assembled(hypothesis, self.grams), np.unique(self.folds)).loss
 
     def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
         """The held-out judgement."""
-        s, r, normal = self.sums(hypothesis)
-        precision = _precision(hypothesis)
-        theta = solved(normal.sum(0), r.sum(0), precision)
-        blocks = np.empty(self.count)
-        for out, held in self._held_out(r, normal, precision):
-            blocks[out] = _squares(s[out], r[out], normal[out], held)
-        loss = float(blocks.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
-        return Verdict(loss, blocks, theta)
+        return self._judged(hypothesis, self.sums(hypothesis), self.folds)
 
-    def _held_out(
-        self, r: np.ndarray, normal: np.ndarray, precision: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Blocks (B,) bool that are held out in turn, and the coefficients (k,) that the others give."""
-        for fold in range(self.folds.max() + 1):
-            out = self.folds == fold
-            others = ~out if self.folds.max() else out
-            yield out, solved(normal[others].sum(0), r[others].sum(0), precision)
+    def _judged(self, hypothesis: Sequence[Candidate], sums: tuple[np.ndarray, ...], folds: np.ndarray) -> Verdict:
+        """The held-out judgement by the sums of parts of the rows, which are held out by their `folds`."""
+        (s, r, normal), precision = sums, _precision(hypothesis)
+        theta = solved(normal.sum(0), r.sum(0), precision)
+        parts = np.empty(len(s))
+        for out, held in _held_out(folds, r, normal, precision):
+            parts[out] = _squares(s[out], r[out], normal[out], held)
+        loss = float(parts.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
+        return Verdict(loss, parts, theta)
 
     def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
         """Held-out losses (n, B) of every joint's own rows, without prices."""
         rows = [self._of_row(hypothesis, j) for j in range(len(self.grams))]
         _, r, normal = _summed(rows)
         out = np.zeros((len(self.grams), self.count))
-        for at, held in self._held_out(r, normal, _precision(hypothesis)):
+        for at, held in _held_out(self.folds, r, normal, _precision(hypothesis)):
             for j, (s, own, squares) in enumerate(rows):
                 out[j, at] = _squares(s[at], own[at], squares[at], held)
         return out
@@ -378,10 +367,14 @@ def _summed(rows: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
     return tuple(np.sum(parts, axis=0) for parts in zip(*rows, strict=True))
 
 
-def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last index of every run of equal numbers."""
-    edges = np.flatnonzero(np.diff(x)) + 1
-    return np.concatenate([[0], edges]), np.concatenate([edges, [len(x)]]) - 1
+def _held_out(
+    folds: np.ndarray, r: np.ndarray, normal: np.ndarray, precision: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Parts (B,) bool that are held out in turn, and the coefficients (k,) that the others give."""
+    for fold in range(folds.max() + 1):
+        out = folds == fold
+        others = ~out if folds.max() else out
+        yield out, solved(normal[others].sum(0), r[others].sum(0), precision)
 
 
 def _squares(s: np.ndarray, r: np.ndarray, normal: np.ndarray, theta: np.ndarray) -> np.ndarray:
