@@ -4,7 +4,7 @@ Sums over rows are kept cumulatively, so that what an effect explains in any win
 coarse grid first, then each edge at every row; the exact refinement moves the edges on from there.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +38,7 @@ EVEN = 0.35
 """Share of the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
 and the like leave pulses."""
 
-MOST, ROUNDS = 3, 2
+MOST, ROUNDS = 3, 3
 """Windows that are looked for in one residual, and how often, with what was found taken out."""
 
 SAME = 0.05
@@ -53,6 +53,10 @@ TURN of them."""
 
 TURN = 3
 """Every so many blocks one judges."""
+
+
+Windows = Mapping[When, Sequence[Candidate]]
+"""Windows of time, with every effect that may come and go in each."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +96,7 @@ def proposed(
     measured: Noise,
     known: Sequence[When] = (),
     share: float = SHARE,
-    first: int = 0,
-) -> list[list[Candidate]]:
+) -> Windows:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
     first.
 
@@ -101,9 +104,9 @@ def proposed(
         residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
         known: windows that need not be proposed.
         share: of a residual's squares that a window must explain.
-        first: number of the first one that is proposed.
     """
     made: list[When] = []
+    first = 1 + max((when.number for when in known), default=-1)
     weights = measured.weights
     for residual in residuals:
         left = residual.copy()
@@ -117,7 +120,7 @@ def proposed(
             for one in (when, *_other_end(evidence, when)):
                 if not any(_alike(one, other) for other in (*known, *made)):
                     made.append(one._replace(number=first + len(made)))
-    return [[passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made]
+    return {when: [passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made}
 
 
 def _alike(one: When, other: When) -> bool:
@@ -136,7 +139,7 @@ def _other_end(evidence: Evidence, when: When) -> list[When]:
     return []
 
 
-def interleaved(evidence: Evidence, windows: Sequence[When]) -> Evidence:
+def interleaved(evidence: Evidence, windows: Iterable[When]) -> Evidence:
     """The evidence with blocks that choose and judge in turn, in every window and outside: what comes once must be in
     both."""
     block, role = evidence.block.copy(), evidence.role.copy()
@@ -206,7 +209,8 @@ def _window(
         explained[rows[a:b]] = np.tensordot(factors, x[:, :, a:b], 1).T
         there, own = rows[a:b], used[rows[a:b]]
         gained = np.sum(own * (left[there] ** 2 - (left - explained)[there] ** 2), axis=1)
-        excess = np.sum(own * (left[there] ** 2 - measured.deviation**2))
+        felt = np.abs(explained).max(axis=0) > 0
+        excess = np.sum((own * (left[there] ** 2 - measured.deviation**2))[:, felt])
         if value > WITHIN * excess and _spread(gained) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
             end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2

@@ -226,10 +226,11 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
         x = (slopes[:, at] * scale[at]).reshape(len(slopes), -1)
         normals.append(x @ x.T)
         moments.append(x @ (residual[at] * scale[at]).ravel())
-    total, moment = np.sum(normals, axis=0), np.sum(moments, axis=0)
-    centre = solved(total, moment, precision)
-    moves = [solved(total - a, moment - m, precision) - centre for a, m in zip(normals, moments, strict=True)]
-    curvature = total + np.diag(precision)
+    normal, moment = np.array(normals), np.array(moments)
+    centre = solved(normal.sum(0), moment.sum(0), precision)
+    others = ~np.eye(len(blocks), dtype=bool)  # summed anew: of what is in one block alone a difference leaves rounding
+    moves = [solved(normal[o].sum(0), moment[o].sum(0), precision) - centre for o in others]
+    curvature = normal.sum(0) + np.diag(precision)
     unit = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
     unknown = (vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / unit[:, None]).T

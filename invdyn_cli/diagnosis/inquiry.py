@@ -7,6 +7,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis import events, known, naming, noise, realisable, resting
 from invdyn_cli.diagnosis.candidates import gear_candidate, load_on, trial_at
+from invdyn_cli.diagnosis.events import Windows
 from invdyn_cli.diagnosis.evidence import STICK_TIME, Candidate, Evidence
 from invdyn_cli.diagnosis.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.judge import Hypothesis, Judge, parameters_of, read_all
@@ -20,7 +21,10 @@ from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
 
-CROWDED = 2
+WORTH = 0.97
+"""Of what was left before a round beyond ROUNDS, or before windows, what it must come below for another to follow."""
+
+CROWDED = 1
 """Causes a joint, above which there seem to be many because what comes and goes is not among them."""
 
 ABSORBING = ("torque_saturation", "asymmetric_coulomb_friction")
@@ -65,62 +69,71 @@ def inquire(
         parted: whether a user said what chooses and what judges; it then stays so.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
-    inquiry: Inquiry | None = None
-    held: list[Sequence[Candidate]] = []
-    proposals = 0
-    nominal = evidence.left((), np.zeros(0))
-    found = _at_first(evidence, everywhere, nominal, most) if everywhere else []
     gears = [c for c in evidence.candidates if c.effect.point == "gear"]
-    complete, was_complete = not found, False  # what a gear carries is known when what comes and goes is
-    for _ in range(1 + events.ROUNDS):
-        windows = [*held, *found]
-        passing = [c for window in windows for c in window]
-        times = [c.when for c, *_ in windows if c.when is not None]
-        proposals += len(found)
-        if times and not parted:
-            evidence = events.interleaved(evidence, times)
+    nominal = evidence.left((), np.zeros(0))
+
+    def looked(
+        evidence: Evidence, windows: Windows, gears: Sequence[Candidate], starts: Sequence[Hypothesis], rounds: int
+    ) -> tuple[Inquiry, Windows]:
+        """What a search among what lasts, these gears and windows came to; and the windows that it made use of."""
         lasting = [c for c in evidence.candidates if c.when is None and c.effect.point != "gear"]
-        lasting += gears if complete else []
-        starts = ([inquiry.hypothesis] if inquiry else []) + ([] if was_complete else [()])
-        rounds = ROUNDS + evidence.dofs if complete else 1
-        taken = replace(evidence, candidates=[*lasting, *passing])
-        again = _searched(taken, effects, allowed, most, compares, starts, rounds)
-        numbers = {c.when.number for c in again.hypothesis if c.when is not None}
-        if was_complete and inquiry and numbers == {c.when.number for c in inquiry.hypothesis if c.when is not None}:
+        if windows and not parted:
+            evidence = events.interleaved(evidence, windows)
+        taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
+        one = _searched(taken, effects, allowed, most, compares, starts, rounds)
+        numbers = {c.when.number for c in one.hypothesis if c.when is not None}
+        return one, {when: own for when, own in windows.items() if when.number in numbers}
+
+    def proposed(inquiry: Inquiry, held: Windows) -> Windows:
+        """All windows anew, now that the rest is known; at first what lasts may have taken up half of what does not."""
+        acting = inquiry.whole.acting
+        refined = [a.when for a in acting if a.when is not None]
+        without = inquiry.model.residual([a for a in acting if a.when is None]) if refined else nominal
+        residuals = [inquiry.whole.residual, without]
+        return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined])
+
+    inquiry: Inquiry | None = None
+    held: Windows = {}
+    found = _at_first(evidence, everywhere, nominal, most) if everywhere else {}
+    if found:  # what a gear carries is known when what comes and goes is
+        inquiry, held = looked(evidence, found, [], [()], 1)
+        if held:
+            evidence, found = inquiry.evidence, proposed(inquiry, held)
+        else:
+            inquiry, found = None, {}
+    for turn in range(1 + events.ROUNDS - bool(held)):
+        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [()])]
+        again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
+        if turn and inquiry and kept.keys() == held.keys():
             break
-        inquiry, evidence = again, again.evidence
-        held = [w for w in windows if w[0].when is not None and w[0].when.number in numbers]
-        if complete and windows and len(again.hypothesis) >= most:  # no room for more, and nobody knows what is missing
+        full = bool(held or found) and len(again.hypothesis) >= most  # and nobody knows what is missing
+        idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
+        inquiry, evidence, held = again, again.evidence, kept
+        found = {} if full or idle else proposed(inquiry, held)
+        if not found:
             break
-        whole = inquiry.whole
-        refined = [a.when for a in whole.acting if a.when is not None]
-        # all windows anew, now that the rest is known; at first what lasts may have taken up half of what does not
-        without = inquiry.model.residual([a for a in whole.acting if a.when is None]) if refined else nominal
-        there = [*(w[0].when for w in held if w[0].when is not None), *refined]
-        residuals = [whole.residual, without]
-        found = events.proposed(evidence, everywhere, residuals, inquiry.noise, there, first=proposals)
-        if complete and not found:
-            break
-        complete, was_complete = True, complete
     assert inquiry is not None
     return inquiry
 
 
-def _at_first(
-    evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int
-) -> list[list[Candidate]]:
+def _left(inquiry: Inquiry, other: Inquiry) -> float:
+    """Squares that an inquiry leaves of all data, in another's noise variances."""
+    return float(np.sum((inquiry.whole.residual * inquiry.evidence.valid) ** 2 @ other.noise.weights))
+
+
+def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int) -> Windows:
     """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
-    measured = noise.measure(evidence, evidence.role == ROLES.index("train"))
+    measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
     judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
     lasting = [c for c in evidence.candidates if c.effect.name not in ABSORBING]
     found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
     judge.refresh()
-    if found and _outdoes(judge, [c for window in found for c in window], lasting):
+    if found and _outdoes(judge, [c for own in found.values() for c in own], lasting):
         return found
     crowd = search(judge, lasting, most=most)
     if len(crowd) <= CROWDED * evidence.dofs:
-        return []
+        return {}
     left = evidence.left(crowd, judge.quick(crowd)[1])
     return events.proposed(evidence, everywhere, [left, nominal], measured)
 
@@ -175,8 +188,9 @@ def _searched(
     found = [search(judge, pool, always, start, most) for start in starts]
     hypothesis = min(found, key=lambda one: judge.loss((*always, *one)))
     seen: list[set[tuple]] = []
+    loss = np.inf
     loads: dict[int, list[np.ndarray]] = {}
-    for _ in range(rounds):
+    for number in range(rounds):
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
         seen.append({c.key for c in hypothesis})
@@ -192,7 +206,8 @@ def _searched(
         judge.refresh()
         hypothesis = search(judge, pool, always, trials, most)
         hypothesis = naming.simplified(judge, always, hypothesis, pool)
-        if {c.key for c in hypothesis} in seen:
+        before, loss = loss, judge.loss((*always, *hypothesis))
+        if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
             break
     while True:
         acting = acting_of(judge, always, hypothesis)
@@ -248,9 +263,10 @@ def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[
     return [Acting(c.effect, c.joint, p, c.when) for c, p in read_all(judge.evidence, hypothesis, theta)]
 
 
-CLIPPED, SELDOM, BEYOND = 0.1, 0.5, 3.0
+CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
 """Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
-the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it."""
+the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it; and
+how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
 
 DROP = 1.1
 """Of the Coulomb level, what the static one is at least in any gear that has two."""
@@ -296,6 +312,8 @@ def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined
     clipped = beyond > CLIPPED * beyond.max()
     if not 0 < clipped.mean() < SELDOM or np.mean(beyond[clipped] ** 2) < BEYOND**2 * np.mean(left[~clipped] ** 2):
         return False
+    if np.mean(beyond**2) > PLAIN**2 * np.mean(left**2):
+        return True
     reach = min(
         float(np.quantile(np.abs(x[used, j]), 0.99)) for x in (evidence.tau - refined.residual, evidence.nominal)
     )

@@ -1,7 +1,7 @@
 """What is noise: the residual of a model that may use every column at once, joint by joint; and hidden regularities in
 it that no list of trials can name, the ripples."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -20,6 +20,9 @@ MOVES = 0.05
 
 RIDGE = 1e-10
 """Of the mean square of all columns: what tells those that say the same from none at all."""
+
+STRETCHES, PLAINLY = 4, 0.5
+"""Of time, one of which is quiet if something comes or goes; and what share of the noise of all of them is less."""
 
 PEAKS = 3
 PEAK = 20.0
@@ -73,6 +76,20 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         deviation[j] = np.sqrt(variance + (FLOOR * max(strongest[j], strongest.max() / 5)) ** 2)
         time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
     return Noise(deviation, time, residual)
+
+
+def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
+    """The noise of the chosen rows (R,) bool when something may have come or gone meanwhile: of every joint, that of
+    the quietest stretch of time, if it is plainly less than that of all of them; the residual is that of all."""
+    quietest = measure(evidence, rows)
+    for own in np.array_split(np.flatnonzero(rows), STRETCHES):
+        stretch = np.zeros_like(rows)
+        stretch[own] = True
+        one = measure(evidence, stretch)
+        better = (one.deviation > 0) & (one.deviation < PLAINLY * quietest.deviation)
+        deviation = np.where(better, one.deviation, quietest.deviation)
+        quietest = replace(quietest, deviation=deviation, time=np.where(better, one.time, quietest.time))
+    return quietest
 
 
 def _plain(candidate: Candidate, joint: int) -> bool:

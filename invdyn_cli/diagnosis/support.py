@@ -39,6 +39,13 @@ def judged(evidence: Evidence) -> np.ndarray:
     return test if held_out(evidence) else evidence.role != ROLES.index("reference")
 
 
+def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
+    """Rows (R,) bool on which an effect is judged that makes `squares` (R,) of them: all where it hardly comes up on
+    those that chose nothing."""
+    rows = judged(evidence)
+    return rows if np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
+
+
 def held_out(evidence: Evidence) -> bool:
     """Whether there are rows that chose nothing."""
     return bool(np.any(evidence.role == ROLES.index("test")))
@@ -52,11 +59,10 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
     """The candidates that gain on data that did not choose them, and explain more than what stays unknown; and a
     sentence for each of the others."""
     hypothesis, said = inquiry.hypothesis, []
-    exact = [_exactly(inquiry, k) for k in range(len(hypothesis))]
     while hypothesis:
         worst, after = None, left(inquiry, hypothesis)
         for i in range(len(hypothesis)):
-            why = _fails(inquiry, exact, hypothesis, i, after)
+            why = _fails(inquiry, hypothesis, i, after)
             if why is not None and (worst is None or why[0] < worst[1][0]):
                 worst = i, why
         if worst is None:
@@ -69,29 +75,21 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
     return hypothesis, tuple(said)
 
 
-def _fails(
-    inquiry: Inquiry, exact: Sequence[tuple[bool, float]], hypothesis: Hypothesis, i: int, after: np.ndarray
-) -> tuple[float, str] | None:
-    """Why a candidate may not be claimed, with how much it explains; None if it may.
-
-    Args:
-        exact: `_exactly` of every candidate of the inquiry.
-        after: what the hypothesis leaves.
-    """
+def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int, after: np.ndarray) -> tuple[float, str] | None:
+    """Why a candidate may not be claimed, with how much it explains; None if it may. `after` is what the hypothesis
+    leaves."""
     evidence, weights = inquiry.evidence, inquiry.noise.weights
-    rows = judged(evidence)
     before = left(inquiry, hypothesis[:i] + hypothesis[i + 1 :])
+    rows = _judging(evidence, (((after - before) * evidence.valid) ** 2) @ weights)
     valid = evidence.valid & rows[:, None]
     own = [j in hypothesis[i].columns for j in range(evidence.dofs)]
     squares = np.sum((before**2 - after**2) * valid, axis=0) * own
     unknown = naming.structure(evidence, after, valid)
     gain = float(np.sum(weights * squares))
-    change = ((after - before) * evidence.valid) ** 2 @ weights
-    rare = np.mean(change[rows]) < RARE * np.mean(change)  # it hardly comes up on the held-out rows
-    if gain <= 0 and not rare:
+    if gain <= 0:
         return gain, "it does not hold on data that did not choose it"
     everywhere = np.sum(np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0))  # rows at rest count too
-    if everywhere <= 0 and not rare and _acts_at_rest(inquiry, hypothesis, i):
+    if everywhere <= 0 and _acts_at_rest(inquiry, hypothesis, i):
         return gain, "with it the arm as a whole is predicted worse on data that did not choose it"
     rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
@@ -103,16 +101,11 @@ def _fails(
         value = next(a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key)
         if value < evidence.recording.period:
             return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
-    place = next((k for k, c in enumerate(inquiry.hypothesis) if c is hypothesis[i]), None)
-    if place is not None:
-        sure, share = exact[place]
-        if not sure:
-            return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
-        if share < FEIGNED:
-            return (
-                gain,
-                "it is small beside what is left, and a controller that answers to its encoders' noise feigns it",
-            )
+    sure, share = _exactly(inquiry, hypothesis, i)
+    if not sure:
+        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
+    if share < FEIGNED:
+        return gain, "it is small beside what is left, and a controller that answers to its encoders' noise feigns it"
     return None
 
 
@@ -125,24 +118,28 @@ def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
     return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
 
-def _exactly(inquiry: Inquiry, place: int) -> tuple[bool, float]:
+def _exactly(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[bool, float]:
     """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
-    as they are; and by how much, as a share of what is left on the joints that feel it. Columns of a channel effect act
-    on the measured torque, and calm its noise; the formula does not. An effect that hardly comes up on the held-out
-    rows is judged on all."""
-    evidence, acting = inquiry.evidence, inquiry.chosen.acting
-    others = [a for k, a in enumerate(acting) if k != place]
-    change = (inquiry.model.residual(others) - inquiry.model.residual(acting)) * evidence.valid
-    rows = judged(evidence)
-    if np.mean(change[rows] ** 2 @ inquiry.noise.weights) < RARE * np.mean(change**2 @ inquiry.noise.weights):
-        rows = np.ones_like(rows)
-    saved = ((2 * inquiry.chosen.residual + change) * change) @ inquiry.noise.weights
+    as they are; and by how much, as a share of what is left on the joints that feel it: True and infinite for one that
+    was not refined. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not.
+    An effect that hardly comes up on the held-out rows is judged on all."""
+    evidence, model, weights = inquiry.evidence, inquiry.model, inquiry.noise.weights
+    keys = {c.key for c in hypothesis}
+    acting = [a for a in inquiry.chosen.acting if a.key in keys]
+    others = [a for a in acting if a.key != hypothesis[i].key]
+    if len(others) == len(acting):
+        return True, np.inf
+    modelled = model.residual(acting)
+    after = (inquiry.chosen.residual - model.residual(inquiry.chosen.acting) + modelled) * evidence.valid
+    change = (model.residual(others) - modelled) * evidence.valid
+    rows = _judging(evidence, change**2 @ weights)
+    saved = ((2 * after + change) * change) @ weights
     per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
     total = float(per_block.sum())
-    of_joint = np.sum(change[rows] ** 2, axis=0) * inquiry.noise.weights
+    of_joint = np.sum(change[rows] ** 2, axis=0) * weights
     felt = of_joint > FELT * of_joint.sum()
-    remains = (inquiry.chosen.residual * evidence.valid)[rows] ** 2 @ (inquiry.noise.weights * felt)
-    return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(float(remains.sum()), 1e-300)
+    remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
+    return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(remains, 1e-300)
 
 
 def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
