@@ -45,7 +45,11 @@ class AbstractModel(abc.ABC):
 
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n) of a motion (T, n): `apply` over all samples, in chunks of one shape (one compilation)."""
-        return in_chunks(lambda chunk: _apply_all(self, fit.params, chunk, fit.robot), motion)
+        return in_chunks(lambda chunk: _apply_all(self, fit.params, chunk, fit.robot), motion, self.chunk(motion))
+
+    def chunk(self, motion: Motion) -> int:
+        """Samples that `predict` takes at a time: fewer where one takes much memory."""
+        return CHUNK
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The single models that a fit of several seeds holds; most fits hold one: themselves."""
@@ -353,17 +357,21 @@ CHUNK = 4096
 """Samples that go through a jitted function at once: big enough to hide its call, small enough to stay in cache."""
 
 
-def in_chunks(function: Callable[[Motion], Array], motion: Motion) -> np.ndarray:
-    """`function` of a motion (T, n) in chunks padded to powers of two up to CHUNK, few compilations: (T, n)."""
+def in_chunks(function: Callable[[Motion], Array], motion: Motion, most: int = CHUNK) -> np.ndarray:
+    """`function` of a motion (T, n) in chunks padded to powers of two up to `most`, few compilations: (T, n)."""
     total = len(motion)
-    size = min(CHUNK, 1 << max(0, total - 1).bit_length())
+    size = min(most, 1 << max(0, total - 1).bit_length())
     out = [np.empty((0, motion.q.shape[1]))]
     for start in range(0, total, size):
         part = motion[slice(start, start + size)]
-        missing = size - len(part)
-        padded = jax.tree.map(lambda x, m=missing: np.pad(x, ((0, m), (0, 0)), mode="edge"), part) if missing else part
-        out.append(np.asarray(function(padded))[: len(part)])
+        out.append(np.asarray(function(padded(part, size)))[: len(part)])
     return np.concatenate(out).astype(float)
+
+
+def padded(motion: Motion, size: int) -> Motion:
+    """A motion of at most `size` samples, its last one repeated until there are so many."""
+    missing = size - len(motion)
+    return jax.tree.map(lambda x: np.pad(x, ((0, missing), (0, 0)), mode="edge"), motion) if missing else motion
 
 
 @jax.jit(static_argnums=0)

@@ -60,6 +60,8 @@ class SineTasks(AbstractSource):
         validation_share: the middle part of every learned task is watched instead, as a block.
         duration, rate, trim: length of a task [s], sampling [Hz], samples dropped at either end.
         decimals: kept by the truncation.
+        jitter: spread [rad] by which every task's phases differ from the others'. Without it all tasks run along one
+            path through q, faster or slower, and a model that knows the path needs no accelerations.
     """
 
     noisy: bool = False
@@ -73,6 +75,7 @@ class SineTasks(AbstractSource):
     rate: float = 500.0
     trim: int = 250
     decimals: int = 5
+    jitter: float = 0.0
 
     def __post_init__(self) -> None:
         for name, allowed in (("split", TESTED), ("plan", PLANS), ("filter", (None, *signals.DERIVATIVES))):
@@ -86,6 +89,8 @@ class SineTasks(AbstractSource):
                 f"data.savgol_order={self.savgol_order} and data.savgol_window={self.savgol_window}; allowed: an order "
                 "from 1, a longer window, and no more samples than a task has"
             )
+        if not self.jitter >= 0:
+            raise UsageError(f"data.jitter={self.jitter}; allowed: a spread >= 0 [rad]")
         if self.trim < 0 or self.duration * self.rate - 2 * self.trim < 100:
             raise UsageError(
                 f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples "
@@ -122,6 +127,7 @@ class SineTasks(AbstractSource):
                 "plan": self.plan,
                 "filter": self._filter,
                 "noise": f"positions truncated after decimal {self.decimals}" if self.noisy else "none",
+                "path": f"phases spread by {self.jitter} rad" if self.jitter else "one for all tasks",
                 "train_Hz": [task for task in TASKS if task not in tested],
                 "test_Hz": list(tested),
                 "validation": f"the middle {self.validation_share:.0%} of every learned task",
@@ -136,7 +142,8 @@ class SineTasks(AbstractSource):
         middle = np.where(bounded, (np.nan_to_num(robot.lower) + np.nan_to_num(robot.upper)) / 2, 0.0)
         room = np.where(bounded, 0.95 * (np.asarray(robot.upper) - np.asarray(robot.lower)) / 2, np.inf)
         amplitude = np.minimum(np.resize(PLANS[self.plan].amplitudes, n), room)
-        return middle + amplitude * np.sin(2 * np.pi * task * np.resize(MULTIPLES, n) * t + np.resize(PHASES, n))
+        phase = np.resize(PHASES, n) + self.jitter * np.random.default_rng(round(10 * task)).normal(size=n)
+        return middle + amplitude * np.sin(2 * np.pi * task * np.resize(MULTIPLES, n) * t + phase)
 
     @property
     def _filter(self) -> str:

@@ -160,6 +160,15 @@ def uncertainty(
     return covariance, {"blocks": len(merged), "effective_samples": dataset.samples / slow}
 
 
+def torque_spread(dataset: Dataset) -> np.ndarray:
+    """Standard deviation of every joint's torque (n,) over all trajectories, 1 for a joint without any."""
+    count = dataset.samples
+    mean = sum(x.tau.sum(0) for x in dataset.trajectories) / count
+    parts = (x.tau[start : start + CHUNK] for x in dataset.trajectories for start in range(0, len(x.t), CHUNK))
+    spread = np.sqrt(sum(((part - mean) ** 2).sum(0) for part in parts) / count)
+    return np.where(spread > 0, spread, 1.0)
+
+
 def extra_columns(extras: tuple[str, ...], motion: Motion) -> list[Array]:
     """The columns beside the inertial ones, like `motion.qd` each."""
     column = {
@@ -172,13 +181,13 @@ def extra_columns(extras: tuple[str, ...], motion: Motion) -> list[Array]:
 
 
 @jax.jit
-def _rows(design: Design, motion: Motion, valid: Array) -> Array:
+def design_rows(design: Design, motion: Motion, valid: Array) -> Array:
     """W K transposed, (p, n, samples), for a motion (n, samples); rows that are not `valid` (samples,) are zero."""
-    rows = rigid_body.regressor(design.robot, motion.q, motion.qd, motion.qdd)
-    rows = rows.reshape(-1, *rows.shape[2:])
+    inertial = rigid_body.regressor(design.robot, motion.q, motion.qd, motion.qdd)
+    inertial = inertial.reshape(-1, *inertial.shape[2:])
     diagonal = jnp.eye(design.robot.dofs)[:, :, None]
     columns = [diagonal * column for column in extra_columns(design.extras, motion)]
-    return (jnp.concatenate([rows, *columns]) if columns else rows) * design.weights[:, None] * valid
+    return (jnp.concatenate([inertial, *columns]) if columns else inertial) * design.weights[:, None] * valid
 
 
 def _possible_directions(design: Design) -> np.ndarray:
@@ -191,7 +200,7 @@ def _possible_directions(design: Design) -> np.ndarray:
 
 def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Singular values (r,) and right-singular vectors (r, r) of the rows K basis of a few samples, by QR."""
-    rows = np.asarray(_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion))))
+    rows = np.asarray(design_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion))))
     triangle = linalg.qr(rows.reshape(len(rows), -1).T @ basis, mode="r")[0][: basis.shape[1]]
     _, scale, right = linalg.svd(triangle, full_matrices=True)
     return np.pad(scale, (0, basis.shape[1] - len(scale))), right.T
@@ -252,7 +261,7 @@ def _blocks(x: Array) -> Array:
 def _add_chunk(design, motion, tau, valid, preconditioner, state):
     def add(state, block):
         motion, tau, valid = block
-        z = preconditioner.T @ _rows(design, motion, valid).reshape(len(preconditioner), -1)
+        z = preconditioner.T @ design_rows(design, motion, valid).reshape(len(preconditioner), -1)
         return (state[0] + z @ z.T, state[1] + z @ (design.weights[:, None] * tau).ravel()), None
 
     return jax.lax.scan(add, state, (jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)))[0]
@@ -261,7 +270,7 @@ def _add_chunk(design, motion, tau, valid, preconditioner, state):
 @jax.jit
 def _add_grams(design, motion, valid, preconditioner, grams):
     def add(grams, block):
-        z = jnp.einsum("pr,pnb->nrb", preconditioner, _rows(design, *block))
+        z = jnp.einsum("pr,pnb->nrb", preconditioner, design_rows(design, *block))
         return grams + jnp.einsum("nrb,nsb->nrs", z, z), None
 
     return jax.lax.scan(add, grams, (jax.tree.map(_blocks, motion), _blocks(valid)))[0]
@@ -273,7 +282,7 @@ def _scores(design, motion, tau, valid, preconditioner, psi):
 
     def one(block):
         motion, tau, valid = block
-        rows = _rows(design, motion, valid).reshape(len(psi), -1)
+        rows = design_rows(design, motion, valid).reshape(len(psi), -1)
         residual = (design.weights[:, None] * valid * tau).ravel() - psi @ rows
         return preconditioner.T @ (rows @ residual), (residual.reshape(tau.shape) / design.weights[:, None]).T
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.interfaces import CHUNK, AbstractModel, Progress, in_chunks, silent
+from invdyn_cli.interfaces import AbstractModel, Progress, in_chunks, silent
 from invdyn_cli.maths import links, regression, rigid_body
 from invdyn_cli.maths.regression import Design
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
@@ -97,7 +97,7 @@ class Pest(AbstractModel):
                 advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
             )
         n = robot.dofs
-        weights = 1 / _torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
+        weights = 1 / regression.torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
         design = Design(robot, self.extras, weights)
         solution = regression.solve(
             design, dataset, self.threshold, self.relative, lambda done, note: progress(0.6 * done, note)
@@ -146,12 +146,3 @@ def _rms(model: Pest, params: PyTree, dataset: Dataset) -> np.ndarray:
 @jax.jit(static_argnums=0)
 def _apply_rows(model: Pest, params: PyTree, motion: Motion, robot: Robot) -> Array:
     return model.apply(params, jax.tree.map(jnp.transpose, motion), robot).T
-
-
-def _torque_spread(dataset: Dataset) -> np.ndarray:
-    """Standard deviation of every joint's torque (n,) over all trajectories, 1 for a joint without any."""
-    count = dataset.samples
-    mean = sum(x.tau.sum(0) for x in dataset.trajectories) / count
-    parts = (x.tau[start : start + CHUNK] for x in dataset.trajectories for start in range(0, len(x.t), CHUNK))
-    spread = np.sqrt(sum(((part - mean) ** 2).sum(0) for part in parts) / count)
-    return np.where(spread > 0, spread, 1.0)

@@ -1,0 +1,275 @@
+r"""A serial chain of which nothing is known: where its axes are and what its links weigh, from torques alone.
+
+The coefficient tensors of an arm of n joints have tensor trains of rank 10 at most, whatever n: a composite inertia has
+ten numbers, and every joint moves them linearly outward to inward. Here the cores of that train are what they are in
+every arm, rigid displacements, one rotation and one shift per joint, learned along with ten inertial parameters per
+link: 16 n numbers stand for the 5^n of a dense tensor.
+
+Given the geometry, the torque is linear in all that is left, so that only the geometry is searched (variable
+projection, Golub and Pereyra 1973, with Kaufman's slopes) by Levenberg and Marquardt's steps. There are other minima
+than the arm: several starts are made, and the one that leaves least is kept.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.interfaces import Progress, silent
+from invdyn_cli.maths import regression, rigid_body
+from invdyn_cli.types import Array, Motion, Robot
+
+SPAN = 0.2
+"""[m] by which joints are apart in a start, in each direction."""
+
+STEPS, LONGEST = 80, 1.5
+"""Steps at most; the longest in one number [rad; a SPAN]."""
+
+STAGES = (512, 3e-2), (4096, 1e-4), (None, 1e-3)
+"""Samples, evenly over all (None: all), and what share of what is left a step must be worth for another to follow: for
+every start, and then twice more for the best of them."""
+
+PRIOR = 1e-10
+"""Of the squares of a column: what keeps numbers small that nothing tells."""
+
+EXACT = 1e-16
+"""Share of the weighted squares that is rounding: no other start is needed."""
+
+TOLD, NOTHING = 1e-10, 1e-9
+"""Of the largest eigenvalue of all columns at length 1, above which the data tell a direction; of the longest column,
+below which another is rounding."""
+
+BLOCK = 256
+"""Samples that are worked on at a time."""
+
+
+Blocks = tuple[Motion, Array, Array]
+"""Motion (blocks, n, BLOCK), torque alike, and which rows count (blocks, BLOCK)."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A chain: turns (n, 3) rotation vectors and shifts (n, 3) [m] of every joint's frame in the one before it,
+    inertial (n, 10), extras (columns, n); the share of the weighted squares that it leaves; that of every
+    start; and how many directions of all its numbers the data tell."""
+
+    turns: np.ndarray
+    shifts: np.ndarray
+    inertial: np.ndarray
+    extras: np.ndarray
+    left: float
+    starts: np.ndarray
+    rank: int
+
+
+def robot(turns: Array, shifts: Array) -> Robot:
+    """The chain's kinematics, gravity along -z of the base; every joint turns about its z axis."""
+    n = len(turns)
+    unbounded = jnp.full(n, jnp.inf)
+    return Robot(
+        name="chain",
+        joints=tuple(f"joint{i + 1}" for i in range(n)),
+        parents=tuple(range(-1, n - 1)),
+        prismatic=(False,) * n,
+        rotation=jax.vmap(_rotation)(turns),
+        translation=jnp.asarray(shifts).at[0].set(0.0),
+        axis=jnp.tile(jnp.array([0.0, 0.0, 1.0]), (n, 1)),
+        inertial=jnp.zeros((n, 10)),
+        gravity=jnp.array([0.0, 0.0, -9.81]),
+        lower=-unbounded,
+        upper=unbounded,
+        velocity_limit=unbounded,
+        effort_limit=unbounded,
+        damping=jnp.zeros(n),
+        friction=jnp.zeros(n),
+    )
+
+
+def learn(
+    motion: Motion,
+    tau: np.ndarray,
+    weights: np.ndarray,
+    extras: tuple[str, ...],
+    starts: int,
+    seed: int,
+    progress: Progress = silent,
+) -> Learned:
+    """The chain that leaves least of W tau.
+
+    Args:
+        motion: (T, n).
+        tau: (T, n) [N m].
+        weights: (n,) of every joint's rows.
+        extras: columns beside, as `regression.extra_columns` knows them.
+    """
+    n = tau.shape[1]
+    (some, rough), *closer = ((_evenly(motion, tau, samples), least) for samples, least in STAGES)
+    draw = np.random.default_rng(seed)
+    best: _State | None = None
+    reached: list[float] = []
+    for k in range(starts):
+        one = _descended(_State(draw.normal(size=(2, n, 3)), some, weights, extras), rough)
+        reached.append(one.left)
+        best = one if best is None or one.left < best.left else best
+        progress(0.6 * (k + 1) / starts, f"start {k + 1} of {starts}, leaves {best.left:.2g}")
+        if best.left < EXACT:
+            break
+    assert best is not None
+    for number, (more, least) in enumerate(closer):
+        best = _descended(_State(best.geometry, more, weights, extras), least)
+        progress(0.8 + 0.2 * number, f"leaves {best.left:.2g}")
+    inertial, beside = best.theta[: 10 * n], best.theta[10 * n :]
+    return Learned(
+        turns=best.geometry[0],
+        shifts=SPAN * best.geometry[1],
+        inertial=inertial.reshape(n, 10),
+        extras=beside.reshape(-1, n),
+        left=best.left,
+        starts=np.array(reached),
+        rank=best.rank(),
+    )
+
+
+class _State:
+    """A geometry (2, n, 3), rotation vectors and shifts in units of SPAN, with the linear parameters that are best
+    beside it, from sums over all rows."""
+
+    def __init__(self, geometry: np.ndarray, data: Blocks, weights: np.ndarray, extras: tuple[str, ...]) -> None:
+        self.geometry, self.data, self.weights, self.extras = geometry, data, weights, extras
+        gram = np.asarray(_gram(geometry, data, weights, extras))
+        normal, moment, total = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
+        unit = np.outer(*[_lengths(normal)] * 2)
+        self.inverse = np.linalg.inv(normal / unit + PRIOR * np.eye(len(moment))) / unit
+        rough = self.inverse @ moment
+        self.theta = rough + self.inverse @ np.asarray(_left(geometry, rough, data, weights, extras))[:-1]
+        self.left = float(np.asarray(_left(geometry, self.theta, data, weights, extras))[-1] / total)
+
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrix (6 n, 6 n) and moment (6 n,) of the geometry, the linear parameters following."""
+        gram = np.asarray(_gram_with_slopes(self.geometry, self.theta, self.data, self.weights, self.extras))
+        k = len(self.theta)
+        across, own, moment = gram[:k, k:-1], gram[k:-1, k:-1], gram[k:-1, -1]
+        return own - across.T @ self.inverse @ across, moment - across.T @ (self.inverse @ gram[:k, -1])
+
+    def moved(self, step: np.ndarray) -> "_State":
+        return _State(self.geometry + step.reshape(self.geometry.shape), self.data, self.weights, self.extras)
+
+    def rank(self) -> int:
+        """Directions of all numbers together that the data tell."""
+        gram = np.asarray(_gram_with_slopes(self.geometry, self.theta, self.data, self.weights, self.extras))[:-1, :-1]
+        values = np.linalg.eigvalsh(gram / np.outer(*[_lengths(gram)] * 2))
+        return int(np.sum(values > TOLD * values[-1]))
+
+
+def _lengths(gram: np.ndarray) -> np.ndarray:
+    """Of all columns; infinite where a column is nothing but rounding."""
+    length = np.sqrt(np.diag(gram))
+    return np.where(length > NOTHING * length.max(), length, np.inf)
+
+
+def _descended(state: _State, least: float) -> _State:
+    """Levenberg and Marquardt's steps until two in turn are not worth `least` of what is left."""
+    damping, worth = 0.1, 1.0
+    for _ in range(STEPS):
+        normal, moment = state.slopes()
+        scale = np.diag(normal) + 1e-3 * np.mean(np.diag(normal))
+        better = None
+        for _ in range(8):
+            step = np.linalg.solve(normal + damping * np.diag(scale), moment)
+            step *= min(1.0, LONGEST / np.abs(step).max())
+            tried = state.moved(step)
+            if tried.left < state.left:
+                better = tried
+                break
+            damping *= 4
+        if better is None:
+            break
+        damping = max(damping / 5, 1e-9)
+        before, worth = worth, 1 - better.left / state.left
+        state = better
+        if state.left < EXACT or max(before, worth) < least:
+            break
+    return state
+
+
+def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> Blocks:
+    """So many samples, evenly over all; all, if there are fewer."""
+    rows = np.linspace(0, len(tau) - 1, min(samples or len(tau), len(tau))).astype(int)
+    missing = -len(rows) % BLOCK
+
+    def parted(x: np.ndarray) -> np.ndarray:
+        filled = np.pad(np.asarray(x)[rows], ((0, missing), (0, 0)), mode="edge")
+        return np.moveaxis(filled.reshape(-1, BLOCK, x.shape[1]), 1, -1)
+
+    counted = np.arange(len(rows) + missing) < len(rows)
+    return jax.tree.map(parted, motion), parted(tau), counted.reshape(-1, BLOCK)
+
+
+def _rows(geometry: Array, motion: Motion, weights: Array, extras: tuple[str, ...], counts: Array) -> Array:
+    """Columns (10 n + extras n, n, samples) of all linear parameters; of rows that do not count, zero."""
+    return regression.design_rows(
+        regression.Design(robot(geometry[0], SPAN * geometry[1]), extras, weights), motion, counts
+    )
+
+
+def _summed(data: Blocks, columns) -> Array:
+    """Gram matrix of all columns of all rows, block by block."""
+
+    def add(total, block):
+        x = columns(*block)
+        x = x.reshape(len(x), -1)
+        return total + x @ x.T, None
+
+    first = jax.eval_shape(columns, *jax.tree.map(lambda a: a[0], data))
+    return jax.lax.scan(add, jnp.zeros((first.shape[0],) * 2), data)[0]
+
+
+@jax.jit(static_argnums=3)
+def _gram(geometry: Array, data: Blocks, weights: Array, extras: tuple[str, ...]) -> Array:
+    """Gram matrix of [linear columns | torque]."""
+
+    def columns(motion, tau, counts):
+        rows = _rows(geometry, motion, weights, extras, counts)
+        return jnp.concatenate([rows, (weights[:, None] * tau * counts)[None]])
+
+    return _summed(data, columns)
+
+
+@jax.jit(static_argnums=4)
+def _left(geometry: Array, theta: Array, data: Blocks, weights: Array, extras: tuple[str, ...]) -> Array:
+    """What is left of the torque, times every linear column and times itself."""
+
+    def add(total, block):
+        motion, tau, counts = block
+        rows = _rows(geometry, motion, weights, extras, counts)
+        left = (weights[:, None] * tau - jnp.tensordot(theta, rows, 1)) * counts
+        return total + jnp.append(jnp.einsum("pnb,nb->p", rows, left), jnp.sum(left**2)), None
+
+    return jax.lax.scan(add, jnp.zeros(len(theta) + 1), data)[0]
+
+
+@jax.jit(static_argnums=4)
+def _gram_with_slopes(geometry: Array, theta: Array, data: Blocks, weights: Array, extras: tuple[str, ...]) -> Array:
+    """Gram matrix of [linear columns | slopes of the torque over the geometry | what is left]."""
+    n = len(weights)
+    inertial = theta[: 10 * n].reshape(n, 10)
+
+    def columns(motion, tau, counts):
+        def torque(g):
+            arm = robot(g[0], SPAN * g[1])
+            return rigid_body.inverse_dynamics(arm, inertial, motion.q, motion.qd, motion.qdd) * weights[:, None]
+
+        rows = _rows(geometry, motion, weights, extras, counts)
+        slopes = jnp.moveaxis(jax.jacfwd(torque)(geometry).reshape(n, -1, 6 * n), -1, 0)
+        left = weights[:, None] * tau - jnp.tensordot(theta, rows, 1)
+        return jnp.concatenate([rows, slopes, left[None]]) * counts
+
+    return _summed(data, columns)
+
+
+def _rotation(turn: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,), smooth through zero."""
+    x, y, z = turn
+    cross = jnp.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
+    return jax.scipy.linalg.expm(cross)

@@ -1,0 +1,281 @@
+"""model=dbm: the Dynamic Bézier Map, a model of the torque that knows nothing of the arm but that its joints turn."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import CHUNK, AbstractModel, Progress, padded, silent
+from invdyn_cli.maths import chains, least_squares, regression, rigid_body
+from invdyn_cli.maths.bezier import BASES, REACH, Basis
+from invdyn_cli.maths.dynamic_map import FORMS, Arc, DynamicMap
+from invdyn_cli.maths.least_squares import SOLVERS, Solver
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+COPIES = 4
+"""Triangles of all columns that exist at a time: what was there, what is added, and LAPACK's working copy of both."""
+
+ROWS = 256, 2048
+"""Rows that are made at a time: about as many as there are columns, within these."""
+
+FOLDS = 5
+"""Stretches that a single trajectory is parted into, to leave each out in turn."""
+
+ALIKE = 1.1
+"""Within this factor of the least that a start left, it came to the same chain."""
+
+
+@dataclass(frozen=True)
+class Dbm(AbstractModel):
+    """Products of one-joint functions, by linear least squares (`maths.dynamic_map`), or with the tensors as trains
+    whose cores are the displacements of an unknown chain (`maths.chains`).
+
+    Attributes:
+        form: naive, structured or shared, dense tensors of 5^n; chain, a train of 16 n numbers. "auto" takes shared up
+            to five joints and chain beyond.
+        basis: of dense tensors, trig, or bezier centred on the angles that were learned from.
+        solver: of dense tensors, lstsq (plain, singular values down to rounding), tsvd (fewer of them), or ridge.
+        strength: of tsvd (share of the largest singular value) or ridge (of its square); None chooses it by leaving out
+            each trajectory in turn (of a single one, each fifth).
+        weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque where joints share
+            coefficients; "none" does not.
+        friction: "coulomb_viscous" adds the columns sign(qd), a ramp within `regression.REST_SPEED`, and qd for every
+            joint.
+        offset: adds a constant torque per joint.
+        rotor_inertia: adds a column qdd per joint to a chain; dense tensors have it, a constant of H_ii.
+        starts: of a chain's search.
+        memory: what solving dense tensors may take [GB].
+    """
+
+    needs_robot = False
+
+    form: Literal["auto", "naive", "structured", "shared", "chain"] = "auto"
+    basis: Basis = "trig"
+    solver: Solver = "ridge"
+    strength: float | None = None
+    weighting: Literal["none", "torque_spread"] = "torque_spread"
+    friction: Literal["none", "coulomb_viscous"] = "none"
+    offset: bool = False
+    rotor_inertia: bool = False
+    starts: int = 24
+    memory: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("form", ("auto", *FORMS, "chain")),
+            ("basis", BASES),
+            ("solver", SOLVERS),
+            ("weighting", ("none", "torque_spread")),
+            ("friction", ("none", "coulomb_viscous")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise UsageError(f"model.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
+        if self.strength is not None and not 0 < self.strength < 1:
+            raise UsageError(f"model.strength={self.strength}; allowed: null, or a number between 0 and 1")
+        if not (isinstance(self.starts, int) and self.starts >= 1):
+            raise UsageError(f"model.starts={self.starts}; allowed: a whole number >= 1")
+        if not self.memory > 0:
+            raise UsageError(f"model.memory={self.memory}; allowed: a number > 0 [GB]")
+
+    def form_of(self, n: int) -> str:
+        """The form for n joints."""
+        return ("shared" if n <= 5 else "chain") if self.form == "auto" else self.form
+
+    @property
+    def extras(self) -> tuple[str, ...]:
+        """Names of the columns that every joint has beside."""
+        return ("coulomb", "viscous") * (self.friction != "none") + ("offset",) * self.offset
+
+    def columns(self, n: int) -> tuple[int, ...]:
+        """Columns of a dense form's systems of equations, one per joint (structured) or one for all, extras and all."""
+        own = len(self.extras) * (1 if self.form_of(n) == "structured" else n)
+        return tuple(size + own for size in self._map(n).sizes)
+
+    def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
+        """All coefficients zero, on the arc that the dataset goes through; of a chain, links without mass."""
+        n = len(dataset.joints)
+        if self.form_of(n) == "chain":
+            turns, shifts, beside = jnp.zeros((n, 3)), jnp.zeros((n, 3)), jnp.zeros((len(self._beside_chain), n))
+            return {"turns": turns, "shifts": shifts, "inertial": jnp.zeros((n, 10)), "extras": beside}
+        theta = {f"system{i}": jnp.zeros((p, self._map(n).targets)) for i, p in enumerate(self.columns(n))}
+        return {"arc": _arc(dataset)._asdict(), "theta": theta}
+
+    def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
+        """Torque (n,) of one sample."""
+        if "turns" in params:
+            arm = chains.robot(params["turns"], params["shifts"])
+            tau = rigid_body.inverse_dynamics(arm, params["inertial"], motion.q, motion.qd, motion.qdd)
+            for value, column in zip(
+                params["extras"], regression.extra_columns(self._beside_chain, motion), strict=True
+            ):
+                tau = tau + value * column
+            return tau
+        systems = self._columns(Arc(**params["arc"]), motion)
+        return jnp.concatenate([jnp.ravel(x @ params["theta"][f"system{i}"]) for i, x in enumerate(systems)])
+
+    def chunk(self, motion: Motion) -> int:
+        """Samples at a time: their columns stay within some 300 MB."""
+        n = motion.q.shape[1]
+        if self.form_of(n) == "chain":
+            return CHUNK
+        numbers = sum(self.columns(n)) * self._map(n).equations
+        return int(np.clip(2 ** int(np.log2(4e7 / numbers)), 1, CHUNK))
+
+    def fit(
+        self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
+    ) -> Fit:
+        """Least squares on all rows.
+
+        details of dense forms: columns (systems,), rank (systems,), strength (targets,) in use, strengths and left_out
+        (strengths, targets), the mean square of the (weighted) torque on trajectories that were left out. Of a chain:
+        starts (starts,), the share of the weighted squares that each left; rank, directions that the data tell.
+
+        Raises:
+            UsageError: if a joint slides, or the columns do not fit into `memory`.
+        """
+        n = len(dataset.joints)
+        _refuse_sliding(dataset)
+        if self.form_of(n) == "chain":
+            return self._fit_chain(dataset, key, progress)
+        self._refuse_size(n)
+        arc, weights, parts, targets = _arc(dataset), self._weights(dataset), _groups(dataset), self._map(n).targets
+        systems: list[list[tuple[np.ndarray, int]]] = [[] for _ in self.columns(n)]
+        for number, part in enumerate(parts):
+            for i, system in enumerate(systems):
+                rows = part.samples * self._map(n).equations
+                system.append((least_squares.triangle(self._rows(i, part, arc, weights)), rows))
+                done = (number + (i + 1) / len(systems)) / len(parts)
+                progress(0.7 * done, f"{self.columns(n)[i]:,} columns")
+        solutions = []
+        for i, system in enumerate(systems):
+            solutions.append(least_squares.solve(system, targets, self.solver, self.strength))
+            progress(0.7 + 0.3 * (i + 1) / len(systems), f"rank {solutions[-1].rank:,}")
+        return Fit(
+            params={"arc": arc._asdict(), "theta": {f"system{i}": s.theta for i, s in enumerate(solutions)}},
+            robot=dataset.robot,
+            joints=dataset.joints,
+            parameters=sum(self.columns(n)) * targets,
+            details={
+                "columns": np.array(self.columns(n)),
+                "rank": np.array([s.rank for s in solutions]),
+                "strength": np.concatenate([s.strength for s in solutions]),
+                "strengths": solutions[0].tried,
+                "left_out": np.concatenate([s.left_out for s in solutions], axis=1),
+            },
+        )
+
+    def _fit_chain(self, dataset: Dataset, key: jax.Array, progress: Progress) -> Fit:
+        seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
+        motion, tau, weights = dataset.motion, dataset.tau, self._weights(dataset)
+        found = chains.learn(motion, tau, weights, self._beside_chain, self.starts, seed, progress)
+        params = {"turns": found.turns, "shifts": found.shifts, "inertial": found.inertial, "extras": found.extras}
+        alone = np.sum(found.starts < ALIKE * found.starts.min()) == 1 and found.left > chains.EXACT
+        return Fit(
+            params=params,
+            robot=dataset.robot,
+            joints=dataset.joints,
+            parameters=found.rank,
+            details={"starts": found.starts, "rank": found.rank},
+            warnings=(
+                f"Only one of {len(found.starts)} starts came this far: another may come farther (model.starts).",
+            )
+            * bool(alone),
+        )
+
+    @property
+    def _beside_chain(self) -> tuple[str, ...]:
+        return self.extras + ("armature",) * self.rotor_inertia
+
+    def _map(self, n: int) -> DynamicMap:
+        return DynamicMap(self.form_of(n), self.basis, n)  # type: ignore[arg-type]
+
+    def _columns(self, arc: Arc, motion: Motion) -> tuple[Array, ...]:
+        """Columns of one sample, system by system (rows, p): the map's, then the extras."""
+        n = motion.q.shape[-1]
+        systems = self._map(n).columns(arc, motion)
+        beside = jnp.array(regression.extra_columns(self.extras, motion)).reshape(-1, n)
+        if self.form_of(n) == "shared":
+            return (jnp.concatenate([systems[0], *map(jnp.diag, beside)], axis=1),)
+        if self.form_of(n) == "naive":
+            return (jnp.append(systems[0], beside)[None],)
+        return tuple(jnp.append(x, beside[:, i])[None] for i, x in enumerate(systems))
+
+    def _rows(self, system: int, part: Dataset, arc: Arc, weights: np.ndarray) -> Iterator[np.ndarray]:
+        """Rows [X | Y] of one system, some at a time."""
+        n = len(part.joints)
+        shared = self.form_of(n) == "shared"
+        size = int(np.clip(self.columns(n)[system] // self._map(n).equations, *ROWS))
+        for x in part.trajectories:
+            for start in range(0, len(x.t), size):
+                motion, tau = x.motion[slice(start, start + size)], x.tau[start : start + size]
+                columns = np.asarray(_columns_of(self, system, arc, padded(motion, size)))[: len(motion)]
+                if shared:
+                    columns, y = columns * weights[:, None], (tau * weights).reshape(-1, 1)
+                else:
+                    y = tau if self.form_of(n) == "naive" else tau[:, [system]]
+                yield np.concatenate([columns.reshape(-1, columns.shape[-1]), y], axis=1)
+
+    def _weights(self, dataset: Dataset) -> np.ndarray:
+        """Of every joint's rows (n,)."""
+        alike = self.weighting == "none"
+        return np.ones(len(dataset.joints)) if alike else 1 / regression.torque_spread(dataset)
+
+    def _refuse_size(self, n: int) -> None:
+        needed = {form: _gigabytes(replace(self, form=form).columns(n)) for form in FORMS}
+        form = self.form_of(n)
+        if needed[form] > self.memory:
+            fitting = [f for f in FORMS if needed[f] <= self.memory]
+            raise UsageError(
+                f"model.form={form} has {max(self.columns(n)):,} columns with {n} joints, which takes about "
+                f"{needed[form]:,.0f} GB to solve; allowed: model.memory={self.memory:g} GB",
+                advice=f"model.form={fitting[-1] if fitting else 'chain'}",
+            )
+
+
+@jax.jit(static_argnums=(0, 1))
+def _columns_of(model: Dbm, system: int, arc: Arc, motion: Motion) -> Array:
+    """Columns (samples, rows, p) of one system."""
+    return jax.vmap(lambda one: model._columns(arc, one)[system])(motion)
+
+
+def _gigabytes(columns: tuple[int, ...]) -> float:
+    """What the largest system takes to solve."""
+    return COPIES * 8 * max(columns) ** 2 / 1e9
+
+
+def _arc(dataset: Dataset) -> Arc:
+    q = dataset.motion.q
+    low, high = q.min(0), q.max(0)
+    return Arc((low + high) / 2, np.clip(REACH * (high - low) / 2, 0.02, np.pi / 2))
+
+
+def _groups(dataset: Dataset) -> list[Dataset]:
+    """What is left out in turn: all parts of a trajectory, or stretches of the only one."""
+    names = list(dict.fromkeys(x.name for x in dataset.trajectories))
+    if len(names) > 1:
+        own = [tuple(x for x in dataset.trajectories if x.name == name) for name in names]
+    else:
+        own = [_stretch(dataset, k) for k in range(FOLDS)]
+    return [replace(dataset, trajectories=one) for one in own if sum(len(x.t) for x in one)]
+
+
+def _stretch(dataset: Dataset, k: int) -> tuple:
+    """The k-th of FOLDS stretches of every trajectory."""
+    parts = []
+    for x in dataset.trajectories:
+        rows = slice(len(x.t) * k // FOLDS, len(x.t) * (k + 1) // FOLDS)
+        parts.append(replace(x, t=x.t[rows], motion=x.motion[rows], tau=x.tau[rows]))
+    return tuple(parts)
+
+
+def _refuse_sliding(dataset: Dataset) -> None:
+    slides = dataset.robot.prismatic if dataset.robot is not None else ()
+    named = [joint for joint, slide in zip(dataset.joints, slides, strict=False) if slide]
+    if named:
+        raise UsageError(
+            f"model=dbm knows joints that turn, and {', '.join(named)} slides", advice="model=pest or model=ffnn"
+        )
