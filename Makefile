@@ -8,7 +8,7 @@ SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') 
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite bench wheel clean
+.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite bench wheel clean
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
 OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
@@ -38,6 +38,10 @@ format: $(INSTALLED)  ## put imports and lines in order
 tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables
 	$(BIN)/invdyn tables experiment=batch_simulated
 	$(BIN)/invdyn tables experiment=filters
+	$(BIN)/invdyn tables experiment=dbm
+
+figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
+	$(BIN)/invdyn figures
 
 real: $(INSTALLED)  ## the same models on real robots' logs
 	$(BIN)/invdyn tables experiment=real_logs

@@ -10,6 +10,7 @@ VERBS = {
     "diagnose": "what the simulation gets wrong on a log, why, and what mending it is worth",
     "excite": "a trajectory within the joints' limits that tells given causes apart, ready to play",
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
+    "figures": "the published figures, and a page that puts all of it beside the paper",
     "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
     "report": "draw the figures and the page of a run.h5 anew",
 }

@@ -7,7 +7,9 @@ link: 16 n numbers stand for the 5^n of a dense tensor.
 
 Given the geometry, the torque is linear in all that is left, so that only the geometry is searched (variable
 projection, Golub and Pereyra 1973, with Kaufman's slopes) by Levenberg and Marquardt's steps. There are other minima
-than the arm: several starts are made, and the one that leaves least is kept.
+than the arm, and most have it right in all joints but one or two: a search draws one or two joints anew and descends
+again, as long as that helps (iterated local search). When two searches from chains of their own came to the same, it is
+the arm.
 """
 
 from dataclasses import dataclass
@@ -28,13 +30,20 @@ STEPS, LONGEST = 80, 1.5
 
 STAGES = (512, 3e-2), (4096, 1e-4), (None, 1e-3)
 """Samples, evenly over all (None: all), and what share of what is left a step must be worth for another to follow: for
-every start, and then twice more for the best of them."""
+every descent, and then twice more for the best of them."""
+
+PATIENCE, BETTER = 12, 0.99
+"""Descents in turn that lead nowhere, after which a search ends; the share of what was left below which one leads
+somewhere."""
+
+ALIKE = 1.02
+"""Within this factor of each other, two searches came to the same chain."""
 
 PRIOR = 1e-10
 """Of the squares of a column: what keeps numbers small that nothing tells."""
 
 EXACT = 1e-16
-"""Share of the weighted squares that is rounding: no other start is needed."""
+"""Share of the weighted squares that is rounding: nothing else is needed."""
 
 TOLD, NOTHING = 1e-10, 1e-9
 """Of the largest eigenvalue of all columns at length 1, above which the data tell a direction; of the longest column,
@@ -51,16 +60,21 @@ Blocks = tuple[Motion, Array, Array]
 @dataclass(frozen=True)
 class Learned:
     """A chain: turns (n, 3) rotation vectors and shifts (n, 3) [m] of every joint's frame in the one before it,
-    inertial (n, 10), extras (columns, n); the share of the weighted squares that it leaves; that of every
-    start; and how many directions of all its numbers the data tell."""
+    inertial (n, 10), extras (columns, n); the share of the weighted squares that it leaves; what every
+    search left of those it looked at (searches,); and how many directions of all its numbers the data tell."""
 
     turns: np.ndarray
     shifts: np.ndarray
     inertial: np.ndarray
     extras: np.ndarray
     left: float
-    starts: np.ndarray
+    searches: np.ndarray
     rank: int
+
+    @property
+    def sure(self) -> bool:
+        """Whether nothing is left, or another search came to the same chain."""
+        return self.left < EXACT or np.sum(self.searches < ALIKE * self.searches.min()) > 1
 
 
 def robot(turns: Array, shifts: Array) -> Robot:
@@ -91,11 +105,11 @@ def learn(
     tau: np.ndarray,
     weights: np.ndarray,
     extras: tuple[str, ...],
-    starts: int,
+    descents: int,
     seed: int,
     progress: Progress = silent,
 ) -> Learned:
-    """The chain that leaves least of W tau.
+    """The chain that leaves least of W tau, after so many descents at most.
 
     Args:
         motion: (T, n).
@@ -106,16 +120,24 @@ def learn(
     n = tau.shape[1]
     (some, rough), *closer = ((_evenly(motion, tau, samples), least) for samples, least in STAGES)
     draw = np.random.default_rng(seed)
-    best: _State | None = None
-    reached: list[float] = []
-    for k in range(starts):
-        one = _descended(_State(draw.normal(size=(2, n, 3)), some, weights, extras), rough)
-        reached.append(one.left)
-        best = one if best is None or one.left < best.left else best
-        progress(0.6 * (k + 1) / starts, f"start {k + 1} of {starts}, leaves {best.left:.2g}")
-        if best.left < EXACT:
-            break
-    assert best is not None
+    reached: list[_State] = []
+    done = 0
+    while done < descents and not _settled(reached):
+        own, idle = None, 0
+        while done < descents and idle < PATIENCE and (own is None or own.left > EXACT):
+            geometry = draw.normal(size=(2, n, 3)) if own is None else _redrawn(own.geometry, draw)
+            one = _descended(_State(geometry, some, weights, extras), rough)
+            done += 1
+            if own is None or one.left < BETTER * own.left:
+                own, idle = one, 0
+            else:
+                idle += 1
+            progress(
+                0.6 * done / descents, f"descent {done} of {descents}, search {len(reached) + 1} leaves {own.left:.2g}"
+            )
+        assert own is not None
+        reached.append(own)
+    best = min(reached, key=lambda x: x.left)
     for number, (more, least) in enumerate(closer):
         best = _descended(_State(best.geometry, more, weights, extras), least)
         progress(0.8 + 0.2 * number, f"leaves {best.left:.2g}")
@@ -126,9 +148,23 @@ def learn(
         inertial=inertial.reshape(n, 10),
         extras=beside.reshape(-1, n),
         left=best.left,
-        starts=np.array(reached),
+        searches=np.array([x.left for x in reached]),
         rank=best.rank(),
     )
+
+
+def _settled(reached: list["_State"]) -> bool:
+    left = sorted(x.left for x in reached)
+    return len(left) > 0 and (left[0] < EXACT or (len(left) > 1 and left[1] < ALIKE * left[0]))
+
+
+def _redrawn(geometry: np.ndarray, draw: np.random.Generator) -> np.ndarray:
+    """The geometry with one or two joints drawn anew."""
+    n = geometry.shape[1]
+    chosen = draw.choice(n, min(n, draw.integers(1, 3)), replace=False)
+    out = geometry.copy()
+    out[:, chosen] = draw.normal(size=(2, len(chosen), 3))
+    return out
 
 
 class _State:

@@ -20,6 +20,11 @@ STRENGTHS = {"lstsq": np.zeros(1), "tsvd": 10.0 ** np.arange(-15, 0), "ridge": 1
 """What is tried: of the largest singular value (tsvd), of its square (ridge); the columns have length 1."""
 
 
+ROUNDING = float(np.finfo(float).eps)
+"""Of the largest singular value: nothing is told below. A cut that grows with the columns costs decades without noise: what
+one task excites at that level another excites more."""
+
+
 @dataclass(frozen=True)
 class Solution:
     """Coefficients theta (p, targets), and what led to them: rank, singular values of the columns at length 1, strength
@@ -81,15 +86,14 @@ class _Decomposed:
     def __init__(self, groups: Sequence[tuple[np.ndarray, int]], targets: int) -> None:
         r = _reduced([r for r, _ in groups])
         x, y = r[:, :-targets], r[:, -targets:]
-        self.rounding = x.shape[1] * np.finfo(float).eps
         length = np.sqrt(np.sum(x**2, axis=0))
         self.length = np.where(length > 0, length, 1.0)
         left, self.values, self.right = linalg.svd(x / self.length, full_matrices=False, check_finite=False)
         self.scores = left.T @ y
 
     def cut(self, share: float) -> float:
-        """Singular values at or below it count as zero: rounding of a triangle, or more."""
-        return max(share, self.rounding) * self.values[0]
+        """Singular values at or below it count as zero."""
+        return max(share, ROUNDING) * self.values[0]
 
     def theta(self, solver: Solver, strength: float) -> np.ndarray:
         """Coefficients (p, targets)."""

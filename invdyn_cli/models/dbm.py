@@ -25,9 +25,6 @@ ROWS = 256, 2048
 FOLDS = 5
 """Stretches that a single trajectory is parted into, to leave each out in turn."""
 
-ALIKE = 1.1
-"""Within this factor of the least that a start left, it came to the same chain."""
-
 
 @dataclass(frozen=True)
 class Dbm(AbstractModel):
@@ -47,7 +44,7 @@ class Dbm(AbstractModel):
             joint.
         offset: adds a constant torque per joint.
         rotor_inertia: adds a column qdd per joint to a chain; dense tensors have it, a constant of H_ii.
-        starts: of a chain's search.
+        descents: of a chain's search, at most.
         memory: what solving dense tensors may take [GB].
     """
 
@@ -61,7 +58,7 @@ class Dbm(AbstractModel):
     friction: Literal["none", "coulomb_viscous"] = "none"
     offset: bool = False
     rotor_inertia: bool = False
-    starts: int = 24
+    descents: int = 120
     memory: float = 8.0
 
     def __post_init__(self) -> None:
@@ -76,8 +73,8 @@ class Dbm(AbstractModel):
                 raise UsageError(f"model.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
         if self.strength is not None and not 0 < self.strength < 1:
             raise UsageError(f"model.strength={self.strength}; allowed: null, or a number between 0 and 1")
-        if not (isinstance(self.starts, int) and self.starts >= 1):
-            raise UsageError(f"model.starts={self.starts}; allowed: a whole number >= 1")
+        if not (isinstance(self.descents, int) and self.descents >= 1):
+            raise UsageError(f"model.descents={self.descents}; allowed: a whole number >= 1")
         if not self.memory > 0:
             raise UsageError(f"model.memory={self.memory}; allowed: a number > 0 [GB]")
 
@@ -132,7 +129,7 @@ class Dbm(AbstractModel):
 
         details of dense forms: columns (systems,), rank (systems,), strength (targets,) in use, strengths and left_out
         (strengths, targets), the mean square of the (weighted) torque on trajectories that were left out. Of a chain:
-        starts (starts,), the share of the weighted squares that each left; rank, directions that the data tell.
+        searches (searches,), the share of the weighted squares that each left; rank, directions that the data tell.
 
         Raises:
             UsageError: if a joint slides, or the columns do not fit into `memory`.
@@ -171,19 +168,17 @@ class Dbm(AbstractModel):
     def _fit_chain(self, dataset: Dataset, key: jax.Array, progress: Progress) -> Fit:
         seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
         motion, tau, weights = dataset.motion, dataset.tau, self._weights(dataset)
-        found = chains.learn(motion, tau, weights, self._beside_chain, self.starts, seed, progress)
+        found = chains.learn(motion, tau, weights, self._beside_chain, self.descents, seed, progress)
         params = {"turns": found.turns, "shifts": found.shifts, "inertial": found.inertial, "extras": found.extras}
-        alone = np.sum(found.starts < ALIKE * found.starts.min()) == 1 and found.left > chains.EXACT
         return Fit(
             params=params,
             robot=dataset.robot,
             joints=dataset.joints,
             parameters=found.rank,
-            details={"starts": found.starts, "rank": found.rank},
-            warnings=(
-                f"Only one of {len(found.starts)} starts came this far: another may come farther (model.starts).",
-            )
-            * bool(alone),
+            details={"searches": found.searches, "rank": found.rank},
+            warnings=()
+            if found.sure
+            else ("No two searches came to the same chain: another may come farther (model.descents).",),
         )
 
     @property

@@ -62,9 +62,9 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
     """
     rows = []
     for statement in statements:
-        picked = [values_of(metrics, "test") for labels, metrics in jobs if _matches(labels, statement["each"])]
+        picked = [values_of(metrics, "test") for labels, metrics in jobs if matches(labels, statement["each"])]
         if over := statement.get("over"):
-            others = [values_of(metrics, "test") for labels, metrics in jobs if _matches(labels, over)]
+            others = [values_of(metrics, "test") for labels, metrics in jobs if matches(labels, over)]
             picked = [[median(a) / median(b)] for a, b in zip(picked, others, strict=True)]
         values = [x for group in picked for x in group]
         low, high = statement["band"]
@@ -80,6 +80,18 @@ def values_of(metrics: Mapping[str, Any], name: str) -> list[float]:
     """Mean NMSE on a set: of every seed where the fit has several, else of the model; none where it was not scored."""
     found = metrics.get("members", {}).get(name) or ([metrics[name]] if name in metrics else [])
     return [math.nan if x["nmse"]["mean"] is None else x["nmse"]["mean"] for x in found]
+
+
+def band_of(statements: Sequence[Mapping[str, Any]], labels: Mapping[str, str]) -> tuple[float, float] | None:
+    """What all statements that pick this job by itself (not beside another) allow together; None if there is none."""
+    bands = [x["band"] for x in statements if "over" not in x and matches(labels, x["each"])]
+    return (max(low for low, _ in bands), min(high for _, high in bands)) if bands else None
+
+
+def matches(labels: Mapping[str, str], wanted: Mapping[str, Any]) -> bool:
+    """Whether a job has all wanted labels, each a value or a list of them."""
+    lists = {key: value if isinstance(value, list) else [value] for key, value in wanted.items()}
+    return all(labels.get(key) in [str(x) for x in values] for key, values in lists.items())
 
 
 def markdown(grid: Grid) -> str:
@@ -98,10 +110,6 @@ def _verdict(values: Sequence[float], low: float, high: float) -> str:
     over = max((x / high for x in values if x > high), default=1.0)
     misses = [f"below by up to {under:.3g} x"] * (under > 1) + [f"above by up to {over:.3g} x"] * (over > 1)
     return f"{'differs' if not inside else f'holds for {inside} of {len(values)}'}: {', '.join(misses)}"
-
-
-def _matches(labels: Mapping[str, str], wanted: Mapping[str, Any]) -> bool:
-    return all(labels.get(key) == str(value) for key, value in wanted.items())
 
 
 def _labels(jobs: Sequence[Job]) -> tuple[str, ...]:

@@ -1,17 +1,13 @@
 """invdyn run: one experiment, or a sweep of them, each into a folder of its own."""
 
 import datetime
-import importlib.metadata
 import json
-import platform
-import subprocess
 import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.markup import escape
@@ -21,10 +17,9 @@ from invdyn_cli.errors import InvdynError, RobotError, UsageError, listed
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
-from invdyn_cli.verbs import screen, sweep
+from invdyn_cli.verbs import origin, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 
-PACKAGES = ("invdyn", "jax", "jaxlib", "flax", "optax", "numpy", "scipy", "pin", "hydra-core", "h5py")
 FORMATS = ("png", "svg", "pdf")
 
 
@@ -153,35 +148,8 @@ def _with_origin(record: RunRecord, config: DictConfig, started: datetime.dateti
         choices={**choices, **record.choices},
         config=OmegaConf.to_yaml(config, resolve=True),
         overrides=tuple(view.overrides.task),
-        provenance={
-            "started": started.isoformat(timespec="seconds"),
-            "versions": {name: _version(name) for name in PACKAGES} | {"python": platform.python_version()},
-            "git": _git_state(),
-            "device": str(jax.devices()[0].device_kind),
-            "platform": platform.platform(),
-        },
+        provenance=origin.origin(started),
     )
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def _git_state() -> str:
-    """Commit of the checkout that this code runs from, "+" where it was changed since; "" outside of one."""
-    here = Path(__file__).parent
-    try:
-        commands = ["rev-parse", "--short=12", "HEAD"], ["status", "--porcelain", "--", "."]
-        commit, changed = (
-            subprocess.run(["git", "-C", str(here), *c], capture_output=True, text=True, check=True).stdout.strip()
-            for c in commands
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return ""
-    return commit + "+" * bool(changed)
 
 
 def _relative(folder: Path) -> Path:

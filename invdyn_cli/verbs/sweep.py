@@ -13,6 +13,7 @@ from rich.console import Console
 
 from invdyn_cli import store
 from invdyn_cli.report import tables
+from invdyn_cli.verbs import origin
 
 STATUS = "status.json"
 
@@ -27,7 +28,7 @@ def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
 
 
 def is_complete(config: DictConfig, folder: Path) -> bool:
-    """Whether the folder holds this very job, finished, and no log or URDF that it names was written since."""
+    """Whether the folder holds this very job, finished, and nothing changed since: its logs, its URDF, the code."""
     done = folder / store.METRICS
     if not done.is_file() or not (folder / store.RUN).is_file():
         return False
@@ -36,7 +37,9 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
     if any(file.is_file() and file.stat().st_mtime > done.stat().st_mtime for file in files):
         return False
     try:
-        return store.load_run(folder / store.RUN).config == OmegaConf.to_yaml(config, resolve=True)
+        kept = store.load_run(folder / store.RUN)
+        asked = OmegaConf.to_yaml(config, resolve=True)
+        return kept.config == asked and kept.provenance["code"] == origin.fingerprint()
     except Exception:  # whatever is wrong with that file, the job has to run again
         return False
 

@@ -1,0 +1,125 @@
+"""The experiments of experiments/*.yaml: what each asks for, run where it is not complete, and its table."""
+
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import hydra
+from omegaconf import OmegaConf, open_dict
+
+from invdyn_cli import store
+from invdyn_cli.data.recorded import RealLog
+from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.maths import metrics
+from invdyn_cli.report import comparison
+from invdyn_cli.report.comparison import Grid, Job
+from invdyn_cli.verbs import run, screen, sweep
+from invdyn_cli.verbs.launch import config_folder
+
+
+@dataclass(frozen=True)
+class Published:
+    """An experiment that was run: what its file says, its jobs and the folder of each, its table, and the paper's
+    statements with a verdict each (None where it has none)."""
+
+    name: str
+    spec: Mapping[str, Any]
+    jobs: tuple[Job, ...]
+    folders: tuple[Path, ...]
+    table: Grid
+    verdicts: Grid | None
+
+
+def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False) -> Published:
+    """Run what is not complete (all of it, if `fresh`), a folder per job in `folder`/`name`.
+
+    Raises:
+        LogError: if there is a log that the experiment needs and `real_data` does not hold.
+        UsageError: if there is no such experiment.
+    """
+    spec = read(name)
+    jobs = [(labels, _substituted(overrides, real_data)) for labels, overrides in expand(spec)]
+    missing = sorted({path for _, overrides in jobs for path in _logs(overrides) if not path.is_file()})
+    if missing:
+        raise LogError(
+            f"experiment {name} needs {listed(map(str, missing))}", advice="INVDYN_REAL_DATA=FOLDER of those"
+        )
+    folders = [folder / name / _slug(labels) for labels, _ in jobs]
+    done: list[Job] = []
+    with screen.stages() as stage:
+        report = stage(f"runs of {name}")
+        for i, ((labels, overrides), own) in enumerate(zip(jobs, folders, strict=True)):
+            report(i / len(jobs), " ".join(labels.values()))
+            done.append((labels, _metrics_of(overrides, own, fresh=fresh)))
+    verdicts = comparison.judge(spec["statements"], done) if spec.get("statements") else None
+    return Published(name, spec, tuple(done), tuple(folders), _grid(spec, done, real_data), verdicts)
+
+
+def read(name: str) -> dict[str, Any]:
+    """The experiment of that name: experiments/NAME.yaml beside the user, in the package, or in the checkout.
+
+    Raises:
+        UsageError: if there is none, naming those that there are.
+    """
+    places = [Path.cwd() / "experiments", config_folder().with_name("experiments")]
+    for place in places:
+        if (place / f"{name}.yaml").is_file():
+            return OmegaConf.to_container(OmegaConf.load(place / f"{name}.yaml"), resolve=False)  # type: ignore[return-value]
+    names = sorted({path.stem for place in places for path in place.glob("*.yaml")})
+    raise UsageError(f"experiment={name}; allowed: {listed(names)}{closest(name, names)}")
+
+
+def expand(spec: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], list[str]]]:
+    """(labels, overrides) of every job: the product of each job's sweep, values that `choices` knows spelled out."""
+    choices = spec.get("choices", {})
+    for job in spec["jobs"]:
+        keys, values = list(job.get("sweep", {})), list(job.get("sweep", {}).values())
+        for combination in itertools.product(*values):
+            chosen = dict(zip(keys, map(str, combination), strict=True))
+            spelled = [choices.get(key, {}).get(value, [f"{key}={value}"]) for key, value in chosen.items()]
+            yield (
+                {"name": job["name"], **chosen},
+                [*spec.get("common", ()), *job["overrides"], *itertools.chain(*spelled)],
+            )
+
+
+def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[str, Any]:
+    """metrics.json of the job, run now unless its folder holds it complete."""
+    composed = hydra.compose("run", list(overrides), return_hydra_config=True)
+    view = composed.hydra
+    with open_dict(composed):
+        del composed["hydra"]
+    if fresh or not sweep.is_complete(composed, folder):
+        run.execute(composed, folder, view=view)
+    return json.loads((folder / store.METRICS).read_text())
+
+
+def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:
+    if spec["columns"] == "sets":
+        return comparison.by_sets(done)
+    floors = {
+        name: _noise_floor(real_data / path, *repeated) for name, (path, *repeated) in spec.get("floors", {}).items()
+    }
+    return comparison.by_joints(done, floors)
+
+
+def _noise_floor(path: Path, first: str, again: str) -> list[float]:
+    """RMS of half the difference [N m] of a trajectory and its repetition, read as everything else is."""
+    splits = RealLog(str(path), train=(first,), test=(again,), validation_share=0).load(None)
+    one, other = splits.train, splits.tests["test"]
+    return metrics.noise_floor(one.motion.q, one.tau, other.motion.q, other.tau).tolist()
+
+
+def _substituted(overrides: Sequence[str], real_data: Path) -> list[str]:
+    return [override.replace("${real_data}", str(real_data)) for override in overrides]
+
+
+def _logs(overrides: Sequence[str]) -> Iterator[Path]:
+    return (Path(x.removeprefix("data.path=")) for x in overrides if x.startswith("data.path="))
+
+
+def _slug(labels: Mapping[str, str]) -> str:
+    return "-".join("".join(c if c.isalnum() else "_" for c in value) for value in labels.values()).lower()
