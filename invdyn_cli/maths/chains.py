@@ -12,6 +12,8 @@ again, as long as that helps (iterated local search). When two searches from cha
 the arm.
 """
 
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import jax
@@ -32,9 +34,12 @@ STAGES = (512, 3e-2), (4096, 1e-4), (None, 1e-3)
 """Samples, evenly over all (None: all), and what share of what is left a step must be worth for another to follow: for
 every descent, and then twice more for the best of them."""
 
-PATIENCE, BETTER = 12, 0.99
+PATIENCE, BETTER = 24, 0.99
 """Descents in turn that lead nowhere, after which a search ends; the share of what was left below which one leads
 somewhere."""
+
+SIDE_BY_SIDE = 2
+"""Searches at a time, each in a thread."""
 
 ALIKE = 1.02
 """Within this factor of each other, two searches came to the same chain."""
@@ -49,12 +54,14 @@ TOLD, NOTHING = 1e-10, 1e-9
 """Of the largest eigenvalue of all columns at length 1, above which the data tell a direction; of the longest column,
 below which another is rounding."""
 
-BLOCK = 256
-"""Samples that are worked on at a time."""
+BLOCK = 128
+"""Samples that are worked on at a time: few enough for the cache, and one shape, so that little is compiled."""
 
+CANCELLED = 1e-8
+"""Share of the squares below which sums over products of columns say nothing of what is left: it is summed itself."""
 
-Blocks = tuple[Motion, Array, Array]
-"""Motion (blocks, n, BLOCK), torque alike, and which rows count (blocks, BLOCK)."""
+Block = tuple[Motion, Array, Array]
+"""Motion (n, BLOCK), torque alike, and which samples count (BLOCK,)."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +81,7 @@ class Learned:
     @property
     def sure(self) -> bool:
         """Whether nothing is left, or another search came to the same chain."""
-        return self.left < EXACT or np.sum(self.searches < ALIKE * self.searches.min()) > 1
+        return _settled(self.searches.tolist())
 
 
 def robot(turns: Array, shifts: Array) -> Robot:
@@ -105,11 +112,11 @@ def learn(
     tau: np.ndarray,
     weights: np.ndarray,
     extras: tuple[str, ...],
-    descents: int,
+    searches: int,
     seed: int,
     progress: Progress = silent,
 ) -> Learned:
-    """The chain that leaves least of W tau, after so many descents at most.
+    """The chain that leaves least of W tau, after so many searches at most; two go side by side.
 
     Args:
         motion: (T, n).
@@ -119,24 +126,18 @@ def learn(
     """
     n = tau.shape[1]
     (some, rough), *closer = ((_evenly(motion, tau, samples), least) for samples, least in STAGES)
-    draw = np.random.default_rng(seed)
+    draws = np.random.default_rng(seed).spawn(searches)
     reached: list[_State] = []
-    done = 0
-    while done < descents and not _settled(reached):
-        own, idle = None, 0
-        while done < descents and idle < PATIENCE and (own is None or own.left > EXACT):
-            geometry = draw.normal(size=(2, n, 3)) if own is None else _redrawn(own.geometry, draw)
-            one = _descended(_State(geometry, some, weights, extras), rough)
-            done += 1
-            if own is None or one.left < BETTER * own.left:
-                own, idle = one, 0
-            else:
-                idle += 1
-            progress(
-                0.6 * done / descents, f"descent {done} of {descents}, search {len(reached) + 1} leaves {own.left:.2g}"
-            )
-        assert own is not None
-        reached.append(own)
+
+    def search(k: int) -> _State:
+        def tell(left: float) -> None:
+            progress(0.6 * len(reached) / searches, f"search {k + 1} of {searches} leaves {left:.2g}")
+
+        return _searched(draws[k], n, some, rough, weights, extras, tell)
+
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        while len(reached) < searches and not _settled([x.left for x in reached]):
+            reached += pool.map(search, range(len(reached), min(searches, len(reached) + SIDE_BY_SIDE)))
     best = min(reached, key=lambda x: x.left)
     for number, (more, least) in enumerate(closer):
         best = _descended(_State(best.geometry, more, weights, extras), least)
@@ -153,37 +154,27 @@ def learn(
     )
 
 
-def _settled(reached: list["_State"]) -> bool:
-    left = sorted(x.left for x in reached)
-    return len(left) > 0 and (left[0] < EXACT or (len(left) > 1 and left[1] < ALIKE * left[0]))
-
-
-def _redrawn(geometry: np.ndarray, draw: np.random.Generator) -> np.ndarray:
-    """The geometry with one or two joints drawn anew."""
-    n = geometry.shape[1]
-    chosen = draw.choice(n, min(n, draw.integers(1, 3)), replace=False)
-    out = geometry.copy()
-    out[:, chosen] = draw.normal(size=(2, len(chosen), 3))
-    return out
-
-
 class _State:
     """A geometry (2, n, 3), rotation vectors and shifts in units of SPAN, with the linear parameters that are best
     beside it, from sums over all rows."""
 
-    def __init__(self, geometry: np.ndarray, data: Blocks, weights: np.ndarray, extras: tuple[str, ...]) -> None:
+    def __init__(
+        self, geometry: np.ndarray, data: Sequence[Block], weights: np.ndarray, extras: tuple[str, ...]
+    ) -> None:
         self.geometry, self.data, self.weights, self.extras = geometry, data, weights, extras
-        gram = np.asarray(_gram(geometry, data, weights, extras))
+        gram = self._summed(_gram, geometry)
         normal, moment, total = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
         unit = np.outer(*[_lengths(normal)] * 2)
         self.inverse = np.linalg.inv(normal / unit + PRIOR * np.eye(len(moment))) / unit
-        rough = self.inverse @ moment
-        self.theta = rough + self.inverse @ np.asarray(_left(geometry, rough, data, weights, extras))[:-1]
-        self.left = float(np.asarray(_left(geometry, self.theta, data, weights, extras))[-1] / total)
+        self.theta = self.inverse @ moment
+        self.left = float(1 - self.theta @ (2 * moment - normal @ self.theta) / total)
+        if self.left < CANCELLED:
+            self.theta = self.theta + self.inverse @ self._summed(_left, geometry, self.theta)[:-1]
+            self.left = float(self._summed(_left, geometry, self.theta)[-1] / total)
 
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix (6 n, 6 n) and moment (6 n,) of the geometry, the linear parameters following."""
-        gram = np.asarray(_gram_with_slopes(self.geometry, self.theta, self.data, self.weights, self.extras))
+        gram = self._summed(_gram_with_slopes, self.geometry, self.theta)
         k = len(self.theta)
         across, own, moment = gram[:k, k:-1], gram[k:-1, k:-1], gram[k:-1, -1]
         return own - across.T @ self.inverse @ across, moment - across.T @ (self.inverse @ gram[:k, -1])
@@ -193,9 +184,47 @@ class _State:
 
     def rank(self) -> int:
         """Directions of all numbers together that the data tell."""
-        gram = np.asarray(_gram_with_slopes(self.geometry, self.theta, self.data, self.weights, self.extras))[:-1, :-1]
+        gram = self._summed(_gram_with_slopes, self.geometry, self.theta)[:-1, :-1]
         values = np.linalg.eigvalsh(gram / np.outer(*[_lengths(gram)] * 2))
         return int(np.sum(values > TOLD * values[-1]))
+
+    def _summed(self, sums: Callable[..., Array], *where: np.ndarray) -> np.ndarray:
+        """Over all blocks."""
+        return np.sum([np.asarray(sums(*where, block, self.weights, self.extras)) for block in self.data], axis=0)
+
+
+def _settled(left: Sequence[float]) -> bool:
+    """Whether nothing is left, or two searches came to the same chain."""
+    least, *others = sorted(left) or [np.inf]
+    return least < EXACT or any(x < ALIKE * least for x in others)
+
+
+def _searched(
+    draw: np.random.Generator,
+    n: int,
+    data: list[Block],
+    least: float,
+    weights: np.ndarray,
+    extras: tuple[str, ...],
+    tell: Callable[[float], None],
+) -> _State:
+    """Where a search from a chain of its own ends."""
+    found = _descended(_State(draw.normal(size=(2, n, 3)), data, weights, extras), least)
+    idle = 0
+    while idle < PATIENCE and found.left > EXACT:
+        one = _descended(_State(_redrawn(found.geometry, draw), data, weights, extras), least)
+        found, idle = (one, 0) if one.left < BETTER * found.left else (found, idle + 1)
+        tell(found.left)
+    return found
+
+
+def _redrawn(geometry: np.ndarray, draw: np.random.Generator) -> np.ndarray:
+    """The geometry with one or two joints drawn anew."""
+    n = geometry.shape[1]
+    chosen = draw.choice(n, min(n, draw.integers(1, 3)), replace=False)
+    out = geometry.copy()
+    out[:, chosen] = draw.normal(size=(2, len(chosen), 3))
+    return out
 
 
 def _lengths(gram: np.ndarray) -> np.ndarray:
@@ -229,17 +258,18 @@ def _descended(state: _State, least: float) -> _State:
     return state
 
 
-def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> Blocks:
+def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> list[Block]:
     """So many samples, evenly over all; all, if there are fewer."""
     rows = np.linspace(0, len(tau) - 1, min(samples or len(tau), len(tau))).astype(int)
-    missing = -len(rows) % BLOCK
-
-    def parted(x: np.ndarray) -> np.ndarray:
-        filled = np.pad(np.asarray(x)[rows], ((0, missing), (0, 0)), mode="edge")
-        return np.moveaxis(filled.reshape(-1, BLOCK, x.shape[1]), 1, -1)
-
-    counted = np.arange(len(rows) + missing) < len(rows)
-    return jax.tree.map(parted, motion), parted(tau), counted.reshape(-1, BLOCK)
+    blocks = []
+    for start in range(0, len(rows), BLOCK):
+        own = rows[start : start + BLOCK]
+        filled = np.pad(own, (0, BLOCK - len(own)), mode="edge")
+        counts = np.arange(BLOCK) < len(own)
+        blocks.append(
+            jax.tree.map(jnp.asarray, (jax.tree.map(lambda x, f=filled: x[f].T, motion), tau[filled].T, counts))
+        )
+    return blocks
 
 
 def _rows(geometry: Array, motion: Motion, weights: Array, extras: tuple[str, ...], counts: Array) -> Array:
@@ -249,59 +279,43 @@ def _rows(geometry: Array, motion: Motion, weights: Array, extras: tuple[str, ..
     )
 
 
-def _summed(data: Blocks, columns) -> Array:
-    """Gram matrix of all columns of all rows, block by block."""
-
-    def add(total, block):
-        x = columns(*block)
-        x = x.reshape(len(x), -1)
-        return total + x @ x.T, None
-
-    first = jax.eval_shape(columns, *jax.tree.map(lambda a: a[0], data))
-    return jax.lax.scan(add, jnp.zeros((first.shape[0],) * 2), data)[0]
+def _products(columns: Array) -> Array:
+    flat = columns.reshape(len(columns), -1)
+    return flat @ flat.T
 
 
 @jax.jit(static_argnums=3)
-def _gram(geometry: Array, data: Blocks, weights: Array, extras: tuple[str, ...]) -> Array:
+def _gram(geometry: Array, block: Block, weights: Array, extras: tuple[str, ...]) -> Array:
     """Gram matrix of [linear columns | torque]."""
-
-    def columns(motion, tau, counts):
-        rows = _rows(geometry, motion, weights, extras, counts)
-        return jnp.concatenate([rows, (weights[:, None] * tau * counts)[None]])
-
-    return _summed(data, columns)
+    motion, tau, counts = block
+    rows = _rows(geometry, motion, weights, extras, counts)
+    return _products(jnp.concatenate([rows, (weights[:, None] * tau * counts)[None]]))
 
 
 @jax.jit(static_argnums=4)
-def _left(geometry: Array, theta: Array, data: Blocks, weights: Array, extras: tuple[str, ...]) -> Array:
+def _left(geometry: Array, theta: Array, block: Block, weights: Array, extras: tuple[str, ...]) -> Array:
     """What is left of the torque, times every linear column and times itself."""
-
-    def add(total, block):
-        motion, tau, counts = block
-        rows = _rows(geometry, motion, weights, extras, counts)
-        left = (weights[:, None] * tau - jnp.tensordot(theta, rows, 1)) * counts
-        return total + jnp.append(jnp.einsum("pnb,nb->p", rows, left), jnp.sum(left**2)), None
-
-    return jax.lax.scan(add, jnp.zeros(len(theta) + 1), data)[0]
+    motion, tau, counts = block
+    rows = _rows(geometry, motion, weights, extras, counts)
+    left = (weights[:, None] * tau - jnp.tensordot(theta, rows, 1)) * counts
+    return jnp.append(jnp.einsum("pnb,nb->p", rows, left), jnp.sum(left**2))
 
 
 @jax.jit(static_argnums=4)
-def _gram_with_slopes(geometry: Array, theta: Array, data: Blocks, weights: Array, extras: tuple[str, ...]) -> Array:
+def _gram_with_slopes(geometry: Array, theta: Array, block: Block, weights: Array, extras: tuple[str, ...]) -> Array:
     """Gram matrix of [linear columns | slopes of the torque over the geometry | what is left]."""
+    motion, tau, counts = block
     n = len(weights)
     inertial = theta[: 10 * n].reshape(n, 10)
 
-    def columns(motion, tau, counts):
-        def torque(g):
-            arm = robot(g[0], SPAN * g[1])
-            return rigid_body.inverse_dynamics(arm, inertial, motion.q, motion.qd, motion.qdd) * weights[:, None]
+    def torque(g):
+        arm = robot(g[0], SPAN * g[1])
+        return rigid_body.inverse_dynamics(arm, inertial, motion.q, motion.qd, motion.qdd) * weights[:, None]
 
-        rows = _rows(geometry, motion, weights, extras, counts)
-        slopes = jnp.moveaxis(jax.jacfwd(torque)(geometry).reshape(n, -1, 6 * n), -1, 0)
-        left = weights[:, None] * tau - jnp.tensordot(theta, rows, 1)
-        return jnp.concatenate([rows, slopes, left[None]]) * counts
-
-    return _summed(data, columns)
+    rows = _rows(geometry, motion, weights, extras, counts)
+    slopes = jnp.moveaxis(jax.jacfwd(torque)(geometry).reshape(n, -1, 6 * n), -1, 0)
+    left = weights[:, None] * tau - jnp.tensordot(theta, rows, 1)
+    return _products(jnp.concatenate([rows, slopes, left[None]]) * counts)
 
 
 def _rotation(turn: Array) -> Array:

@@ -21,8 +21,8 @@ STRENGTHS = {"lstsq": np.zeros(1), "tsvd": 10.0 ** np.arange(-15, 0), "ridge": 1
 
 
 ROUNDING = float(np.finfo(float).eps)
-"""Of the largest singular value: nothing is told below. A cut that grows with the columns costs decades without noise: what
-one task excites at that level another excites more."""
+"""Of the largest singular value: nothing is told below. A cut that grows with the columns costs decades without noise:
+what one task excites at that level another excites more."""
 
 
 @dataclass(frozen=True)

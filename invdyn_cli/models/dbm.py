@@ -44,7 +44,7 @@ class Dbm(AbstractModel):
             joint.
         offset: adds a constant torque per joint.
         rotor_inertia: adds a column qdd per joint to a chain; dense tensors have it, a constant of H_ii.
-        descents: of a chain's search, at most.
+        searches: for a chain, at most; they end when two came to the same one.
         memory: what solving dense tensors may take [GB].
     """
 
@@ -58,7 +58,7 @@ class Dbm(AbstractModel):
     friction: Literal["none", "coulomb_viscous"] = "none"
     offset: bool = False
     rotor_inertia: bool = False
-    descents: int = 120
+    searches: int = 4
     memory: float = 8.0
 
     def __post_init__(self) -> None:
@@ -73,8 +73,8 @@ class Dbm(AbstractModel):
                 raise UsageError(f"model.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
         if self.strength is not None and not 0 < self.strength < 1:
             raise UsageError(f"model.strength={self.strength}; allowed: null, or a number between 0 and 1")
-        if not (isinstance(self.descents, int) and self.descents >= 1):
-            raise UsageError(f"model.descents={self.descents}; allowed: a whole number >= 1")
+        if not (isinstance(self.searches, int) and self.searches >= 1):
+            raise UsageError(f"model.searches={self.searches}; allowed: a whole number >= 1")
         if not self.memory > 0:
             raise UsageError(f"model.memory={self.memory}; allowed: a number > 0 [GB]")
 
@@ -168,7 +168,7 @@ class Dbm(AbstractModel):
     def _fit_chain(self, dataset: Dataset, key: jax.Array, progress: Progress) -> Fit:
         seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
         motion, tau, weights = dataset.motion, dataset.tau, self._weights(dataset)
-        found = chains.learn(motion, tau, weights, self._beside_chain, self.descents, seed, progress)
+        found = chains.learn(motion, tau, weights, self._beside_chain, self.searches, seed, progress)
         params = {"turns": found.turns, "shifts": found.shifts, "inertial": found.inertial, "extras": found.extras}
         return Fit(
             params=params,
@@ -178,7 +178,7 @@ class Dbm(AbstractModel):
             details={"searches": found.searches, "rank": found.rank},
             warnings=()
             if found.sure
-            else ("No two searches came to the same chain: another may come farther (model.descents).",),
+            else ("No two searches came to the same chain: another may come farther (model.searches).",),
         )
 
     @property

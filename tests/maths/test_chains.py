@@ -30,7 +30,7 @@ def test_a_chain_is_found_from_its_torques(seed, tmp_path):
     damping = np.array([0.5, 1.0, 0.05])
     learned, other = states(3, 150, 0), states(3, 100, 1)
     tau = torque(robot, robot.inertial, learned) + damping * learned.qd
-    found = chains.learn(learned, tau, 1 / tau.std(0), ("viscous",), descents=40, seed=seed)
+    found = chains.learn(learned, tau, 1 / tau.std(0), ("viscous",), searches=4, seed=seed)
     assert found.left < 1e-14
     expected = torque(robot, robot.inertial, other)
     said = torque(chains.robot(found.turns, found.shifts), found.inertial, other)
@@ -38,8 +38,8 @@ def test_a_chain_is_found_from_its_torques(seed, tmp_path):
     np.testing.assert_allclose(found.extras[0], damping, rtol=1e-4)
 
 
-def test_another_draw_makes_other_descents():
-    """The same seed makes the same descents; another one others."""
+def test_another_draw_makes_other_searches():
+    """The same seed makes the same searches; another one others."""
     robot = chains.robot(np.zeros((2, 3)) + 0.3, np.zeros((2, 3)) + 0.1)
     motion = states(2, 60, 0)
     tau = torque(robot, np.ones((2, 10)) * 0.1, motion) + np.random.default_rng(0).normal(size=(60, 2))

@@ -41,7 +41,7 @@ def test_contract(form):
     """Every form keeps the contract of a model, without a robot."""
     joints = ("a", "b")
     data = make_dataset(make_robot(joints), np.random.default_rng(0), samples=300)
-    check_model(Dbm(form=form, friction="coulomb_viscous", offset=True, descents=2), replace(data, robot=None))
+    check_model(Dbm(form=form, friction="coulomb_viscous", offset=True, searches=1), replace(data, robot=None))
 
 
 @pytest.mark.parametrize("split", ["interpolation", "extrapolation"])
@@ -123,7 +123,7 @@ def test_a_joint_that_slides_is_refused():
 @pytest.mark.parametrize(
     ("option", "value", "named"),
     [("form", "full", "chain"), ("solver", "qr", "ridge"), ("basis", "fourier", "bezier"), ("strength", 2.0, "0 and 1"),
-     ("descents", 0, ">= 1"), ("memory", 0.0, "> 0"), ("friction", "stribeck", "coulomb_viscous")],
+     ("searches", 0, ">= 1"), ("memory", 0.0, "> 0"), ("friction", "stribeck", "coulomb_viscous")],
 )  # fmt: skip
 def test_options_are_checked(option, value, named):
     """What is allowed is said."""
@@ -135,4 +135,4 @@ def test_a_chain_that_is_alone_is_doubted():
     """Where a single start was made, and it is not exact, the fit says that another may come farther."""
     data = moving(load_urdf("apollo_arm", dofs=2), 80)
     noisy = replace(data, trajectories=tuple(replace(x, tau=x.tau + np.sin(37 * x.tau)) for x in data.trajectories))
-    assert any("another may come farther" in w for w in Dbm(form="chain", descents=1).fit(noisy, KEY).warnings)
+    assert any("another may come farther" in w for w in Dbm(form="chain", searches=1).fit(noisy, KEY).warnings)
