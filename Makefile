@@ -39,6 +39,7 @@ tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/table
 	$(BIN)/invdyn tables experiment=batch_simulated
 	$(BIN)/invdyn tables experiment=filters
 	$(BIN)/invdyn tables experiment=dbm
+	$(BIN)/invdyn tables experiment=seven_joints
 
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
 	$(BIN)/invdyn figures

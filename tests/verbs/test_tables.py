@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from invdyn_cli.verbs import tables
+from invdyn_cli.verbs import published
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiments").glob("*.yaml"))
@@ -28,7 +28,7 @@ def test_a_sweep_is_spelled_out():
         "choices": {"model": {"good": ["model=pest", "model.offset=true"]}},
         "jobs": [{"name": "X", "overrides": ["b=2"], "sweep": {"model": ["good", "ffnn"], "seed": [0, 1]}}],
     }
-    jobs = list(tables.expand(spec))
+    jobs = list(published.expand(spec))
     assert len(jobs) == 4
     assert jobs[0] == (
         {"name": "X", "model": "good", "seed": "0"},
