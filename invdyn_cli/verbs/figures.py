@@ -14,6 +14,7 @@ from invdyn_cli.report.paper import Exhibit
 from invdyn_cli.verbs import published, tables
 from invdyn_cli.verbs.launch import launch
 from invdyn_cli.verbs.published import Published
+from invdyn_cli.verbs.run import refuse_formats
 
 
 def main(argv: Sequence[str]) -> int:
@@ -23,6 +24,7 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """Run what is not complete, draw, and write the page."""
+    refuse_formats("formats", config.formats)
     console, real_data, own = Console(), Path(config.real_data).resolve(), Path(config.tables)
     exhibits: list[Exhibit] = []
     nets: Grid | None = None
@@ -36,7 +38,7 @@ def task(config: DictConfig) -> None:
             exhibits.append(Exhibit(spec["title"], spec["source"], _command(name), absent=str(error)))
             continue
         tables.write(done, own)
-        drawn = _draw(done, Path(config.folder), ("png", *config.formats))
+        drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
         for path in drawn:
             console.print(str(path), highlight=False, soft_wrap=True)
         exhibits.append(_exhibit(done, drawn))
@@ -48,7 +50,7 @@ def task(config: DictConfig) -> None:
 
 
 def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Path]:
-    """The experiment's figure, once per format, PNG first; nothing where it has none."""
+    """The experiment's figure, once per format; nothing where it has none."""
     if "figure" not in done.spec:
         return []
     figure = bars.draw(done.spec["figure"], done.spec.get("statements", ()), done.jobs)
@@ -64,7 +66,7 @@ def _exhibit(done: Published, drawn: Sequence[Path]) -> Exhibit:
         done.spec["title"],
         done.spec["source"],
         _command(done.name),
-        figure=drawn[0] if drawn else None,
+        figure=next((path for path in drawn if path.suffix == ".png"), None),
         table=done.table,
         verdicts=done.verdicts,
     )

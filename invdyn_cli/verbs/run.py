@@ -123,9 +123,13 @@ def _refuse_options(config: DictConfig) -> None:
             raise UsageError(f"{group}={config[group]}; allowed: a choice of the group, see invdyn run --help")
     if not isinstance(config.seed, int) or config.seed < 0:
         raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up")
-    formats = config.figures.formats
+    refuse_formats("figures.formats", config.figures.formats)
+
+
+def refuse_formats(option: str, formats: Any) -> None:
+    """Formats of figures that there are not."""
     if not isinstance(formats, Sequence) or not set(formats) <= set(FORMATS):
-        raise UsageError(f"figures.formats={formats}; allowed: a list of {listed(FORMATS)}")
+        raise UsageError(f"{option}={formats}; allowed: a list of {listed(FORMATS)}")
 
 
 def _object(config: DictConfig, group: str, kind: type) -> Any:
