@@ -3,7 +3,7 @@
     python experiments/bench.py            (make bench)
     python experiments/bench.py --json bench.json
 
-Three comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
+Four comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
 
 train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches. One epoch of PyTorch,
         ten of invdyn, each per epoch. invdyn may use all cores. PyTorch runs on one thread, which is its best: on nets
@@ -13,6 +13,9 @@ pest    regressor and solve, 100,000 samples x 7 joints, against a loop of Pinoc
         equations and one solve; one core and one thread for both.
 rnea    torques of 100,000 samples x 7 joints, as a fitted PEST predicts them, against a loop of Pinocchio's rnea; one
         core and one thread for both.
+dbm     the shared DBM of four joints, 36,000 samples, 410 columns for all four torques, columns and solution with a
+        ridge that leaves each of eight tasks out in turn, against the same columns stacked and numpy's lstsq, once,
+        without any choice; one core and one thread for both.
 
 The loops are in Python, as Pinocchio and PyTorch are used from Python; in C++ they would be faster.
 """
@@ -195,7 +198,35 @@ def rnea() -> dict:
     return measure(what, lambda: Pest().predict(fit, motion), by_hand, 7)
 
 
-PARTS = {"train": train, "pest": pest, "rnea": rnea}
+def dbm() -> dict:
+    """The shared DBM, regularised, against plain least squares on stacked columns."""
+    import jax
+    import numpy as np
+
+    from invdyn_cli.maths.dynamic_map import Arc, DynamicMap
+    from invdyn_cli.models.dbm import Dbm
+    from invdyn_cli.types import Dataset, Motion, Trajectory
+
+    rng = np.random.default_rng(0)
+    parts = tuple(
+        Trajectory(
+            f"task{k}", np.arange(4500) / 500, Motion(*rng.normal(size=(3, 4500, 4))), rng.normal(size=(4500, 4))
+        )
+        for k in range(8)
+    )
+    dataset = Dataset(parts, ("a", "b", "c", "d"))
+    functions, arc = DynamicMap("shared", "trig", 4), Arc(np.zeros(4), np.ones(4))
+    columns = jax.jit(jax.vmap(lambda one: functions.columns(arc, one)[0]))
+
+    def by_hand():
+        stacked = np.concatenate([np.asarray(columns(x.motion)) for x in parts])
+        return np.linalg.lstsq(stacked.reshape(-1, stacked.shape[-1]), dataset.tau.ravel(), rcond=None)[0]
+
+    what = "DBM, shared, 36,000 x 4, with a ridge chosen by leaving tasks out; against numpy's plain lstsq; one thread"
+    return measure(what, lambda: Dbm(form="shared").fit(dataset, jax.random.key(0)), by_hand, 3)
+
+
+PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm}
 
 if __name__ == "__main__":
     if PART in os.environ:

@@ -139,6 +139,7 @@ class Dbm(AbstractModel):
         if self.form_of(n) == "chain":
             return self._fit_chain(dataset, key, progress)
         self._refuse_size(n)
+        progress(0.0, f"{sum(self.columns(n)):,} columns, {_gigabytes(self.columns(n)):.2g} GB")
         arc, weights, parts, targets = _arc(dataset), self._weights(dataset), _groups(dataset), self._map(n).targets
         systems: list[list[tuple[np.ndarray, int]]] = [[] for _ in self.columns(n)]
         for number, part in enumerate(parts):
