@@ -6,9 +6,11 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
+PUBLISHED = batch_simulated dbm seven_joints filters
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite bench wheel clean
+.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite bench wheel clean $(PUBLISHED:%=table-%)
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
 OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
@@ -35,11 +37,11 @@ format: $(INSTALLED)  ## put imports and lines in order
 	$(BIN)/ruff check --quiet --fix
 	$(BIN)/ruff format
 
-tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables
-	$(BIN)/invdyn tables experiment=batch_simulated
-	$(BIN)/invdyn tables experiment=filters
-	$(BIN)/invdyn tables experiment=dbm
-	$(BIN)/invdyn tables experiment=seven_joints
+tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables; two experiments at a time
+	$(MAKE) --jobs=2 --output-sync=target $(PUBLISHED:%=table-%)
+
+$(PUBLISHED:%=table-%): table-%: $(INSTALLED)
+	$(BIN)/invdyn tables experiment=$*
 
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
 	$(BIN)/invdyn figures

@@ -43,6 +43,7 @@ def run(
             advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
         )
     started = time.perf_counter()
+    model = adaptation.extended(model)
     splits = source.load(robot, stage("data"))
     if "test" not in splits.tests:
         got = f"the source {type(source).__name__} gives {listed(splits.tests)} to be judged on"
@@ -96,12 +97,23 @@ def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
 
 def follow(adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
     """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other."""
+    size = adaptation.block
+    whole = data.samples // size * size
+    samples = data.motion, data.tau
 
-    def step(state, sample):
-        motion, tau = sample
+    def block(state, part):
+        motion, tau = part
+        said = jax.vmap(lambda one: adaptation.predict(model, state, one))(motion)
+        return adaptation.learn(model, state, motion, tau), said
+
+    def sample(state, one):
+        motion, tau = one
         return adaptation.update(model, state, motion, tau), adaptation.predict(model, state, motion)
 
-    return np.asarray(jax.jit(partial(jax.lax.scan, step))(adaptation.init(model, fit), (data.motion, data.tau))[1])
+    blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, size, x.shape[1]), samples)
+    state, first = jax.jit(partial(jax.lax.scan, block))(adaptation.init(model, fit), blocks)
+    _, rest = jax.jit(partial(jax.lax.scan, sample))(state, jax.tree.map(lambda x: x[whole:], samples))
+    return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(rest)])
 
 
 def score(data: Dataset, prediction: np.ndarray) -> Score:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import numpy as np
 
+from invdyn_cli.errors import UsageError
 from invdyn_cli.types import Array, Check, Dataset, Fit, Header, Motion, PyTree, Robot, Splits
 
 Progress = Callable[[float, str], None]
@@ -51,6 +52,18 @@ class AbstractModel(abc.ABC):
         """Samples that `predict` takes at a time: fewer where one takes much memory."""
         return CHUNK
 
+    def weights(self, params: PyTree) -> PyTree:
+        """The part of the parameters that steps down a gradient may move while the robot works.
+
+        Raises:
+            UsageError: where there is none.
+        """
+        raise UsageError(f"{type(self).__name__} has no weights that go on learning", advice="model=ffnn")
+
+    def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
+        """The parameters with other weights."""
+        raise NotImplementedError
+
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The single models that a fit of several seeds holds; most fits hold one: themselves."""
         return (fit,)
@@ -65,6 +78,15 @@ class AbstractAdapter(abc.ABC):
 
     adapts: bool = True
     """Whether `update` changes anything; then the test set is also judged as it is adapted to ("test_adapted")."""
+
+    @property
+    def block(self) -> int:
+        """Samples that are learned from at once: in between, predictions come from one and the same state."""
+        return 1
+
+    def extended(self, model: AbstractModel) -> AbstractModel:
+        """The model that is learned in place of `model`: with what this way of adapting adds to it."""
+        return model
 
     @abc.abstractmethod
     def fit(
@@ -89,6 +111,15 @@ class AbstractAdapter(abc.ABC):
     @abc.abstractmethod
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The state after ONE more measured sample."""
+
+    def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
+        """The state after a whole block of measured samples (block, n), from a state between blocks: what as many
+        calls of `update` give, and faster where it can be."""
+
+        def step(state: PyTree, sample: tuple[Motion, Array]) -> tuple[PyTree, None]:
+            return self.update(model, state, *sample), None
+
+        return jax.lax.scan(step, state, (motion, tau))[0]
 
 
 class AbstractSource(abc.ABC):

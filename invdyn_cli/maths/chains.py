@@ -319,7 +319,12 @@ def _gram_with_slopes(geometry: Array, theta: Array, block: Block, weights: Arra
 
 
 def _rotation(turn: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,), smooth through zero."""
+    """Rotation matrix (3, 3) of a rotation vector (3,): Rodrigues' formula, its series near zero."""
     x, y, z = turn
+    square = turn @ turn
+    small = square < 1e-8
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    sine = jnp.where(small, 1 - square / 6, jnp.sin(angle) / angle)
+    cosine = jnp.where(small, 0.5 - square / 24, (1 - jnp.cos(angle)) / angle**2)
     cross = jnp.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
-    return jax.scipy.linalg.expm(cross)
+    return jnp.eye(3) + sine * cross + cosine * (cross @ cross)

@@ -124,6 +124,14 @@ class Ffnn(AbstractModel):
             else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
         )
 
+    def weights(self, params: PyTree) -> PyTree:
+        """The nets."""
+        return params["nets"]
+
+    def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
+        """Other nets in the same standardisation."""
+        return {**params, "nets": weights}
+
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The nets of each seed as a fit of their own."""
 

@@ -22,6 +22,8 @@ SET_COLOURS = {"train": BLUE, "validation": SKY, "test": VERMILLION, "test_clean
 OTHER_SETS = (GREEN, PURPLE, GREY)
 
 WIDTH = 11.0
+LEGEND_LETTERS = 150
+"""Of a legend, in a line as wide as the figure, room for handles counted."""
 LINE_POINTS = 2000
 CLOUD_POINTS = 4000
 BAND = 0.25
@@ -61,12 +63,15 @@ def titled_figure(record: RunRecord, title: str, height: float) -> Figure:
 
 
 def add_legend(figure: Figure, *panels: Axes) -> None:
-    """One legend for the whole figure in a line below the panels, each label once, samples large enough to see."""
+    """One legend for the whole figure below the panels, in as many lines as it takes; each label once, samples large
+    enough to see."""
     found = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)
-    legend = figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=len(found))
+    lines = math.ceil(sum(len(label) + 8 for label in found) / LEGEND_LETTERS)
+    columns = math.ceil(len(found) / max(1, lines))
+    legend = figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=columns)
     for line in legend.get_lines():
         line.set(alpha=1, linewidth=1.8, markersize=max(5, line.get_markersize()))
 

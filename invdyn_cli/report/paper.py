@@ -86,7 +86,7 @@ def summary(verdicts: Iterable[Grid]) -> str:
     judged = (
         "Each is judged on every seed and under every reading of what the paper leaves open, by decades, not digits."
     )
-    return f"Of {len(kinds)} statements, {', '.join(parts)}. {judged}"
+    return f"Of {len(kinds)} statements, the paper's and those marked as ours, {', '.join(parts)}. {judged}"
 
 
 SAID = {"holds": "hold", "partly": "hold in part", "differs": "do not hold", "not": "were not run"}

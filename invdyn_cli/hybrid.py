@@ -1,4 +1,6 @@
-"""model=hybrid: a model and a learner for what it leaves over, fitted one after the other on the same data.
+"""model=hybrid, and what adaptation=error_model makes of a model: a model and a learner for what it leaves over.
+
+They are fitted one after the other on the same data:
 
 tau = base(q, qd, qdd) + learner(q, qd, qdd), the learner's target being tau - base (paper, equations 9 and 10, in
 batch).
@@ -56,6 +58,14 @@ class Hybrid(AbstractModel):
         """Torques (T, n), each part predicted its own way."""
         base, learner = (replace(fit, params=fit.params[part]) for part in ("base", "learner"))
         return self.base.predict(base, motion) + self.learner.predict(learner, motion)
+
+    def weights(self, params: PyTree) -> PyTree:
+        """The learner's."""
+        return self.learner.weights(params["learner"])
+
+    def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
+        """The learner with other weights on the same base."""
+        return {**params, "learner": self.learner.with_weights(params["learner"], weights)}
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The members of the learner, each with the same base."""

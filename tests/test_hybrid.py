@@ -8,8 +8,8 @@ import pytest
 
 from invdyn_cli import experiment
 from invdyn_cli.data.sim import SineTasks
+from invdyn_cli.hybrid import Hybrid
 from invdyn_cli.models.ffnn import Ffnn
-from invdyn_cli.models.hybrid import Hybrid
 from invdyn_cli.models.pest import Pest
 
 

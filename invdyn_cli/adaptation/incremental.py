@@ -1,0 +1,112 @@
+"""adaptation=incremental: nets go on learning while the robot works, from the last so many samples (paper, IV-A)."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
+
+SCALE = "torque_scale"
+"""Name of the torques' standard deviation (n,) among a fit's details."""
+
+
+@dataclass(frozen=True)
+class Incremental(AbstractAdapter):
+    """The delta rule (Widrow and Hoff 1960): steps down the gradient of the squared error, on new samples alone.
+
+    Attributes:
+        rate: new samples after which the nets learn from them, and forget them (the paper's lambda).
+        batch_size, epochs: of that learning; a last batch that is not full waits for the next epoch's shuffle.
+        learning_rate: of a step, errors in units of the learned torques' standard deviation.
+        seed: of the shuffles.
+    """
+
+    rate: int = 100
+    batch_size: int = 32
+    epochs: int = 5
+    learning_rate: float = 0.01
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "batch_size", "epochs"):
+            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
+                raise UsageError(f"adaptation.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        if not self.learning_rate > 0:
+            raise UsageError(f"adaptation.learning_rate={self.learning_rate}; allowed: a number > 0")
+
+    @property
+    def block(self) -> int:
+        """The rate."""
+        return self.rate
+
+    def fit(
+        self,
+        model: AbstractModel,
+        dataset: Dataset,
+        key: jax.Array,
+        *,
+        validation: Dataset | None = None,
+        progress: Progress = silent,
+    ) -> Fit:
+        """The model's own fit; UsageError for a model without weights."""
+        model.weights(model.init(dataset, key))
+        fit = model.fit(dataset, key, validation=validation, progress=progress)
+        spread = dataset.tau.std(0)
+        return replace(fit, details={**fit.details, SCALE: np.where(spread > 0, spread, 1.0)})
+
+    def init(self, model: AbstractModel, fit: Fit) -> PyTree:
+        """Parameters, robot, torque scale, the samples (rate, n) that wait to be learned from, how many these are, and
+        how often was learned."""
+        empty = jnp.zeros((self.rate, len(fit.joints)))
+        counts = {"waiting": jnp.array(0), "learned": jnp.array(0)}
+        return {
+            "params": jax.tree.map(jnp.asarray, fit.params),
+            "robot": fit.robot,
+            "scale": jnp.asarray(fit.details[SCALE]),
+            "motion": Motion(empty, empty, empty),
+            "tau": empty,
+            **counts,
+        }
+
+    def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
+        """Torque (n,) of one sample, as of the last time that was learned."""
+        return model.apply(state["params"], motion, state["robot"])
+
+    def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
+        """Let the sample wait; when there are `rate` of them, learn."""
+        at = state["waiting"]
+        kept = jax.tree.map(lambda rows, row: rows.at[at].set(row), state["motion"], motion)
+        state = {**state, "motion": kept, "tau": state["tau"].at[at].set(tau), "waiting": at + 1}
+        full = state["waiting"] == self.rate
+        return jax.lax.cond(full, lambda s: self.learn(model, s, s["motion"], s["tau"]), lambda s: s, state)
+
+    def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
+        """The state after `epochs` over these samples in shuffled batches."""
+        size = min(self.batch_size, self.rate)
+        steps = self.rate // size
+        key = jax.random.fold_in(jax.random.key(self.seed), state["learned"])
+        orders = jax.vmap(lambda k: jax.random.permutation(k, self.rate))(jax.random.split(key, self.epochs))
+        batches = orders[:, : steps * size].reshape(self.epochs * steps, size)
+
+        def error(weights: PyTree, rows: Array) -> Array:
+            params = model.with_weights(state["params"], weights)
+            said = jax.vmap(lambda one: model.apply(params, one, state["robot"]))(
+                jax.tree.map(lambda x: x[rows], motion)
+            )
+            return jnp.sum(jnp.mean(((tau[rows] - said) / state["scale"]) ** 2, axis=0))
+
+        def step(weights: PyTree, rows: Array) -> tuple[PyTree, None]:
+            slopes = jax.grad(error)(weights, rows)
+            return jax.tree.map(lambda w, s: w - self.learning_rate * s, weights, slopes), None
+
+        weights = jax.lax.scan(step, model.weights(state["params"]), batches)[0]
+        return {
+            **state,
+            "params": model.with_weights(state["params"], weights),
+            "waiting": jnp.array(0),
+            "learned": state["learned"] + 1,
+        }
