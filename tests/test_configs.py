@@ -16,6 +16,7 @@ VERBS = sorted(p.stem for p in CONF.glob("*.yaml"))
 CHOICES = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml"))
 MEANT = {
     ("data", "sim_noisy"): {"noisy": True},
+    ("model", "ffnn_deep"): {"hidden": (100, 100, 10), "joints": {}, "epochs": 200},
     ("robot", "apollo_arm"): {"path": "apollo_arm"},
     ("robot", "from_log"): {"path": None},
 }
@@ -63,9 +64,11 @@ def test_defaults_agree(group, choice, compose):
     expected = {k: meant.get(k, v) for k, v in defaults(node).items() if k in meant or v is not MISSING}
     target = hydra.utils.get_object(node._target_)
     if is_dataclass(target):
-        missing = {k: "x" for k, v in defaults(node).items() if v is MISSING}
-        for name, value in missing.items():
-            node[name] = value
+        unsaid = [k for k, v in defaults(node).items() if v is MISSING]
+        for name in unsaid:
+            if OmegaConf.is_missing(node, name) or not isinstance(node[name], DictConfig):
+                node[name] = "x"
+        missing = {k: instantiate(node[k]) if isinstance(node[k], DictConfig) else "x" for k in unsaid}
         assert instantiate(node) == target(**missing, **meant)
     else:
         assert {k: node[k] for k in expected} == expected
