@@ -86,6 +86,7 @@ class Incremental(AbstractAdapter):
 
     def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The state after `epochs` over these samples in shuffled batches."""
+        motion, tau = jax.tree.map(jnp.asarray, (motion, tau))
         size = min(self.batch_size, self.rate)
         steps = self.rate // size
         key = jax.random.fold_in(jax.random.key(self.seed), state["learned"])
