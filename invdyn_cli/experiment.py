@@ -60,9 +60,12 @@ def run(
     for name, data in judged.items():
         predictions[name] = Prediction(data, predict(model, fit, data))
         judge(len(predictions) / len(judged), name)
+    updates = {}
     if adaptation.adapts:
         test = splits.tests["test"]
         predictions["test_adapted"] = Prediction(test, follow(adaptation, model, fit, test))
+        took = update_times(adaptation, model, fit, test)
+        updates = {f"update_{name}": float(np.percentile(took, x)) for name, x in (("p50", 50), ("p99", 99))}
     predicted = time.perf_counter()
     members = model.members(fit)
     member_scores = {
@@ -84,6 +87,7 @@ def run(
             "fit": fitted - fit_started,
             "predict": predicted - fitted,
             "total": time.perf_counter() - started,
+            **updates,
         },
         split=splits.description,
         digest=digest(splits),
@@ -114,6 +118,22 @@ def follow(adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Da
     state, first = jax.jit(partial(jax.lax.scan, block))(adaptation.init(model, fit), blocks)
     _, rest = jax.jit(partial(jax.lax.scan, sample))(state, jax.tree.map(lambda x: x[whole:], samples))
     return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(rest)])
+
+
+def update_times(
+    adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset, most: int = 200
+) -> np.ndarray:
+    """How long it takes [s] to learn from a block, called from Python, block by block of the data, `most` at most."""
+    size = adaptation.block
+    learn = jax.jit(partial(adaptation.learn, model))
+    state, motion, tau = adaptation.init(model, fit), data.motion, data.tau
+    took = []
+    for k in range(min(most + 1, data.samples // size)):
+        rows = slice(k * size, (k + 1) * size)
+        started = time.perf_counter()
+        state = jax.block_until_ready(learn(state, motion[rows], tau[rows]))
+        took.append(time.perf_counter() - started)
+    return np.array(took[1:] or [np.nan])  # the first one compiles
 
 
 def score(data: Dataset, prediction: np.ndarray) -> Score:

@@ -20,6 +20,7 @@ import numpy as np
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
+from invdyn_cli.maths.metrics import nmse_in_blocks
 from invdyn_cli.models import extended
 from invdyn_cli.types import (
     Dataset,
@@ -39,6 +40,9 @@ RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
 CHECK_SCHEMA = "invdyn-check/1"
 DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
+BLOCK = 100
+"""Samples over which errors of what adapts are averaged, at least (the paper's lambda)."""
+
 RUN, METRICS = "run.h5", "metrics.json"
 """What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
 
@@ -150,9 +154,32 @@ def metrics(record: RunRecord) -> dict[str, Any]:
         "samples": dict(record.samples),
         "parameters": record.fit.parameters,
     }
+    if "test_adapted" in record.predictions:
+        out["adaptation_scores"] = _adaptation_scores(record)
     if record.member_scores:
         out["members"] = {name: [s.as_dict() for s in scores] for name, scores in record.member_scores.items()}
     return out
+
+
+def _adaptation_scores(record: RunRecord) -> dict[str, Any]:
+    """NMSE of every block of the followed test set, by joint and by stage; how often was learned, how long it took."""
+    followed, size = record.predictions["test_adapted"], max(record.adaptation.block, BLOCK)
+    every = nmse_in_blocks(followed.data.tau, followed.tau, size)
+    if not len(every):
+        return {}
+    mean = every.mean(axis=1)
+    stage = followed.data.stage
+    at = np.empty(0) if stage is None else stage[: len(every) * size : size]
+    return {
+        "nmse": {**_mean_and_peak(mean), "joint": dict(zip(record.fit.joints, every.mean(axis=0), strict=True))},
+        "stages": {str(name): _mean_and_peak(mean[at == name]) for name in dict.fromkeys(at)},
+        "updates": followed.data.samples // record.adaptation.block,
+        "seconds_per_update": {name: record.seconds.get(f"update_{name}") for name in ("p50", "p99")},
+    }
+
+
+def _mean_and_peak(values: np.ndarray) -> dict[str, float]:
+    return {"mean": values.mean(), "peak": values.max()}
 
 
 def write_metrics(record: RunRecord, path: Path) -> None:
@@ -292,14 +319,22 @@ def _prediction_tree(prediction: Prediction) -> dict[str, Any]:
         "qdd": motion.qdd,
         "tau": prediction.data.tau,
         "prediction": prediction.tau,
+        "stage": None if (stage := prediction.data.stage) is None else list(map(str, stage)),
     }
 
 
 def _prediction(tree: dict[str, Any], joints: tuple[str, ...], robot: Robot | None) -> Prediction:
     ends = np.cumsum(tree["lengths"])
     parts = [slice(end - length, end) for end, length in zip(ends, tree["lengths"], strict=True)]
+    stage = None if tree["stage"] is None else np.array(tree["stage"])
     trajectories = tuple(
-        Trajectory(name, tree["t"][rows], Motion(*(tree[k][rows] for k in ("q", "qd", "qdd"))), tree["tau"][rows])
+        Trajectory(
+            name,
+            tree["t"][rows],
+            Motion(*(tree[k][rows] for k in ("q", "qd", "qdd"))),
+            tree["tau"][rows],
+            None if stage is None else stage[rows],
+        )
         for name, rows in zip(tree["trajectories"], parts, strict=True)
     )
     return Prediction(Dataset(trajectories, joints, robot), tree["prediction"])

@@ -97,12 +97,14 @@ jax.tree_util.register_dataclass(Motion, data_fields=["q", "qd", "qdd"], meta_fi
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One uninterrupted recording: a motion, the torque tau (T, n) [N m; N] that goes with it, and its t (T,) [s]."""
+    """One uninterrupted recording: a motion, the torque tau (T, n) [N m; N] that goes with it, its t (T,) [s], and
+    names of its stages (T,) where it has any."""
 
     name: str
     t: Array
     motion: Motion
     tau: Array
+    stage: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,12 @@ class Dataset:
     def samples(self) -> int:
         """Number of samples over all trajectories."""
         return sum(len(x.t) for x in self.trajectories)
+
+    @property
+    def stage(self) -> Array | None:
+        """All trajectories' stages (T,), one after the other; None unless each has them."""
+        parts = [x.stage for x in self.trajectories if x.stage is not None]
+        return np.concatenate(parts) if parts and len(parts) == len(self.trajectories) else None
 
     @property
     def motion(self) -> Motion:

@@ -175,7 +175,8 @@ class Conditioning:
                 part = Block(block.key, float(raw.t[piece[0]]), float(raw.t[piece[-1]]))
                 name = block.key if len(piece) == len(raw.t) else str(part)
                 signals = dict(zip(channels, np.split(x, len(channels), axis=1), strict=True))
-                trajectories.append(self._trajectory(name, t, signals, rate, inset))
+                stage = None if raw.stage is None else raw.stage[np.searchsorted(raw.t, t + 1e-9, side="right") - 1]
+                trajectories.append(self._trajectory(name, t, signals, stage, rate, inset))
         if len(trajectories) < len(pieces):
             short = f"{block}: {len(pieces) - len(trajectories)} of {len(pieces)} uninterrupted pieces too short"
             short += f", {needed} samples at {rate:.4g} Hz are needed for filter, derivatives and lag"
@@ -195,7 +196,13 @@ class Conditioning:
         }
 
     def _trajectory(
-        self, name: str, t: np.ndarray, signals: dict[str, np.ndarray], rate: float, inset: int
+        self,
+        name: str,
+        t: np.ndarray,
+        signals: dict[str, np.ndarray],
+        stage: np.ndarray | None,
+        rate: float,
+        inset: int,
     ) -> Trajectory:
         """One piece (T, n) on its clock: filtered, differentiated, `inset` samples off each end, lagged, thinned."""
         if self.filter_cutoff is not None:
@@ -206,7 +213,7 @@ class Conditioning:
         lag, last = self.torque_lag, len(t) - inset
         now, before = slice(inset + lag, last, self.decimate), slice(inset, last - lag, self.decimate)
         motion = Motion(*(signals[c][now] for c in ("q", "qd", "qdd")))
-        return Trajectory(name, t[now], motion, signals["tau"][before])
+        return Trajectory(name, t[now], motion, signals["tau"][before], None if stage is None else stage[now])
 
 
 def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from invdyn_cli.report.adapted import adaptation
 from invdyn_cli.report.canvas import (
     BAND,
     BLACK,
@@ -249,6 +250,7 @@ DRAWINGS: dict[str, Callable[[RunRecord], Figure | None]] = {
     "torques": torques,
     "errors": errors,
     "loss": loss,
+    "adaptation": adaptation,
     "residual_velocity": residual_velocity,
     "singular_values": singular_values,
 }

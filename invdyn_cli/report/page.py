@@ -36,6 +36,10 @@ CAPTIONS = {
         "Loss over epochs, the band spans the members. Validation that rises while train falls is overfitting; curves "
         "that still fall at the end ask for more epochs."
     ),
+    "adaptation": (
+        "Errors of every hundred samples along a repetition: median and range over all of them. Where the grey line "
+        "rises and the blue one does not, adapting pays; where the blue one rises as the grey one falls, it forgets."
+    ),
     "residual_velocity": (
         "Residual over the joint's own velocity, test set. A step at zero is Coulomb friction, a slope viscous "
         "friction, a hump near zero Stribeck friction; a flat line off zero is a torque offset."

@@ -2,6 +2,7 @@
 
 import abc
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -112,6 +113,79 @@ class PickPlace(AbstractReference):
             got = f"pick_place: a first move of {takes:.2g} s after {self.dwell:g} s of rest, in {duration:g} s"
             raise UsageError(f"{got}; allowed: a duration for one move or more", advice="a longer duration")
         return Motion(q, qd, qdd)
+
+
+STAGES = ("approach", "grasp", "place", "retract")
+"""Of a manipulation (paper, section V-A.3)."""
+
+POSTURES = {
+    "home": (0.0, -0.3, 0.0, 0.3, 0.0, 0.2, 0.0),
+    "object": (0.25, 0.2, -0.1, 0.45, 0.2, -0.15, 0.1),
+    "lifted": (0.25, 0.0, -0.1, 0.6, 0.2, -0.05, 0.1),
+    "target": (-0.3, 0.15, 0.15, 0.4, -0.2, 0.1, -0.15),
+}
+"""Shares of half the joints' ranges; an arm of more joints begins again, one of fewer leaves some out."""
+
+
+@dataclass(frozen=True)
+class Manipulation(AbstractReference):
+    """Approach an object, grasp and lift it, carry it to a target and put it there, retract: every repetition a little
+    different.
+
+    Attributes:
+        spread: of the postures, rms [rad; m]; of the moves' durations, rms, as a share of them, three times as much.
+        grasping: [s] of rest with the object and with the target in reach; hands close and open in the middle of it.
+    """
+
+    spread: float = 0.01
+    grasping: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.spread < 0 or self.grasping <= 0:
+            got = f"manipulation with spread={self.spread}, grasping={self.grasping}"
+            raise UsageError(f"{got}; allowed: spread from 0, grasping above 0")
+
+    def times(self, seed: int) -> dict[str, tuple[float, float]]:
+        """When each stage begins and ends, and when the hand "holds" the object [s]."""
+        start, approach, lift, carry, retract = self._durations(seed)
+        reached = start + approach
+        lifted = reached + self.grasping + lift
+        placed = lifted + carry + self.grasping
+        edges = dict(zip(STAGES, pairwise((0.0, reached, lifted, placed, placed + retract)), strict=True))
+        return {**edges, "holds": (reached + self.grasping / 2, placed - self.grasping / 2)}
+
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
+        middle, half, _ = room(robot)
+        draw = np.random.default_rng([3, seed])
+        home, grasp, lifted, target = (
+            middle + np.resize(shares, robot.dofs) * half + self.spread * draw.normal(size=robot.dofs)
+            for shares in POSTURES.values()
+        )
+        rest, approach, lift, carry, retract = self._durations(seed)
+        if self.times(seed)["retract"][1] > duration:
+            raise UsageError(f"a manipulation of {self.times(seed)['retract'][1]:.2f} s in {duration:g} s of recording")
+        t = np.arange(round(duration * rate)) / rate
+        q, qd, qdd = np.tile(home, (len(t), 1)), np.zeros((len(t), robot.dofs)), np.zeros((len(t), robot.dofs))
+        here, start = home, rest
+        moves = (
+            (grasp, approach, self.grasping),
+            (lifted, lift, 0.0),
+            (target, carry, self.grasping),
+            (home, retract, 0.0),
+        )
+        for there, takes, dwell in moves:
+            x, x1, x2 = _smooth((t - start) / takes)
+            rows = t >= start
+            q[rows] = here + x[rows, None] * (there - here)
+            qd[rows] = x1[rows, None] / takes * (there - here)
+            qdd[rows] = x2[rows, None] / takes**2 * (there - here)
+            here, start = there, start + takes + dwell
+        return Motion(q, qd, qdd)
+
+    def _durations(self, seed: int) -> np.ndarray:
+        """Of the first rest and the four moves [s]."""
+        draw = np.random.default_rng([4, seed])
+        return np.array([0.3, 2.5, 1.3, 2.8, 1.3]) * (1 + 3 * self.spread * draw.normal(size=5))
 
 
 @dataclass(frozen=True)

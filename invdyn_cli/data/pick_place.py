@@ -1,0 +1,203 @@
+"""data=pick_place: the paper's real data, played by the simulated arm: picking and placing without and with an object.
+
+Repetitions without the object are learned from, as many with it are judged and adapted to (paper, section V-A.3, Table
+II). The arm has friction, springs in its gears and ripple; the object comes and goes as a grasp does.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from invdyn_cli import simulation
+from invdyn_cli.data.conditioning import Conditioning
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractSource, Progress, silent
+from invdyn_cli.logfile import Log, RawTrajectory, read_log, write_log
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import SOURCE, simulate
+from invdyn_cli.simulation.references import STAGES, Manipulation
+from invdyn_cli.simulation.sensors import Noise
+from invdyn_cli.types import Robot, Splits
+
+DURATION, RATE = 9.6, 1000.0
+"""[s] of a recording, [Hz] (the paper: 9 to 10 s, 1 kHz)."""
+
+ARM = {
+    "coulomb": (12.5, 13.3, 5.0, 5.0, 2.7, 2.3, 2.3),
+    "viscous": (21.0, 20.0, 10.0, 10.0, 3.6, 2.5, 3.0),
+    "stiffness": (15000.0, 15000.0, 9000.0, 9000.0, 4000.0, 3000.0, 3000.0),
+    "rotor": (3.0, 3.0, 2.0, 2.0, 0.8, 0.4, 0.4),
+    "ripple": (0.6, 0.6, 0.3, 0.3, 0.15, 0.1, 0.1),
+}
+"""Joint by joint, base first: friction [N m; N m s/rad] as published for the joints of the UR10e, the elbow's taken
+twice; springs [N m/rad], rotors [kg m^2] and ripple [N m] of the order of strain wave gears of these sizes."""
+
+STATIC, STRIBECK, CYCLES = 1.3, 0.05, 20.0
+"""Static over Coulomb friction; its speed [rad/s]; ripple per revolution."""
+
+
+@dataclass(frozen=True)
+class PickPlace(AbstractSource):
+    """Recordings unloaded_1, … and loaded_1, … of one arm, stages and all.
+
+    Attributes:
+        repetitions: so many of each kind.
+        mass, com: of the object [kg], in the last link's frame [m].
+        ramp: [s] in which the object comes, and goes, drawn between these.
+        friction, elastic, ripple: whether the arm has them; sizes in `ARM`.
+        position_noise, torque_noise: [rad], [N m] rms, white, torques as shares of each joint's Coulomb friction.
+        seed: of motions, noise and grasps.
+        cache: folder where the log is kept, written once; None simulates it anew each time.
+        filter_cutoff, filter_order, torque_lag, decimate: as in data=real_log; torque_lag=1 is the paper's pairing.
+    """
+
+    repetitions: int = 10
+    mass: float = 0.851
+    com: Sequence[float] = (0.0, 0.0, 0.08)
+    ramp: Sequence[float] = (0.1, 0.3)
+    friction: bool = True
+    elastic: bool = True
+    ripple: bool = True
+    position_noise: float = 1e-5
+    torque_noise: float = 0.01
+    seed: int = 0
+    cache: str | None = "outputs/data"
+    filter_cutoff: float | None = 10.0
+    filter_order: int = 4
+    torque_lag: int = 1
+    decimate: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("com", "ramp"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        for name, good, allowed in (
+            ("repetitions", isinstance(self.repetitions, int) and self.repetitions >= 1, "a whole number from 1"),
+            ("mass", self.mass > 0, "a mass above 0 kg"),
+            ("com", len(self.com) == 3, "three numbers [m]"),
+            ("ramp", len(self.ramp) == 2 and 0 <= self.ramp[0] <= self.ramp[1] <= 0.4, "[from, to] within 0 to 0.4 s"),
+            ("position_noise", self.position_noise >= 0, "from 0 rad"),
+            ("torque_noise", self.torque_noise >= 0, "a share from 0"),
+            ("seed", isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0"),
+        ):
+            if not good:
+                raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {allowed}")
+        self._conditioning().refuse_options()
+
+    def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
+        """Read or simulate the log, then split and condition it as a real one."""
+        assert robot is not None
+        log = self.log(robot, lambda done, note: progress(0.9 * done, note))
+        records = {raw.name: (log, raw) for raw in log.trajectories}
+        how = self._conditioning()
+        what = {"source": SOURCE, "object": {"mass": self.mass, "com": self.com, "ramp": self.ramp}}
+        return how.splits(
+            how.asked(records),
+            records,
+            robot,
+            keys=records,
+            notes=[],
+            description=what | {name: getattr(self, name) for name in ("friction", "elastic", "ripple", "seed")},
+            progress=lambda done, note: progress(0.9 + 0.1 * done, note),
+        )
+
+    def log(self, robot: Robot, progress: Progress = silent) -> Log:
+        """The whole recording, from the cache where it is there."""
+        path = None if self.cache is None else Path(self.cache) / f"pick_place-{self._named(robot)}.h5"
+        if path is not None and path.is_file():
+            return read_log(path)
+        trajectories = []
+        for kind in range(2):
+            for k in range(self.repetitions):
+                progress(len(trajectories) / (2 * self.repetitions), f"{('unloaded', 'loaded')[kind]}_{k + 1}")
+                trajectories.append(self._repetition(robot, k, loaded=bool(kind)))
+        made = Log(
+            robot=robot.name,
+            joints=robot.joints,
+            torque_side="command",
+            torque_unit="N m",
+            rate=RATE,
+            trajectories=tuple(trajectories),
+            source=SOURCE,
+            position_side="motor",
+        )
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_log(made, path)
+        return made
+
+    def hidden(self, robot: Robot) -> tuple[Hidden, ...]:
+        """What is in the arm all the time."""
+        size = {name: np.resize(values, robot.dofs) for name, values in ARM.items()}
+        out: list[Hidden] = []
+        for i, joint in enumerate(robot.joints):
+            coulomb = float(size["coulomb"][i])
+            level = {"coulomb": coulomb, "static": STATIC * coulomb, "velocity": STRIBECK}
+            gear = {"stiffness": float(size["stiffness"][i]), "rotor": float(size["rotor"][i])}
+            wave = {"amplitude": float(size["ripple"][i]), "cycles": CYCLES, "phase": float(i)}
+            out += [Hidden("stribeck_friction", joint, level)] * self.friction
+            out += [Hidden("viscous_friction", joint, {"damping": float(size["viscous"][i])})] * self.friction
+            out += [Hidden("joint_elasticity", joint, gear)] * self.elastic
+            out += [Hidden("torque_ripple", joint, wave)] * self.ripple
+        return tuple(out)
+
+    def _repetition(self, robot: Robot, k: int, *, loaded: bool) -> RawTrajectory:
+        seed = [self.seed, int(loaded), k]
+        draw = np.random.default_rng(seed)
+        own, task = int(draw.integers(2**31)), Manipulation()
+        times, name = task.times(own), f"{'loaded' if loaded else 'unloaded'}_{k + 1}"
+        load = {"mass": self.mass, "com": list(self.com), "window": list(times["holds"])}
+        load["ramp"] = float(draw.uniform(self.ramp[0], self.ramp[1]))
+        raw = simulate(
+            robot,
+            task,
+            (*self.hidden(robot), *[Hidden("payload_change", None, load)] * loaded),
+            noise=Noise(
+                position=self.position_noise, torque=tuple(self.torque_noise * np.resize(ARM["coulomb"], robot.dofs))
+            ),
+            duration=DURATION,
+            rate=RATE,
+            seed=own,
+            position_side="motor",
+            name=name,
+        )
+        begins = [times[stage][0] for stage in STAGES]
+        stage = np.array(STAGES)[np.searchsorted(begins, raw.t, side="right") - 1]
+        return replace(raw, stage=stage, payload_mass=self.mass if loaded else 0.0)
+
+    def _named(self, robot: Robot) -> str:
+        """Sixteen hex digits of all that the log depends on."""
+        own = (
+            "repetitions",
+            "mass",
+            "com",
+            "ramp",
+            "friction",
+            "elastic",
+            "ripple",
+            "position_noise",
+            "torque_noise",
+            "seed",
+        )
+        found = hashlib.sha256(repr([getattr(self, name) for name in own] + [ARM]).encode())
+        for name, value in vars(robot).items():
+            found.update(f"{name}{np.asarray(value).tolist()}".encode())
+        for path in sorted(Path(simulation.__path__[0]).glob("*.py")):
+            found.update(path.read_bytes())
+        return found.hexdigest()[:16]
+
+    def _conditioning(self) -> Conditioning:
+        names = range(1, self.repetitions + 1)
+        return Conditioning.of(
+            self,
+            train=[f"unloaded_{k}" for k in names],
+            validation=None,
+            test=[f"loaded_{k}" for k in names],
+            train_share=0.7,
+            validation_share=0.0,
+            derivatives="positions",
+            rate=None,
+            max_gap=1.5 / RATE,
+        )

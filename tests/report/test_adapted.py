@@ -1,0 +1,66 @@
+"""A run that adapted: its scores by stage, its figure, and both from run.h5."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invdyn_cli import store
+from invdyn_cli.adaptation.incremental import Incremental
+from invdyn_cli.maths.metrics import nmse_in_blocks
+from invdyn_cli.report.adapted import BLOCK, adaptation
+from invdyn_cli.types import Prediction
+from tests.records import make_record
+
+
+@pytest.fixture
+def record():
+    """A test set of two trajectories, 400 samples each, that was followed exactly but in its second stage."""
+    made = make_record(2)
+    stage = np.repeat(["still", "moving"], 200)
+    data = made.predictions["test"].data
+    data = replace(data, trajectories=tuple(replace(x, stage=stage) for x in data.trajectories))
+    followed = data.tau + np.tile(stage == "moving", 2)[:, None]
+    predictions = {**made.predictions, "test": Prediction(data, made.predictions["test"].tau)}
+    return replace(
+        made, adaptation=Incremental(), predictions={**predictions, "test_adapted": Prediction(data, followed)},
+        seconds={**made.seconds, "update_p50": 0.001, "update_p99": 0.002},
+    )  # fmt: skip
+
+
+def test_scores_by_stage(record):
+    """Errors of every hundred samples over the variance of all, their mean and peak by stage, and the updates."""
+    found = store.metrics(record)["adaptation_scores"]
+    variance = record.predictions["test"].data.tau.var(0)
+    assert found["stages"]["still"] == {"mean": 0.0, "peak": 0.0}
+    assert found["stages"]["moving"]["mean"] == pytest.approx(np.mean(1 / variance))
+    assert found["nmse"]["mean"] == pytest.approx(np.mean(1 / variance) / 2)
+    assert list(found["nmse"]["joint"].values()) == pytest.approx(list(0.5 / variance))
+    assert found["updates"] == 8 and found["seconds_per_update"] == {"p50": 0.001, "p99": 0.002}
+
+
+def test_what_fills_no_block_is_left_out():
+    """Of 25 samples in blocks of ten, two blocks count, each over the variance of all 25."""
+    tau = np.arange(25.0)[:, None]
+    found = nmse_in_blocks(tau, tau + np.repeat([1.0, 2.0, 9.0], [10, 10, 5])[:, None], 10)
+    np.testing.assert_allclose(found[:, 0], np.array([1.0, 4.0]) / tau.var())
+    assert np.isnan(nmse_in_blocks(np.ones((20, 1)), np.zeros((20, 1)), 10)).all()
+
+
+def test_stages_are_stored(record, tmp_path):
+    """run.h5 gives the stages back, and with them the same scores."""
+    store.write_run(record, tmp_path / "run.h5")
+    again = store.load_run(tmp_path / "run.h5")
+    assert store.metrics(again)["adaptation_scores"] == store.metrics(record)["adaptation_scores"]
+
+
+def test_the_figure_shows_both_and_the_stages(record):
+    """A line with and one without adapting, as long as the trajectories, and a mark at every stage's beginning; no
+    figure for a run that does not adapt."""
+    figure = adaptation(record)
+    assert figure is not None
+    (axes,) = figure.axes
+    lines = {str(line.get_label()): line for line in axes.lines}
+    assert len(lines["adapted"].get_xdata()) == len(lines["as it was learned"].get_xdata()) == 400 // BLOCK
+    assert {text.get_text() for text in axes.texts} == {"still", "moving"}
+    assert adaptation(make_record(2)) is None
