@@ -36,6 +36,7 @@ def run(
         UsageError: if the source or the model needs a robot and there is none.
         LogError: if the source's log cannot be used as asked.
     """
+    model = adaptation.extended(model)
     if robot is None and (source.needs_robot or model.needs_robot):
         who = "this data source" if source.needs_robot else f"the model {type(model).__name__}"
         raise UsageError(
@@ -43,7 +44,6 @@ def run(
             advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
         )
     started = time.perf_counter()
-    model = adaptation.extended(model)
     splits = source.load(robot, stage("data"))
     if "test" not in splits.tests:
         got = f"the source {type(source).__name__} gives {listed(splits.tests)} to be judged on"

@@ -20,7 +20,7 @@ import numpy as np
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
-from invdyn_cli.maths.metrics import nmse_in_blocks
+from invdyn_cli.maths.metrics import BLOCK, nmse_in_blocks
 from invdyn_cli.models import extended
 from invdyn_cli.types import (
     Dataset,
@@ -40,9 +40,6 @@ RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
 CHECK_SCHEMA = "invdyn-check/1"
 DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
-BLOCK = 100
-"""Samples over which errors of what adapts are averaged, at least (the paper's lambda)."""
-
 RUN, METRICS = "run.h5", "metrics.json"
 """What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
 

@@ -4,6 +4,12 @@ import numpy as np
 
 from invdyn_cli.types import Array
 
+ACCURATE = 0.1
+"""The NMSE below which the paper calls predictions accurate (section V-B, the black line of Figs. 3 and 4)."""
+
+BLOCK = 100
+"""Samples over which errors of what adapts are averaged (the paper's lambda)."""
+
 
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     """Root mean squared error per joint (n,) of torques (T, n) [N m; N]."""

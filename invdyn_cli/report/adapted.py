@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from invdyn_cli.maths.metrics import nmse_in_blocks
+from invdyn_cli.maths.metrics import ACCURATE, BLOCK, nmse_in_blocks
 from invdyn_cli.report.canvas import (
     BLACK,
     GREY,
@@ -17,12 +17,6 @@ from invdyn_cli.report.canvas import (
     titled_figure,
 )
 from invdyn_cli.types import Prediction, RunRecord
-
-ACCURATE = 0.1
-"""The NMSE below which the paper calls predictions accurate (the black line of its Fig. 4)."""
-
-BLOCK = 100
-"""Samples of which an error is the mean, as in the paper (lambda)."""
 
 
 def adaptation(record: RunRecord) -> Figure | None:

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from invdyn_cli.maths.metrics import ACCURATE
 from invdyn_cli.report.canvas import (
     BLACK,
     BLUE,
@@ -33,9 +34,6 @@ OF_MODEL = {"PEST": GREEN, "NN": BLUE, "DBM": PURPLE}
 """The hues of the paper's Fig. 3."""
 
 OTHERS = (ORANGE, SKY, VERMILLION, GREY, BLACK)
-
-ACCURATE = 0.1
-"""The NMSE below which the paper calls predictions accurate (section V-B, the black line of Fig. 3)."""
 
 LETTERS = 118
 """Of tick labels, in a line as wide as the figure."""

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from invdyn_cli.maths.metrics import ACCURATE
 from invdyn_cli.report.adapted import adaptation
 from invdyn_cli.report.canvas import (
     BAND,
@@ -44,9 +45,6 @@ from invdyn_cli.report.canvas import (
 )
 from invdyn_cli.report.tables import scored_sets, significant, units
 from invdyn_cli.types import Prediction, RunRecord
-
-GOOD_NMSE = 0.1
-"""The NMSE below which the paper calls predictions accurate (section V-B, the black line of Fig. 3)."""
 
 
 def draw_all(record: RunRecord, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -137,8 +135,8 @@ def errors(record: RunRecord) -> Figure | None:
                         x, 0.03, word, transform=at, rotation=90, ha="center", va="bottom", fontsize=7, color=colour
                     )
     every = np.concatenate([np.asarray(record.scores[name].nmse, float) for name in names])
-    limit_bars(upper, every, GOOD_NMSE)
-    upper.axhline(GOOD_NMSE, color=BLACK, lw=1.0, ls="--", label=f"the paper's line, NMSE {GOOD_NMSE}")
+    limit_bars(upper, every, ACCURATE)
+    upper.axhline(ACCURATE, color=BLACK, lw=1.0, ls="--", label=f"the paper's line, NMSE {ACCURATE}")
     upper.set_ylabel("NMSE")
     lower.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units(record)))}]")
     crowded = len(joints) * max(map(len, joints)) > 130

@@ -103,11 +103,7 @@ class PickPlace(AbstractReference):
             takes = max(0.3, float(np.max(1.875 * np.abs(there - here) / (self.speed * fastest))))
             if start + takes > duration:
                 break
-            x, x1, x2 = _smooth((t - start) / takes)
-            rows = t >= start
-            q[rows] = here + x[rows, None] * (there - here)
-            qd[rows] = x1[rows, None] / takes * (there - here)
-            qdd[rows] = x2[rows, None] / takes**2 * (there - here)
+            _move((q, qd, qdd), t, start, takes, here, there)
             here, start = there, start + takes + self.dwell
         if not qd.any():
             got = f"pick_place: a first move of {takes:.2g} s after {self.dwell:g} s of rest, in {duration:g} s"
@@ -174,11 +170,7 @@ class Manipulation(AbstractReference):
             (home, retract, 0.0),
         )
         for there, takes, dwell in moves:
-            x, x1, x2 = _smooth((t - start) / takes)
-            rows = t >= start
-            q[rows] = here + x[rows, None] * (there - here)
-            qd[rows] = x1[rows, None] / takes * (there - here)
-            qdd[rows] = x2[rows, None] / takes**2 * (there - here)
+            _move((q, qd, qdd), t, start, takes, here, there)
             here, start = there, start + takes + dwell
         return Motion(q, qd, qdd)
 
@@ -272,6 +264,18 @@ def _smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimum jerk from 0 to 1 over s in [0, 1], constant outside; its first and second derivative by s."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
+
+
+def _move(
+    motion: tuple[np.ndarray, ...], t: np.ndarray, start: float, takes: float, here: np.ndarray, there: np.ndarray
+) -> None:
+    """Let q, qd, qdd (T, n) go from `here` to `there` from `start` on, and stay."""
+    q, qd, qdd = motion
+    x, x1, x2 = _smooth((t - start) / takes)
+    rows = t >= start
+    q[rows] = here + x[rows, None] * (there - here)
+    qd[rows] = x1[rows, None] / takes * (there - here)
+    qdd[rows] = x2[rows, None] / takes**2 * (there - here)
 
 
 def _faded(t: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

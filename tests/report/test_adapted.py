@@ -7,8 +7,8 @@ import pytest
 
 from invdyn_cli import store
 from invdyn_cli.adaptation.incremental import Incremental
-from invdyn_cli.maths.metrics import nmse_in_blocks
-from invdyn_cli.report.adapted import BLOCK, adaptation
+from invdyn_cli.maths.metrics import BLOCK, nmse_in_blocks
+from invdyn_cli.report.adapted import adaptation
 from invdyn_cli.types import Prediction
 from tests.records import make_record
 
