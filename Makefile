@@ -15,6 +15,7 @@ PUBLISHED = batch_simulated dbm seven_joints filters
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
 OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
 said = $(strip $(foreach name,$(OPTIONS),$(if $(filter command,$(firstword $(origin $(name)))),$(name)=$($(name)))))
+ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# each, where two processes share two cores
 EXPERIMENT = PYTHONPATH=. $(BIN)/python experiments
 
 help:  ## what there is to make
@@ -26,7 +27,7 @@ run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs
 	$(BIN)/invdyn run model=ffnn data=sim_noisy
 
 test: lint  ## everything that must hold: lint, then all tests
-	OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false $(BIN)/python -m pytest -n 2 --dist loadfile
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(INSTALLED)  ## ruff and pyright
 	$(BIN)/ruff check --quiet
@@ -41,7 +42,7 @@ tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/table
 	$(MAKE) --jobs=2 --output-sync=target $(PUBLISHED:%=table-%)
 
 $(PUBLISHED:%=table-%): table-%: $(INSTALLED)
-	$(BIN)/invdyn tables experiment=$*
+	$(ONE_THREAD) $(BIN)/invdyn tables experiment=$*
 
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
 	$(BIN)/invdyn figures
