@@ -40,6 +40,11 @@ SETS = {
 SAMPLES = 4500
 """Samples of a task, in the paper."""
 
+CAPTION = (
+    "Bars: mean NMSE over joints, the median of several seeds; low is good. Boxes: what the statements below allow, "
+    "the paper's words as decades."
+)
+
 STYLE = """
 td { white-space: normal; vertical-align: top; } .verdicts td { min-width: 7rem; }
 .verdicts td, .verdicts th, .plain td, .plain th { text-align: left; }
@@ -139,10 +144,10 @@ def _exhibit(x: Exhibit) -> str:
     under = f'<p class="sub">{escape(x.source)}. <code>{escape(x.command)}</code></p>'
     if x.absent:
         return f'{under}<p class="warning">Left out: {escape(x.absent)}</p>'
-    drawn = picture(x.figure, f"{x.title}.") if x.figure else ""
+    drawn = picture(x.figure, CAPTION, x.title) if x.figure else ""
     said = _table(x.verdicts, "verdicts") if x.verdicts else ""
     return (
-        under + drawn + said + (folded("all figures", _table(x.table, "scores"), shown=not x.figure) if x.table else "")
+        under + drawn + said + (folded("all numbers", _table(x.table, "scores"), shown=not x.figure) if x.table else "")
     )
 
 
