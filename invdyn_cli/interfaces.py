@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import numpy as np
 
+from invdyn_cli.chunks import CHUNK, in_chunks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.types import Array, Check, Dataset, Fit, Header, Motion, PyTree, Robot, Splits
 
@@ -382,27 +383,6 @@ class FittedModel:
             )
         tau = self.model.predict(self.fit, Motion(*(np.atleast_2d(x) for x in arrays)))
         return tau.reshape(shapes[0])
-
-
-CHUNK = 4096
-"""Samples that go through a jitted function at once: big enough to hide its call, small enough to stay in cache."""
-
-
-def in_chunks(function: Callable[[Motion], Array], motion: Motion, most: int = CHUNK) -> np.ndarray:
-    """`function` of a motion (T, n) in chunks padded to powers of two up to `most`, few compilations: (T, n)."""
-    total = len(motion)
-    size = min(most, 1 << max(0, total - 1).bit_length())
-    out = [np.empty((0, motion.q.shape[1]))]
-    for start in range(0, total, size):
-        part = motion[slice(start, start + size)]
-        out.append(np.asarray(function(padded(part, size)))[: len(part)])
-    return np.concatenate(out).astype(float)
-
-
-def padded(motion: Motion, size: int) -> Motion:
-    """A motion of at most `size` samples, its last one repeated until there are so many."""
-    missing = size - len(motion)
-    return jax.tree.map(lambda x: np.pad(x, ((0, missing), (0, 0)), mode="edge"), motion) if missing else motion
 
 
 @jax.jit(static_argnums=0)

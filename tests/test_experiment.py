@@ -8,10 +8,11 @@ import pytest
 
 from invdyn_cli import experiment
 from invdyn_cli.adaptation.batch import Batch
+from invdyn_cli.chunks import CHUNK, in_chunks
 from invdyn_cli.data.sim import SineTasks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.hybrid import Hybrid
-from invdyn_cli.interfaces import CHUNK, AbstractModel, AbstractSource, in_chunks, silent
+from invdyn_cli.interfaces import AbstractModel, AbstractSource, silent
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.testing import check_adapter, check_model

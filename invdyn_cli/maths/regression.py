@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.interfaces import CHUNK, Progress, silent
+from invdyn_cli.chunks import CHUNK
+from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.maths import rigid_body, statistics
 from invdyn_cli.types import Array, Dataset, Motion, Robot
 

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli.chunks import CHUNK, padded
 from invdyn_cli.errors import UsageError
-from invdyn_cli.interfaces import CHUNK, AbstractModel, Progress, padded, silent
+from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import chains, least_squares, regression, rigid_body
 from invdyn_cli.maths.bezier import BASES, REACH, Basis
 from invdyn_cli.maths.dynamic_map import FORMS, Arc, DynamicMap

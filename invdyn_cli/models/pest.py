@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli.chunks import in_chunks
 from invdyn_cli.errors import UsageError
-from invdyn_cli.interfaces import AbstractModel, Progress, in_chunks, silent
+from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import links, regression, rigid_body
 from invdyn_cli.maths.regression import Design
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
