@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 SCALE = "torque_scale"
@@ -55,21 +55,20 @@ class Incremental(AbstractAdapter):
         """The model's own fit; UsageError for a model without weights."""
         model.weights(model.init(dataset, key))
         fit = model.fit(dataset, key, validation=validation, progress=progress)
-        spread = dataset.tau.std(0)
-        return replace(fit, details={**fit.details, SCALE: np.where(spread > 0, spread, 1.0)})
+        return replace(fit, details={**fit.details, SCALE: torque_spread(dataset)})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
         """Parameters, robot, torque scale, the samples (rate, n) that wait to be learned from, how many these are, and
         how often was learned."""
         empty = jnp.zeros((self.rate, len(fit.joints)))
-        counts = {"waiting": jnp.array(0), "learned": jnp.array(0)}
         return {
             "params": jax.tree.map(jnp.asarray, fit.params),
             "robot": fit.robot,
             "scale": jnp.asarray(fit.details[SCALE]),
             "motion": Motion(empty, empty, empty),
             "tau": empty,
-            **counts,
+            "waiting": jnp.array(0),
+            "learned": jnp.array(0),
         }
 
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:

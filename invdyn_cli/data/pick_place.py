@@ -5,8 +5,9 @@ II). The arm has friction, springs in its gears and ripple; the object comes and
 """
 
 import hashlib
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,10 +110,9 @@ class PickPlace(AbstractSource):
         if path is not None and path.is_file():
             return read_log(path)
         trajectories = []
-        for kind in range(2):
-            for k in range(self.repetitions):
-                progress(len(trajectories) / (2 * self.repetitions), f"{('unloaded', 'loaded')[kind]}_{k + 1}")
-                trajectories.append(self._repetition(robot, k, loaded=bool(kind)))
+        for loaded, k in itertools.product((False, True), range(self.repetitions)):
+            trajectories.append(self._repetition(robot, k, loaded=loaded))
+            progress(len(trajectories) / (2 * self.repetitions), trajectories[-1].name)
         made = Log(
             robot=robot.name,
             joints=robot.joints,
@@ -169,22 +169,12 @@ class PickPlace(AbstractSource):
 
     def _named(self, robot: Robot) -> str:
         """Sixteen hex digits of all that the log depends on."""
-        own = (
-            "repetitions",
-            "mass",
-            "com",
-            "ramp",
-            "friction",
-            "elastic",
-            "ripple",
-            "position_noise",
-            "torque_noise",
-            "seed",
-        )
-        found = hashlib.sha256(repr([getattr(self, name) for name in own] + [ARM]).encode())
+        later = {"cache", *(f.name for f in fields(Conditioning))}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in later}
+        found = hashlib.sha256(repr(own).encode())
         for name, value in vars(robot).items():
             found.update(f"{name}{np.asarray(value).tolist()}".encode())
-        for path in sorted(Path(simulation.__path__[0]).glob("*.py")):
+        for path in (Path(__file__), *sorted(Path(simulation.__path__[0]).glob("*.py"))):
             found.update(path.read_bytes())
         return found.hexdigest()[:16]
 

@@ -133,7 +133,8 @@ def learn(
         def tell(left: float) -> None:
             progress(0.6 * len(reached) / searches, f"search {k + 1} of {searches} leaves {left:.2g}")
 
-        return _searched(draws[k], n, some, rough, weights, extras, tell)
+        first = _State(draws[k].normal(size=(2, n, 3)), some, weights, extras)
+        return _searched(first, draws[k], rough, tell)
 
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
         while len(reached) < searches and not _settled([x.left for x in reached]):
@@ -179,8 +180,9 @@ class _State:
         across, own, moment = gram[:k, k:-1], gram[k:-1, k:-1], gram[k:-1, -1]
         return own - across.T @ self.inverse @ across, moment - across.T @ (self.inverse @ gram[:k, -1])
 
-    def moved(self, step: np.ndarray) -> "_State":
-        return _State(self.geometry + step.reshape(self.geometry.shape), self.data, self.weights, self.extras)
+    def at(self, geometry: np.ndarray) -> "_State":
+        """Another geometry on the same data."""
+        return _State(geometry, self.data, self.weights, self.extras)
 
     def rank(self) -> int:
         """Directions of all numbers together that the data tell."""
@@ -199,20 +201,11 @@ def _settled(left: Sequence[float]) -> bool:
     return least < EXACT or any(x < ALIKE * least for x in others)
 
 
-def _searched(
-    draw: np.random.Generator,
-    n: int,
-    data: list[Block],
-    least: float,
-    weights: np.ndarray,
-    extras: tuple[str, ...],
-    tell: Callable[[float], None],
-) -> _State:
+def _searched(first: _State, draw: np.random.Generator, least: float, tell: Callable[[float], None]) -> _State:
     """Where a search from a chain of its own ends."""
-    found = _descended(_State(draw.normal(size=(2, n, 3)), data, weights, extras), least)
-    idle = 0
+    found, idle = _descended(first, least), 0
     while idle < PATIENCE and found.left > EXACT:
-        one = _descended(_State(_redrawn(found.geometry, draw), data, weights, extras), least)
+        one = _descended(found.at(_redrawn(found.geometry, draw)), least)
         found, idle = (one, 0) if one.left < BETTER * found.left else (found, idle + 1)
         tell(found.left)
     return found
@@ -243,7 +236,7 @@ def _descended(state: _State, least: float) -> _State:
         for _ in range(8):
             step = np.linalg.solve(normal + damping * np.diag(scale), moment)
             step *= min(1.0, LONGEST / np.abs(step).max())
-            tried = state.moved(step)
+            tried = state.at(state.geometry + step.reshape(state.geometry.shape))
             if tried.left < state.left:
                 better = tried
                 break

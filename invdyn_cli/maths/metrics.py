@@ -24,13 +24,15 @@ def nmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     )
 
 
-def nmse_in_blocks(target: np.ndarray, prediction: np.ndarray, size: int) -> np.ndarray:
-    """MSE(S) / Var(T) per joint (blocks, n) of every `size` samples S in turn, T all of them (paper, section V-C); what
-    fills no block is left out. NaN for a joint whose target never changes."""
+def nmse_in_blocks(
+    target: np.ndarray, prediction: np.ndarray, size: int, variance: np.ndarray | None = None
+) -> np.ndarray:
+    """MSE(S) / Var(T) per joint (blocks, n) of every `size` samples S in turn (paper, section V-C); what fills no block
+    is left out. `variance` (n,) is Var(T), None: of all of them. NaN for a joint whose target never changes."""
     blocks = len(target) // size
     squares = ((target - prediction) ** 2)[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
-    variance = np.var(target, axis=0)
-    return np.divide(squares, variance, out=np.full(squares.shape, np.nan), where=variance > 0)
+    scale = np.asarray(np.var(target, axis=0) if variance is None else variance)
+    return np.divide(squares, scale, out=np.full(squares.shape, np.nan), where=scale > 0)
 
 
 def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:

@@ -50,10 +50,9 @@ def _curves(judged: Prediction) -> tuple[np.ndarray, np.ndarray] | None:
     if not blocks:
         return None
     starts = np.cumsum([0, *lengths[:-1]])
-    variance = np.var(judged.data.tau, axis=0)
     rows = [slice(start, start + blocks * BLOCK) for start in starts]
     tau = judged.data.tau
-    errors = [nmse_in_blocks(tau[r], judged.tau[r], BLOCK) * np.var(tau[r], axis=0) / variance for r in rows]
+    errors = [nmse_in_blocks(tau[r], judged.tau[r], BLOCK, np.var(tau, axis=0)) for r in rows]
     first = np.asarray(judged.data.trajectories[0].t)
     return first[: blocks * BLOCK : BLOCK] - first[0], np.nanmean(errors, axis=2)
 
