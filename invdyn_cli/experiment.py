@@ -60,10 +60,12 @@ def run(
     for name, data in judged.items():
         predictions[name] = Prediction(data, predict(model, fit, data))
         judge(len(predictions) / len(judged), name)
-    updates = {}
+    updates: dict[str, float] = {}
+    trace: dict[str, np.ndarray] = {}
     if adaptation.adapts:
         test = splits.tests["test"]
-        predictions["test_adapted"] = Prediction(test, follow(adaptation, model, fit, test))
+        said, trace = follow(adaptation, model, fit, test)
+        predictions["test_adapted"] = Prediction(test, said)
         took = update_times(adaptation, model, fit, test)
         updates = {f"update_{name}": float(np.percentile(took, x)) for name, x in (("p50", 50), ("p99", 99))}
     predicted = time.perf_counter()
@@ -91,6 +93,7 @@ def run(
         },
         split=splits.description,
         digest=digest(splits),
+        trace=trace,
     )
 
 
@@ -99,8 +102,11 @@ def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
     return np.concatenate([model.predict(fit, x.motion) for x in data.trajectories])
 
 
-def follow(adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
-    """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other."""
+def follow(
+    adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other; and the
+    adaptation's trace, (samples, …) by name, after each sample (after each block, where blocks are learned from)."""
     size = adaptation.block
     whole = data.samples // size * size
     samples = data.motion, data.tau
@@ -108,16 +114,20 @@ def follow(adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Da
     def block(state, part):
         motion, tau = part
         said = jax.vmap(lambda one: adaptation.predict(model, state, one))(motion)
-        return adaptation.learn(model, state, motion, tau), said
+        state = adaptation.learn(model, state, motion, tau)
+        return state, (said, adaptation.trace(state))
 
     def sample(state, one):
         motion, tau = one
-        return adaptation.update(model, state, motion, tau), adaptation.predict(model, state, motion)
+        said = adaptation.predict(model, state, motion)
+        state = adaptation.update(model, state, motion, tau)
+        return state, (said, adaptation.trace(state))
 
     blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, size, x.shape[1]), samples)
-    state, first = jax.jit(partial(jax.lax.scan, block))(adaptation.init(model, fit), blocks)
-    _, rest = jax.jit(partial(jax.lax.scan, sample))(state, jax.tree.map(lambda x: x[whole:], samples))
-    return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(rest)])
+    state, (first, traced) = jax.jit(partial(jax.lax.scan, block))(adaptation.init(model, fit), blocks)
+    _, (last, rest) = jax.jit(partial(jax.lax.scan, sample))(state, jax.tree.map(lambda x: x[whole:], samples))
+    trace = {name: np.concatenate([np.repeat(traced[name], size, axis=0), rest[name]]) for name in traced}
+    return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(last)]), trace
 
 
 def update_times(

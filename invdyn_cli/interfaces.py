@@ -113,6 +113,10 @@ class AbstractAdapter(abc.ABC):
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The state after ONE more measured sample."""
 
+    def trace(self, state: PyTree) -> dict[str, Array]:
+        """What it knows by now that is worth a curve, a few numbers by name; NaN for what it does not know."""
+        return {}
+
     def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The state after a whole block of measured samples (block, n), from a state between blocks: what as many
         calls of `update` give, and faster where it can be."""

@@ -65,6 +65,7 @@ def write_run(record: RunRecord, path: Path) -> None:
             for name, members in record.member_scores.items()
         },
         "predictions": {name: _prediction_tree(p) for name, p in record.predictions.items()},
+        "trace": dict(record.trace),
     }
 
     def write(part: Path) -> None:
@@ -121,6 +122,7 @@ def _record(tree: dict[str, Any]) -> RunRecord:
         seconds={name: float(x) for name, x in tree["seconds"].items()},
         split=json.loads(tree["split"]),
         digest=tree["digest"],
+        trace=tree["trace"],
         config=tree["config"],
         overrides=tuple(tree["overrides"]),
         provenance=json.loads(tree["provenance"]),

@@ -220,7 +220,8 @@ class RunRecord:
 
     `model` and `adaptation` are the objects (their hyperparameters), `fit` what they learned; `predictions` and
     `scores` by set name ("train", "validation", "test", …; predictions of the judged sets alone); `member_scores` where
-    a fit holds several seeds: set -> a score per seed; `choices` the names under which the command line knows them
+    a fit holds several seeds: set -> a score per seed; `trace` what the adaptation knew after each sample of
+    "test_adapted", (samples, …) by name; `choices` the names under which the command line knows them
     (model, data, adaptation, seed).
     """
 
@@ -235,6 +236,7 @@ class RunRecord:
     seconds: Mapping[str, float]
     split: Mapping[str, Any]
     digest: str
+    trace: Mapping[str, np.ndarray] = field(default_factory=dict)
     config: str = ""
     overrides: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)

@@ -17,6 +17,13 @@ CHOICES = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml"))
 MEANT = {
     ("data", "sim_noisy"): {"noisy": True},
     ("model", "ffnn_deep"): {"hidden": (100, 100, 10), "joints": {}, "epochs": 200},
+    ("model", "pest_friction"): {
+        "rest_speed": 0.003,
+        "least_speed": 0.05,
+        "weighting": "torque_spread",
+        "friction": "stribeck",
+        "rotor_inertia": True,
+    },
     ("robot", "apollo_arm"): {"path": "apollo_arm"},
     ("robot", "from_log"): {"path": None},
 }

@@ -34,6 +34,8 @@ class Conditioning:
         derivatives: "logged"; "positions": central differences of filtered positions; "auto": logged where possible.
         filter_cutoff: [Hz] of the zero-phase low-pass on all channels, None for no filter.
         filter_order: order of that Butterworth filter, which goes forth and back.
+        causal: nothing looks ahead, as in a control loop: the filter goes forth alone, and all channels come late by as
+            much; derivatives are backward differences (`online.Online` does the same sample by sample).
         torque_lag: pairs the state at t with the torque so many samples before (1: paper, section V-A) [uniform clock].
         decimate: keeps every n-th sample, after the filter.
         rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
@@ -48,6 +50,7 @@ class Conditioning:
     derivatives: str
     filter_cutoff: float | None
     filter_order: int
+    causal: bool
     torque_lag: int
     decimate: int
     rate: float | None
@@ -70,6 +73,7 @@ class Conditioning:
             ("train_share", 0 < self.train_share < 1, "between 0 and 1"),
             ("validation_share", 0 <= self.validation_share < 1, "0 to below 1"),
             ("filter_order", _whole(self.filter_order, 1), "a whole number, 1 or more"),
+            ("causal", isinstance(self.causal, bool), "true or false"),
             ("torque_lag", _whole(self.torque_lag, 0), "a whole number of samples, 0 or more"),
             ("decimate", _whole(self.decimate, 1), "a whole number of samples, 1 or more"),
             ("rate", self.rate is None or self.rate > 0, "null, or above 0 Hz"),
@@ -121,7 +125,7 @@ class Conditioning:
                 raise LogError(f"data.{name} is empty: {why}", advice=f"data.{name}=[…] of {listed(keys)}")
         joints = next(iter(records.values()))[0].joints
         data = {name: Dataset(tuple(sets[name]), joints, robot) for name in SETS}
-        options = ("derivatives", "filter_cutoff", "filter_order", "torque_lag", "decimate", "max_gap")
+        options = ("derivatives", "filter_cutoff", "filter_order", "causal", "torque_lag", "decimate", "max_gap")
         return Splits(
             train=data["train"],
             validation=data["validation"] if sets["validation"] else None,
@@ -204,13 +208,14 @@ class Conditioning:
         rate: float,
         inset: int,
     ) -> Trajectory:
-        """One piece (T, n) on its clock: filtered, differentiated, `inset` samples off each end, lagged, thinned."""
-        if self.filter_cutoff is not None:
-            signals = {c: lowpass(x, rate, self.filter_cutoff, self.filter_order) for c, x in signals.items()}
+        """One piece (T, n) on its clock: filtered, differentiated, `inset` samples off each end (where nothing looks
+        ahead, off its beginning), lagged, thinned."""
+        if (cutoff := self.filter_cutoff) is not None:
+            signals = {c: lowpass(x, rate, cutoff, self.filter_order, self.causal) for c, x in signals.items()}
         for channel, of in (("qd", "q"), ("qdd", "qd")):
             if channel not in signals:
-                signals[channel] = differentiate(signals[of], rate)
-        lag, last = self.torque_lag, len(t) - inset
+                signals[channel] = differentiate(signals[of], rate, method="backward" if self.causal else "central")
+        lag, last = self.torque_lag, len(t) - (0 if self.causal else inset)
         now, before = slice(inset + lag, last, self.decimate), slice(inset, last - lag, self.decimate)
         motion = Motion(*(signals[c][now] for c in ("q", "qd", "qdd")))
         return Trajectory(name, t[now], motion, signals["tau"][before], None if stage is None else stage[now])

@@ -20,7 +20,7 @@ from invdyn_cli.logfile import Log, RawTrajectory, read_log, write_log
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import SOURCE, simulate
 from invdyn_cli.simulation.references import STAGES, Manipulation
-from invdyn_cli.simulation.sensors import Noise
+from invdyn_cli.simulation.sensors import SIDES, Noise, Side
 from invdyn_cli.types import Robot, Splits
 
 DURATION, RATE = 9.6, 1000.0
@@ -46,28 +46,33 @@ class PickPlace(AbstractSource):
 
     Attributes:
         repetitions: so many of each kind.
+        watched: so many more without the object, to watch what is learned (validation).
         mass, com: of the object [kg], in the last link's frame [m].
         ramp: [s] in which the object comes, and goes, drawn between these.
         friction, elastic, ripple: whether the arm has them; sizes in `ARM`.
+        torque_side: command: of the motors, friction and all; link: of sensors behind friction and gears.
         position_noise, torque_noise: [rad], [N m] rms, white, torques as shares of each joint's Coulomb friction.
         seed: of motions, noise and grasps.
         cache: folder where the log is kept, written once; None simulates it anew each time.
-        filter_cutoff, filter_order, torque_lag, decimate: as in data=real_log; torque_lag=1 is the paper's pairing.
+        filter_cutoff, filter_order, causal, torque_lag, decimate: as in data=real_log; torque_lag=1 is the paper's.
     """
 
     repetitions: int = 10
+    watched: int = 2
     mass: float = 0.851
     com: Sequence[float] = (0.0, 0.0, 0.08)
     ramp: Sequence[float] = (0.1, 0.3)
     friction: bool = True
     elastic: bool = True
     ripple: bool = True
+    torque_side: Side = "command"
     position_noise: float = 1e-5
     torque_noise: float = 0.01
     seed: int = 0
     cache: str | None = "outputs/data"
     filter_cutoff: float | None = 10.0
     filter_order: int = 4
+    causal: bool = False
     torque_lag: int = 1
     decimate: int = 1
 
@@ -76,6 +81,8 @@ class PickPlace(AbstractSource):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         for name, good, allowed in (
             ("repetitions", isinstance(self.repetitions, int) and self.repetitions >= 1, "a whole number from 1"),
+            ("watched", isinstance(self.watched, int) and self.watched >= 0, "a whole number from 0"),
+            ("torque_side", self.torque_side in SIDES, ", ".join(SIDES)),
             ("mass", self.mass > 0, "a mass above 0 kg"),
             ("com", len(self.com) == 3, "three numbers [m]"),
             ("ramp", len(self.ramp) == 2 and 0 <= self.ramp[0] <= self.ramp[1] <= 0.4, "[from, to] within 0 to 0.4 s"),
@@ -109,14 +116,16 @@ class PickPlace(AbstractSource):
         path = None if self.cache is None else Path(self.cache) / f"pick_place-{self._named(robot)}.h5"
         if path is not None and path.is_file():
             return read_log(path)
+        wanted = list(itertools.product((False, True), range(self.repetitions)))
+        wanted += [(False, self.repetitions + k) for k in range(self.watched)]
         trajectories = []
-        for loaded, k in itertools.product((False, True), range(self.repetitions)):
+        for loaded, k in wanted:
             trajectories.append(self._repetition(robot, k, loaded=loaded))
-            progress(len(trajectories) / (2 * self.repetitions), trajectories[-1].name)
+            progress(len(trajectories) / len(wanted), trajectories[-1].name)
         made = Log(
             robot=robot.name,
             joints=robot.joints,
-            torque_side="command",
+            torque_side=self.torque_side,
             torque_unit="N m",
             rate=RATE,
             trajectories=tuple(trajectories),
@@ -160,6 +169,7 @@ class PickPlace(AbstractSource):
             duration=DURATION,
             rate=RATE,
             seed=own,
+            torque_side=self.torque_side,
             position_side="motor",
             name=name,
         )
@@ -179,12 +189,12 @@ class PickPlace(AbstractSource):
         return found.hexdigest()[:16]
 
     def _conditioning(self) -> Conditioning:
-        names = range(1, self.repetitions + 1)
+        learned, last = self.repetitions, self.repetitions + self.watched
         return Conditioning.of(
             self,
-            train=[f"unloaded_{k}" for k in names],
-            validation=None,
-            test=[f"loaded_{k}" for k in names],
+            train=[f"unloaded_{k + 1}" for k in range(learned)],
+            validation=[f"unloaded_{k + 1}" for k in range(learned, last)] or None,
+            test=[f"loaded_{k + 1}" for k in range(learned)],
             train_share=0.7,
             validation_share=0.0,
             derivatives="positions",

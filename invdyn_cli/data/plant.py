@@ -42,8 +42,8 @@ class Plant(AbstractSource):
         control_frequency: [Hz] bandwidth of the feedback; None: 4, less where torques come late.
         controller_knows: "arm" (what is hidden, too) or "nominal".
         seed: of references and noise; trajectories count on from it.
-        train, validation, test, train_share, validation_share, derivatives, filter_cutoff, filter_order, torque_lag,
-            decimate: as in data=real_log.
+        train, validation, test, train_share, validation_share, derivatives, filter_cutoff, filter_order, causal,
+            torque_lag, decimate: as in data=real_log.
     """
 
     effects: Sequence[Mapping[str, Any]] = ()
@@ -71,6 +71,7 @@ class Plant(AbstractSource):
     derivatives: str = "auto"
     filter_cutoff: float | None = 10.0
     filter_order: int = 4
+    causal: bool = False
     torque_lag: int = 0
     decimate: int = 10
 

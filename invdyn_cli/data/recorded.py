@@ -30,6 +30,7 @@ class RealLog(AbstractSource):
         derivatives: "logged"; "positions": central differences of filtered positions; "auto": logged where possible.
         filter_cutoff: [Hz] of the zero-phase low-pass on all channels, None for no filter.
         filter_order: order of that Butterworth filter, which goes forth and back.
+        causal: nothing looks ahead, as in a control loop: the filter goes forth alone.
         torque_lag: pairs the state at t with the torque so many samples before (1: paper, section V-A) [uniform clock].
         decimate: keeps every n-th sample, after the filter.
         drive_gain: (n,) [N m/A], in place of the logs'.
@@ -47,6 +48,7 @@ class RealLog(AbstractSource):
     derivatives: str = "auto"
     filter_cutoff: float | None = 10.0
     filter_order: int = 4
+    causal: bool = False
     torque_lag: int = 0
     decimate: int = 1
     drive_gain: Sequence[float] | None = None

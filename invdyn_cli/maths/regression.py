@@ -31,18 +31,24 @@ REST_SPEED = 0.02
 """Speed [rad/s; m/s] below which the sign of a measured velocity is noise: sign(qd) is a ramp there, so that samples at
 rest do not enter with full friction (on a UR10e log a bare sign made the held-out error four times as large)."""
 
+STRIBECK = (0.06, 0.2)
+"""Speeds [rad/s; m/s] of friction that fades with speed: published Stribeck speeds of geared joints lie between."""
+
 FEW_BLOCKS = 20
 """Fewer independent stretches leave a standard deviation uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Which rows and columns there are: the robot's ten parameters a link, then `extras` for every joint (coulomb,
-    viscous, offset, armature); `weights` (n,) multiplies the rows of each joint."""
+    """Which rows and columns there are: the robot's ten parameters a link, then `extras` for every joint, as
+    `extra_columns` has them with `rest_speed`; `weights` (n,) multiplies the rows of each joint, and rows of a joint
+    slower than `least_speed` do not count."""
 
     robot: Robot
     extras: tuple[str, ...]
     weights: Array
+    rest_speed: float = REST_SPEED
+    least_speed: float = 0.0
 
     @property
     def columns(self) -> list[str]:
@@ -51,7 +57,9 @@ class Design:
         return inertial + [f"{name}[{joint}]" for name in self.extras for joint in self.robot.joints]
 
 
-jax.tree_util.register_dataclass(Design, data_fields=["robot", "weights"], meta_fields=["extras"])
+jax.tree_util.register_dataclass(
+    Design, data_fields=["robot", "weights"], meta_fields=["extras", "rest_speed", "least_speed"]
+)
 
 
 @dataclass(frozen=True)
@@ -170,25 +178,33 @@ def torque_spread(dataset: Dataset) -> np.ndarray:
     return np.where(spread > 0, spread, 1.0)
 
 
-def extra_columns(extras: tuple[str, ...], motion: Motion) -> list[Array]:
-    """The columns beside the inertial ones, like `motion.qd` each."""
+def extra_columns(extras: tuple[str, ...], motion: Motion, rest_speed: float = REST_SPEED) -> list[Array]:
+    """The columns beside the inertial ones, like `motion.qd` each: coulomb, viscous, offset, armature, and stribeck_0
+    and so on, friction that fades with the speeds STRIBECK."""
+    direction = jnp.clip(motion.qd / rest_speed, -1, 1)
     column = {
-        "coulomb": lambda: jnp.clip(motion.qd / REST_SPEED, -1, 1),
-        "viscous": lambda: motion.qd,
-        "offset": lambda: jnp.ones_like(motion.qd),
-        "armature": lambda: motion.qdd,
+        "coulomb": direction,
+        "viscous": motion.qd,
+        "offset": jnp.ones_like(motion.qd),
+        "armature": motion.qdd,
+        **{f"stribeck_{i}": direction * jnp.exp(-((motion.qd / v) ** 2)) for i, v in enumerate(STRIBECK)},
     }
-    return [column[name]() for name in extras]
+    return [column[name] for name in extras]
 
 
 @jax.jit
 def design_rows(design: Design, motion: Motion, valid: Array) -> Array:
-    """W K transposed, (p, n, samples), for a motion (n, samples); rows that are not `valid` (samples,) are zero."""
+    """W K transposed, (p, n, samples), for a motion (n, samples); those that do not count (`valid`) are zero."""
     inertial = rigid_body.regressor(design.robot, motion.q, motion.qd, motion.qdd)
     inertial = inertial.reshape(-1, *inertial.shape[2:])
     diagonal = jnp.eye(design.robot.dofs)[:, :, None]
-    columns = [diagonal * column for column in extra_columns(design.extras, motion)]
-    return (jnp.concatenate([inertial, *columns]) if columns else inertial) * design.weights[:, None] * valid
+    columns = [diagonal * column for column in extra_columns(design.extras, motion, design.rest_speed)]
+    return (jnp.concatenate([inertial, *columns]) if columns else inertial) * _row_weights(design, motion, valid)
+
+
+def _row_weights(design: Design, motion: Motion, valid: Array) -> Array:
+    """(n, samples)."""
+    return design.weights[:, None] * (valid & (jnp.abs(motion.qd) >= design.least_speed))
 
 
 def _possible_directions(design: Design) -> np.ndarray:
@@ -201,7 +217,7 @@ def _possible_directions(design: Design) -> np.ndarray:
 
 def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Singular values (r,) and right-singular vectors (r, r) of the rows K basis of a few samples, by QR."""
-    rows = np.asarray(design_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion))))
+    rows = np.asarray(design_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion), bool)))
     triangle = linalg.qr(rows.reshape(len(rows), -1).T @ basis, mode="r")[0][: basis.shape[1]]
     _, scale, right = linalg.svd(triangle, full_matrices=True)
     return np.pad(scale, (0, basis.shape[1] - len(scale))), right.T
@@ -284,7 +300,7 @@ def _scores(design, motion, tau, valid, preconditioner, psi):
     def one(block):
         motion, tau, valid = block
         rows = design_rows(design, motion, valid).reshape(len(psi), -1)
-        residual = (design.weights[:, None] * valid * tau).ravel() - psi @ rows
+        residual = (_row_weights(design, motion, valid) * tau).ravel() - psi @ rows
         return preconditioner.T @ (rows @ residual), (residual.reshape(tau.shape) / design.weights[:, None]).T
 
     scores, residual = jax.lax.map(one, (jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)))

@@ -55,8 +55,9 @@ def settling(rate: float, cutoff: float, order: int = 4) -> int:
     return int(np.ceil(np.log(0.01) / np.log(slowest)))
 
 
-def lowpass(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """x (T, ...) at `rate` [Hz] through a Butterworth low-pass forth and back: no phase, -6 dB at `cutoff` [Hz].
+def lowpass(x: np.ndarray, rate: float, cutoff: float, order: int = 4, causal: bool = False) -> np.ndarray:
+    """x (T, ...) at `rate` [Hz] through a Butterworth low-pass forth and back: no phase, -6 dB at `cutoff` [Hz]; forth
+    alone where `causal`, from a past at x[0].
 
     It is linear: what is filtered alike stays in proportion. The ends are point-reflected over `settling` samples.
 
@@ -66,8 +67,16 @@ def lowpass(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.nda
     padding = settling(rate, cutoff, order)
     if len(x) <= padding:
         raise ValueError(f"{len(x)} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
-    sections = signal.butter(order, cutoff, fs=rate, output="sos")
+    sections = butterworth(rate, cutoff, order)
+    if causal:
+        past = signal.sosfilt_zi(sections).reshape(-1, 2, *[1] * (x.ndim - 1)) * x[0]
+        return np.asarray(signal.sosfilt(sections, x, axis=0, zi=past)[0])
     return signal.sosfiltfilt(sections, x, axis=0, padlen=padding)
+
+
+def butterworth(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
+    """Second-order sections (S, 6) of the low-pass, as SciPy has them."""
+    return np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
 
 
 def resample(t: np.ndarray, x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:

@@ -25,31 +25,38 @@ class Pest(AbstractModel):
             one deletes real base parameters when the motion is small.
         weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque, so that the noise
             of a strong joint does not drown a weak one; "none" is the paper's.
-        friction: "coulomb_viscous" adds the columns sign(qd), a ramp within `regression.REST_SPEED`, and qd for every
-            joint; "none" is the paper's.
+        friction: "coulomb_viscous" adds the columns sign(qd), a ramp within `rest_speed`, and qd for every joint;
+            "stribeck" also such that fade with speed (`regression.STRIBECK`); "none" is the paper's.
         offset: adds a constant torque per joint (a sensor's or a drive's zero).
         rotor_inertia: adds a column qdd per joint (reflected rotor inertia; only where torque is taken at the motor).
         consistent: psi is that of links that bodies can be, as near to the URDF's as the data let them, in the place of
             the smallest psi that fits: a simulator takes it.
+        rest_speed: [rad/s; m/s] below which the sign of a measured velocity is noise.
+        least_speed: [rad/s; m/s] of a joint whose torques are learned from: near rest friction may be anything.
     """
 
     threshold: float = 1e-3
     relative: bool = False
     weighting: Literal["none", "torque_spread"] = "none"
-    friction: Literal["none", "coulomb_viscous"] = "none"
+    friction: Literal["none", "coulomb_viscous", "stribeck"] = "none"
     offset: bool = False
     rotor_inertia: bool = False
     consistent: bool = False
+    rest_speed: float = regression.REST_SPEED
+    least_speed: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
             ("weighting", self.weighting, ("none", "torque_spread")),
-            ("friction", self.friction, ("none", "coulomb_viscous")),
+            ("friction", self.friction, ("none", "coulomb_viscous", "stribeck")),
         ):
             if value not in allowed:
                 raise UsageError(f"model.{name}={value!r}; allowed: {', '.join(allowed)}")
-        if not self.threshold >= 0:
-            raise UsageError(f"model.threshold={self.threshold}; allowed: a number >= 0")
+        if not self.rest_speed > 0:
+            raise UsageError(f"model.rest_speed={self.rest_speed}; allowed: a number > 0")
+        for name in ("threshold", "least_speed"):
+            if not getattr(self, name) >= 0:
+                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a number >= 0")
 
     @property
     def extras(self) -> tuple[str, ...]:
@@ -59,6 +66,7 @@ class Pest(AbstractModel):
             "viscous": self.friction != "none",
             "offset": self.offset,
             "armature": self.rotor_inertia,
+            **dict.fromkeys((f"stribeck_{i}" for i in range(len(regression.STRIBECK))), self.friction == "stribeck"),
         }
         return tuple(name for name, wanted in chosen.items() if wanted)
 
@@ -71,7 +79,8 @@ class Pest(AbstractModel):
         """Torque (n,) of one sample, equation 5."""
         assert robot is not None
         tau = rigid_body.inverse_dynamics(robot, params["psi"], motion.q, motion.qd, motion.qdd)
-        for value, column in zip(params["extras"], regression.extra_columns(self.extras, motion), strict=True):
+        columns = regression.extra_columns(self.extras, motion, self.rest_speed)
+        for value, column in zip(params["extras"], columns, strict=True):
             tau = tau + jnp.reshape(value, (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
         return tau
 
@@ -99,7 +108,7 @@ class Pest(AbstractModel):
             )
         n = robot.dofs
         weights = 1 / regression.torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
-        design = Design(robot, self.extras, weights)
+        design = Design(robot, self.extras, weights, self.rest_speed, self.least_speed)
         solution = regression.solve(
             design, dataset, self.threshold, self.relative, lambda done, note: progress(0.6 * done, note)
         )

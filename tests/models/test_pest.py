@@ -55,6 +55,8 @@ def oracle_rows(robot, motion: Motion, extras: tuple[str, ...] = ()) -> np.ndarr
         "viscous": motion.qd,
         "offset": np.ones_like(motion.qd),
         "armature": motion.qdd,
+        "stribeck_0": np.sign(motion.qd) * np.exp(-((motion.qd / 0.06) ** 2)),
+        "stribeck_1": np.sign(motion.qd) * np.exp(-((motion.qd / 0.2) ** 2)),
     }
     return np.concatenate([rows, *(column[name][:, :, None] * np.eye(n) for name in extras)], axis=2)
 
@@ -80,6 +82,7 @@ def rigid_torque(robot, motion: Motion) -> np.ndarray:
 CASES = {
     "plain": Pest(),
     "relative": Pest(threshold=2e-3, relative=True),
+    "joints that move": Pest(1e-2, friction="stribeck", least_speed=0.05),
     "all columns, weighted": Pest(1e-2, False, "torque_spread", "coulomb_viscous", True, True),
 }
 
@@ -92,7 +95,8 @@ def test_the_solution_is_the_svds(apollo4, case):
     rng = np.random.default_rng(1)
     tau = rigid_torque(robot, motion) + rng.normal(0, [3.0, 1.0, 0.3, 0.1], (1100, 4)) + 0.5 * motion.qd
     weights = 1 / tau.std(0) if model.weighting == "torque_spread" else np.ones(4)
-    rows = (oracle_rows(robot, motion, model.extras) * weights[:, None]).reshape(4400, -1)
+    weights = weights * (np.abs(motion.qd) >= model.least_speed)
+    rows = (oracle_rows(robot, motion, model.extras) * weights[..., None]).reshape(4400, -1)
     u, s, vt = np.linalg.svd(rows, full_matrices=False)
     limit = model.threshold * (s[0] if model.relative else 1.0)
     rank = int(np.sum(s > limit))
@@ -319,7 +323,9 @@ def test_memory_does_not_grow_with_the_samples():
     ("options", "words"),
     [
         ({"weighting": "spread"}, "model.weighting='spread'; allowed: none, torque_spread"),
-        ({"friction": "stribeck"}, "model.friction='stribeck'; allowed: none, coulomb_viscous"),
+        ({"least_speed": -1.0}, "model.least_speed=-1.0; allowed: a number >= 0"),
+        ({"rest_speed": 0.0}, "model.rest_speed=0.0; allowed: a number > 0"),
+        ({"friction": "striebeck"}, "model.friction='striebeck'; allowed: none, coulomb_viscous"),
         ({"threshold": -1.0}, "model.threshold=-1.0; allowed: a number >= 0"),
         ({"threshold": float("nan")}, "model.threshold=nan"),
     ],

@@ -1,0 +1,283 @@
+"""adaptation=payload: a load that comes and goes, found in what a rigid-body model leaves over, weighed, used.
+
+The torque is linear in the ten inertial parameters phi of a body on the last link, tau = model(q, qd, qdd) + Y phi. So
+all that a stretch says of a load is in two sums over its samples, L = sum Y'WY and b = sum Y'W r, r being what the
+model of the unloaded arm leaves over; phi has the log-likelihood b'phi - phi'L phi / 2 over no load. W counts what a
+sample is worth: less where a joint is near rest and friction may hold anything, and as many times less as residuals
+look alike from sample to sample. Three questions are asked of every sample:
+
+- Has a load come? Beyond a threshold some load explains the last stretch better than none (likelihood ratio; Willsky
+  and Jones 1976), or the one that was put down last does (cumulative sum; Page 1954).
+- How much is it? Recursive least squares since it came (Ljung 1999, 11.2), forgetting in proportion to that time.
+- Has it gone, or is it another one? A cumulative sum of none against it; the likelihood ratio of any other against it.
+
+The threshold is a multiple of what motions without a load reach. What friction does that no function of the motion
+says is a disturbance beside: an observer follows it (Ohnishi 1996), so that predictions do not wait for a verdict.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.maths import rigid_body, statistics
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+PARAMETERS = len(rigid_body.PARAMETERS)
+
+MOVING = 0.02
+"""A joint counts as moving where friction hides less than this share of what it hides at rest."""
+
+STATES = 64
+"""So many states of a motion are asked what friction a joint has."""
+
+
+@dataclass(frozen=True)
+class Payload(AbstractAdapter):
+    """A bank of three: no load, the load as estimated, the last load that was put down.
+
+    Attributes:
+        mass, size: what loads are like: [kg] of a heavy one, [m] from the last joint's frame to its far end, roughly.
+        window: [samples] of the stretch in which a load is looked for.
+        rest_speed: [rad/s; m/s] at which a joint's friction hides a third of what it hides at rest.
+        surety: log-likelihood ratio [nats] beyond which a change is believed, at least.
+        margin: the same, as a multiple of the highest that motions without a load reached.
+        observer: [samples] in which the disturbance is followed; None: not at all.
+        rate: samples for which predictions come from one and the same state.
+    """
+
+    mass: float = 3.0
+    size: float = 0.15
+    window: int = 100
+    rest_speed: float = 0.03
+    surety: float = 12.0
+    margin: float = 2.0
+    observer: int | None = 10
+    rate: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "size", "rest_speed", "surety"):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"adaptation.{name}={getattr(self, name)}; allowed: a number above 0")
+        for name, least in (("window", 2), ("rate", 1), ("observer", 1)):
+            value = getattr(self, name)
+            if not (isinstance(value, int) and value >= least) and not (name == "observer" and value is None):
+                allowed = f"a whole number of samples from {least}{', or null' * (name == 'observer')}"
+                raise UsageError(f"adaptation.{name}={value}; allowed: {allowed}")
+        if not self.margin >= 1:
+            raise UsageError(f"adaptation.margin={self.margin}; allowed: a number from 1")
+
+    @property
+    def block(self) -> int:
+        """The rate."""
+        return self.rate
+
+    def fit(
+        self,
+        model: AbstractModel,
+        dataset: Dataset,
+        key: jax.Array,
+        *,
+        validation: Dataset | None = None,
+        progress: Progress = silent,
+    ) -> Fit:
+        """The model's own fit; then motions without a load are watched, the validation's where there is one.
+
+        details: load_variance (n,) [(N m)^2] of residuals in motion and load_samples (n,), how many of them are worth
+        one; load_hidden (n,) [N m; N], friction at rest; load_threshold [nats].
+
+        Raises:
+            UsageError: without a robot, whose kinematics say where a load acts.
+        """
+        if dataset.robot is None:
+            got = "adaptation=payload needs the robot's kinematics, and these data bring no URDF"
+            raise UsageError(got, advice="robot=urdf robot.path=arm.urdf, or adaptation=error_model")
+        fit = model.fit(dataset, key, validation=validation, progress=lambda done, note: progress(0.9 * done, note))
+        watched = dataset if validation is None else validation
+        variance, samples = self._noise(model, fit, watched)
+        known = {
+            "load_variance": variance,
+            "load_samples": samples,
+            "load_hidden": self._hidden(model, fit, watched.motion),
+            "load_threshold": np.inf,
+        }
+        fit = replace(fit, robot=dataset.robot, details={**fit.details, **known})
+        highest = max(self._highest(model, fit, x.motion, x.tau) for x in watched.trajectories)
+        threshold = max(self.surety, self.margin * highest)
+        return replace(fit, details={**fit.details, "load_threshold": threshold})
+
+    def init(self, model: AbstractModel, fit: Fit) -> PyTree:
+        """No load, and nothing seen yet."""
+        nothing = {"L": jnp.zeros((PARAMETERS, PARAMETERS)), "b": jnp.zeros(PARAMETERS)}
+        return {
+            "params": jax.tree.map(jnp.asarray, fit.params),
+            "robot": fit.robot,
+            **{name: jnp.asarray(fit.details[f"load_{name}"], float) for name in WATCHED},
+            **dict.fromkeys(("window", "load", "before", "doubt"), nothing),
+            "phi": jnp.zeros(PARAMETERS),
+            "loaded": jnp.array(False),
+            "disturbance": jnp.zeros(len(fit.joints)),
+            **dict.fromkeys(("since", "came", "back", "gone"), jnp.array(0.0)),
+        }
+
+    def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
+        """Torque (n,) of one sample, with the load that is believed in and the disturbance that was there."""
+        said = model.apply(state["params"], motion, state["robot"])
+        return said + columns(state["robot"], motion) @ _believed(state) + state["disturbance"]
+
+    def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
+        """One sample further."""
+        left = tau - model.apply(state["params"], motion, state["robot"])
+        y = columns(state["robot"], motion)
+        turned = self._weighed(state, motion, left, y)
+        if self.observer is None:
+            return turned
+        # A load that is believed in from now on no longer disturbs.
+        disturbance = state["disturbance"] + _turned(state, turned) * (y @ (_believed(state) - _believed(turned)))
+        disturbance += (left - y @ _believed(turned) - disturbance) / self.observer
+        return {**turned, "disturbance": disturbance}
+
+    def trace(self, state: PyTree) -> dict[str, Array]:
+        """loaded (0 or 1), mass and its standard deviation [kg] and com (3,) [m, last joint's frame] of the load (NaN:
+        none), and how near the next change is: its evidence over the threshold."""
+        loaded, phi = state["loaded"], jnp.where(state["loaded"], state["phi"], jnp.nan)
+        spread = jnp.linalg.inv(state["load"]["L"] + self._prior())[0, 0] ** 0.5
+        evidence = jnp.where(loaded, state["gone"], jnp.maximum(state["came"], state["back"]))
+        return {
+            "loaded": 1.0 * loaded,
+            "mass": phi[0],
+            "mass_std": jnp.where(loaded, spread, jnp.nan),
+            "com": phi[1:4] / phi[0],
+            "evidence": evidence / state["threshold"],
+        }
+
+    def _weighed(self, state: PyTree, motion: Motion, left: Array, y: Array) -> PyTree:
+        """The state with what a sample says of loads."""
+        prior, threshold, loaded = self._prior(), state["threshold"], state["loaded"]
+        share = 1 / (1 + state["hidden"] ** 2 * _resting(motion.qd, self.rest_speed) / state["variance"])
+        w = share / (state["variance"] * state["samples"])
+        here = {"L": y.T @ (w[:, None] * y), "b": y.T @ (w * left)}
+
+        # Time passes as far as a sample says anything: what was seen is not forgotten while the arm rests.
+        passed = share.mean()
+        since = state["since"] + passed
+        window = _faded(state["window"], passed / self.window, here)
+        load = _faded(state["load"], passed / (self.window + since), here)
+        phi, before, any_load = (_solved(x, prior) for x in (load, state["before"], window))
+
+        came = jnp.where(any_load[0] > 0, window["b"] @ any_load / 2, 0.0)
+        back = jnp.maximum(0.0, state["back"] + _gain(here, before))
+        known = (came > threshold) & (_gain(window, before) > came - self.surety) | (back > threshold)
+        takes = ~loaded & ((came > threshold) | known)
+
+        gone = jnp.maximum(0.0, state["gone"] - _gain(here, phi))
+        doubt = _if(gone > 0, _faded(state["doubt"], 0.0, here), _none(here))
+        instead = _solved(doubt, prior)
+        empty = (doubt["b"] @ instead / 2 < self.surety) | (instead[0] <= 0)
+        leaves = loaded & (gone > threshold) & empty
+        wrong = loaded & (gone > threshold) & ~empty
+        other = loaded & (came - _gain(window, phi) > threshold) & (since > self.window)
+
+        turns = takes | leaves | wrong | other
+        load = _if(turns, _if(takes & known, state["before"], _if(wrong, doubt, window)), load)
+        return {
+            **state,
+            "window": _if(turns, _none(window), window),
+            "load": load,
+            "before": _if(leaves & (since > self.window), _faded(state["load"], 0.0, here), state["before"]),
+            "doubt": _if(turns, _none(doubt), doubt),
+            "phi": _solved(load, prior),
+            "loaded": takes | loaded & ~leaves,
+            "since": jnp.where(turns, 0.0, since),
+            "came": came,
+            "back": jnp.where(turns | loaded, 0.0, back),
+            "gone": jnp.where(turns | ~loaded, 0.0, gone),
+        }
+
+    def _prior(self) -> Array:
+        """(10, 10) what is known of a load's parameters before: inverse variances on the diagonal."""
+        squares = [1.0, *[self.size**2] * 3, *[self.size**4 / 4] * 6]
+        return jnp.diag(1 / (self.mass**2 * jnp.array(squares)))
+
+    def _noise(self, model: AbstractModel, fit: Fit, watched: Dataset) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) variance of residuals of joints that move, from their median, and their correlation time [samples]."""
+        moving = [np.asarray(_resting(x.motion.qd, self.rest_speed)) < MOVING for x in watched.trajectories]
+        left = [x.tau - model.predict(fit, x.motion) for x in watched.trajectories]
+        sizes = np.where(np.concatenate(moving), np.abs(np.concatenate(left)), np.nan)
+        still = np.isnan(sizes).all(axis=0)
+        spread = 1.4826 * np.nanmedian(np.where(still, np.abs(np.concatenate(left)), sizes), axis=0)
+        spread = np.maximum(spread, 1e-6 * np.abs(watched.tau).max())
+        kept = [np.clip(r * m, -3 * spread, 3 * spread) for r, m in zip(left, moving, strict=True)]
+        times = np.mean([[statistics.autocorrelation_time(x) for x in r.T] for r in kept], axis=0)
+        return spread**2, times
+
+    def _hidden(self, model: AbstractModel, fit: Fit, motion: Motion) -> np.ndarray:
+        """(n,) friction: half the difference of the torques of slow motion forth and back in states of this motion."""
+        rows, n = np.linspace(0, len(motion) - 1, STATES).astype(int), len(fit.joints)
+        q = np.repeat(np.asarray(motion.q)[rows], n, axis=0)
+        qd = self.rest_speed * np.tile(np.eye(n), (STATES, 1))
+        forth, back = (model.predict(fit, Motion(q, sign * qd, np.zeros_like(q))) for sign in (1, -1))
+        own = ((forth - back) / 2).reshape(STATES, n, n)[:, np.arange(n), np.arange(n)]
+        return np.abs(np.median(own, axis=0))
+
+    def _highest(self, model: AbstractModel, fit: Fit, motion: Motion, tau: Array) -> float:
+        """The highest evidence for a load along a motion without one."""
+
+        def step(state: PyTree, sample: tuple[Motion, Array]) -> tuple[PyTree, Array]:
+            state = self.update(model, state, *sample)
+            return state, state["came"]
+
+        return float(jax.jit(lambda s, x: jax.lax.scan(step, s, x)[1].max())(self.init(model, fit), (motion, tau)))
+
+
+WATCHED = ("variance", "samples", "hidden", "threshold")
+"""What a fit says about motions without a load, behind "load_"."""
+
+
+def columns(robot: Robot, motion: Motion) -> Array:
+    """Y (n, 10): torques of one sample per inertial parameter of a body on the last link."""
+    nothing = jnp.zeros((robot.dofs, PARAMETERS))
+
+    def torque(row: Array) -> Array:
+        return rigid_body.inverse_dynamics(robot, nothing.at[-1].set(row), motion.q, motion.qd, motion.qdd)
+
+    return jax.vmap(torque, out_axes=1)(jnp.eye(PARAMETERS))
+
+
+def _believed(state: PyTree) -> Array:
+    return jnp.where(state["loaded"], state["phi"], 0.0)
+
+
+def _turned(before: PyTree, after: PyTree) -> Array:
+    """Whether one load took the place of another, or of none."""
+    return (before["loaded"] != after["loaded"]) | (after["since"] == 0)
+
+
+def _resting(qd: Array, speed: float) -> Array:
+    """Share of what friction hides at rest that it still hides at a speed."""
+    return jnp.exp(-((qd / speed) ** 2))
+
+
+def _solved(sums: PyTree, prior: Array) -> Array:
+    return jnp.linalg.solve(sums["L"] + prior, sums["b"])
+
+
+def _gain(sums: PyTree, phi: Array) -> Array:
+    """Log-likelihood [nats] of a load over that of none."""
+    return sums["b"] @ phi - phi @ sums["L"] @ phi / 2
+
+
+def _faded(sums: PyTree, share: Array | float, here: PyTree) -> PyTree:
+    """Sums of which a share is forgotten, and what is new."""
+    return jax.tree.map(lambda old, new: (1 - share) * old + new, sums, here)
+
+
+def _none(sums: PyTree) -> PyTree:
+    return jax.tree.map(jnp.zeros_like, sums)
+
+
+def _if(condition: Array, yes: PyTree, no: PyTree) -> PyTree:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
