@@ -58,13 +58,14 @@ class Incremental(AbstractAdapter):
         return replace(fit, details={**fit.details, SCALE: torque_spread(dataset)})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """Parameters, robot, torque scale, the samples (rate, n) that wait to be learned from, how many these are, and
-        how often was learned."""
+        """Parameters, robot, torque scale, learning rate, the samples (rate, n) that wait to be learned from, how many
+        these are, and how often was learned."""
         empty = jnp.zeros((self.rate, len(fit.joints)))
         return {
             "params": jax.tree.map(jnp.asarray, fit.params),
             "robot": fit.robot,
             "scale": jnp.asarray(fit.details[SCALE]),
+            "learning_rate": jnp.asarray(self.learning_rate, jnp.float32),
             "motion": Motion(empty, empty, empty),
             "tau": empty,
             "waiting": jnp.array(0),
@@ -101,7 +102,7 @@ class Incremental(AbstractAdapter):
 
         def step(weights: PyTree, rows: Array) -> tuple[PyTree, None]:
             slopes = jax.grad(error)(weights, rows)
-            return jax.tree.map(lambda w, s: w - self.learning_rate * s, weights, slopes), None
+            return jax.tree.map(lambda w, s: w - state["learning_rate"] * s, weights, slopes), None
 
         weights = jax.lax.scan(step, model.weights(state["params"]), batches)[0]
         return {
