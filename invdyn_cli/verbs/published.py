@@ -100,6 +100,8 @@ def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[
 def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:
     if spec["columns"] == "sets":
         return comparison.by_sets(done)
+    if spec["columns"] == "stages":
+        return comparison.by_stages(done)
     floors = {
         name: _noise_floor(real_data / path, *repeated) for name, (path, *repeated) in spec.get("floors", {}).items()
     }
