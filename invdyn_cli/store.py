@@ -161,8 +161,8 @@ def metrics(record: RunRecord) -> dict[str, Any]:
 
 
 def _adaptation_scores(record: RunRecord) -> dict[str, Any]:
-    """Errors of the followed test set, by joint and by stage; the same as it was learned; how often was learned, how long
-    it took. Of a run that does not adapt the second alone, where the test set has stages."""
+    """Errors of the followed test set, by joint and by stage; the same as it was learned; how often was learned, how
+    long it took. Of a run that does not adapt the second alone, where the test set has stages."""
     learned, followed = record.predictions.get("test"), record.predictions.get("test_adapted")
     as_learned = {"as_learned": stages.scores(learned)} if learned else {}
     if followed is None:

@@ -65,8 +65,9 @@ def by_joints(jobs: Sequence[Job], floors: Mapping[str, Sequence[float]] | None 
 
 
 def by_stages(jobs: Sequence[Job]) -> Grid:
-    """A row per method and stage, as it was learned and adapted: NMSE of blocks of 100 samples, mean over joints; samples
-    until it is back below a level (`stages.until_below`); the time of an update. Median of the seeds, and their range."""
+    """A row per method and stage, as it was learned and adapted: NMSE of blocks of 100 samples, mean over joints;
+    samples until it is back below a level (`stages.until_below`); the time of an update. The median of the seeds, and
+    their range."""
     rows: list[tuple[str, ...]] = []
     for labels, several in merged(jobs):
         for kind, shown in (("learned", "as learned"), ("adapted", "adapted")):
@@ -94,9 +95,10 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
     (lowest and highest value allowed), and may have `over` (jobs whose median divides the median of the picked ones,
     one by one; a single one stands against each of the others) and `why` (said where it does not hold).
 
-    What is compared is `value` of the picked jobs, and `over_value`, else the same, of the others: "test" or another set
-    (its NMSE), or a path into errors along a repetition, "learned" or "adapted", then a stage or nothing, then "mean",
-    "peak", "line_peak" or "samples_below LEVEL", as in "adapted.grasp.samples_below 0.1" (infinite: never).
+    What is compared is `value` of the picked jobs, and `over_value`, else the same, of the others: the NMSE of a set
+    ("test" if unsaid), or a path into errors along a repetition (`stages.scores`): "learned" or "adapted", a stage or
+    nothing, "mean", "peak", "line_peak" or "samples_below LEVEL", as in "adapted.grasp.samples_below 0.1" (infinite:
+    never).
     """
     rows, together = [], merged(jobs)
     for statement in statements:
@@ -124,9 +126,12 @@ def values_of(metrics: Mapping[str, Any], name: str) -> list[float]:
     return [math.nan if x["nmse"]["mean"] is None else x["nmse"]["mean"] for x in found]
 
 
-def band_of(statements: Sequence[Mapping[str, Any]], labels: Mapping[str, str]) -> tuple[float, float] | None:
-    """What all statements that pick this job by itself (not beside another) allow together; None if there is none."""
-    alone = (x for x in statements if not {"over", "value"} & set(x))
+def band_of(
+    statements: Sequence[Mapping[str, Any]], labels: Mapping[str, str], of: str = "test"
+) -> tuple[float, float] | None:
+    """What all statements on a set that pick this job by itself (not beside another) allow together; None if there is
+    none."""
+    alone = (x for x in statements if "over" not in x and x.get("value", "test") == of)
     bands = [x["band"] for x in alone if matches(labels, x["each"])]
     return (max(low for low, _ in bands), min(high for _, high in bands)) if bands else None
 

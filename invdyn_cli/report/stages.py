@@ -6,6 +6,7 @@ set. An error is the mean over joints.
 """
 
 import warnings
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -46,8 +47,13 @@ def begins(judged: Prediction) -> dict[str, float]:
 
 def line(errors: np.ndarray) -> np.ndarray:
     """The median over repetitions, as far as half of them go, (blocks,) of (repetitions, blocks)."""
-    kept = np.isfinite(errors).mean(axis=0) >= 0.5
+    kept = reached(errors)
     return np.nanmedian(errors[:, kept], axis=0) if kept.any() else np.empty(0)
+
+
+def reached(errors: np.ndarray) -> np.ndarray:
+    """Which blocks half of the repetitions have, (blocks,) of (repetitions, blocks)."""
+    return np.isfinite(errors).mean(axis=0) >= 0.5
 
 
 def until_below(errors: np.ndarray, level: float) -> int | None:
@@ -59,8 +65,8 @@ def until_below(errors: np.ndarray, level: float) -> int | None:
 
 
 def scores(judged: Prediction) -> dict[str, Any]:
-    """Over all blocks and by stage: `mean`; `peak`, the highest block of all repetitions; `line_peak`, the highest of the
-    median over repetitions; by stage `samples_below` each of `LEVELS`, as `until_below` has it."""
+    """Over all blocks and by stage: `mean`; `peak`, the highest block of all repetitions; `line_peak`, the highest of
+    the median over repetitions; by stage `samples_below` each of `LEVELS`, as `until_below` has it."""
     found = {name: x for name, x in errors(judged).items() if x.shape[1]}
     if not found:
         return {}
@@ -90,7 +96,7 @@ def parts(x: Trajectory) -> list[tuple[str, slice]]:
         return [("all", slice(0, len(x.t)))]
     stage = np.asarray(x.stage)
     edges = [0, *(np.flatnonzero(stage[1:] != stage[:-1]) + 1), len(stage)]
-    return [(str(stage[a]), slice(int(a), int(b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(str(stage[a]), slice(int(a), int(b))) for a, b in pairwise(edges)]
 
 
 def padded(every: list[np.ndarray]) -> np.ndarray:
