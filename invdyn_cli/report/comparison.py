@@ -187,7 +187,7 @@ def _middle(values: Sequence[float]) -> str:
     if not values:
         return ""
     middle, band = significant(median(values)), _band(values)
-    return middle if band == middle else f"{middle} ({band})"
+    return (middle if band == middle else f"{middle} ({band})").replace("inf", "never")
 
 
 def _kind(statements: Sequence[Mapping[str, Any]]) -> str:

@@ -52,7 +52,7 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
     """A figure of `lines` ({shown: {each: labels, set: test or test_adapted, colour, dashed}}): NMSE of 100 samples
     along a repetition, the median over repetitions, and over seeds; their band where it is not dashed.
 
-    With `mass` ({each: labels, true: kg}) a panel below shows what the load is taken for.
+    With `mass` ({each: labels, kg: the true one}) a panel below shows what the load is taken for.
     """
     weighed = spec.get("mass")
     with matplotlib.rc_context(STYLE):
@@ -112,12 +112,12 @@ def _weights(axes: Axes, spec: Mapping[str, Any], picked: Sequence[Course]) -> N
         low[believed], high[believed] = np.nanpercentile(every[:, believed], SHOWN, axis=0)
         colour = COLOURS[spec.get("colour", "black")]
         axes.fill_between(t, low, high, color=colour, alpha=0.2, lw=0)
-        axes.plot(t, middle, color=colour, lw=1.5, label="mass of the load, estimated")
-        label = "its standard error, as estimated"
+        axes.plot(t, middle, color=colour, lw=1.5, label="load, estimated mass")
+        label = "mass ± its standard error"
         for sign in (1, -1):
             axes.plot(t, middle + sign * std, color=colour, lw=0.8, ls=":", label=label)
-    axes.axhline(spec["true"], color=INK, lw=0.9, label=f"true mass, {spec['true']:g} kg")
-    axes.set_ylim(0, 1.6 * spec["true"])
+    axes.axhline(spec["kg"], color=INK, lw=0.9, label=f"true mass, {spec['kg']:g} kg")
+    axes.set_ylim(0.8 * spec["kg"], 1.2 * spec["kg"])
     axes.set_ylabel("mass [kg]")
 
 
