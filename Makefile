@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
-PUBLISHED = batch_simulated dbm seven_joints filters
+PUBLISHED = batch_simulated dbm seven_joints filters adaptation
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

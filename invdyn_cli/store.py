@@ -20,8 +20,8 @@ import numpy as np
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
-from invdyn_cli.maths.metrics import BLOCK, nmse_in_blocks
 from invdyn_cli.models import extended
+from invdyn_cli.report import stages
 from invdyn_cli.types import (
     Dataset,
     Diagnosis,
@@ -153,32 +153,26 @@ def metrics(record: RunRecord) -> dict[str, Any]:
         "samples": dict(record.samples),
         "parameters": record.fit.parameters,
     }
-    if "test_adapted" in record.predictions:
-        out["adaptation_scores"] = _adaptation_scores(record)
+    if found := _adaptation_scores(record):
+        out["adaptation_scores"] = found
     if record.member_scores:
         out["members"] = {name: [s.as_dict() for s in scores] for name, scores in record.member_scores.items()}
     return out
 
 
 def _adaptation_scores(record: RunRecord) -> dict[str, Any]:
-    """NMSE of every block of the followed test set, by joint and by stage; how often was learned, how long it took."""
-    followed, size = record.predictions["test_adapted"], max(record.adaptation.block, BLOCK)
-    every = nmse_in_blocks(followed.data.tau, followed.tau, size)
-    if not len(every):
-        return {}
-    mean = every.mean(axis=1)
-    stage = followed.data.stage
-    at = np.empty(0) if stage is None else stage[: len(every) * size : size]
+    """Errors of the followed test set, by joint and by stage; the same as it was learned; how often was learned, how
+    long it took. Of a run that does not adapt the second alone, where the test set has stages."""
+    learned, followed = record.predictions.get("test"), record.predictions.get("test_adapted")
+    as_learned = {"as_learned": stages.scores(learned)} if learned else {}
+    if followed is None:
+        return as_learned if learned and learned.data.stage is not None else {}
     return {
-        "nmse": {**_mean_and_peak(mean), "joint": dict(zip(record.fit.joints, every.mean(axis=0), strict=True))},
-        "stages": {str(name): _mean_and_peak(mean[at == name]) for name in dict.fromkeys(at)},
+        **stages.scores(followed),
+        **as_learned,
         "updates": followed.data.samples // record.adaptation.block,
         "seconds_per_update": {name: record.seconds.get(f"update_{name}") for name in ("p50", "p99")},
     }
-
-
-def _mean_and_peak(values: np.ndarray) -> dict[str, float]:
-    return {"mean": values.mean(), "peak": values.max()}
 
 
 def write_metrics(record: RunRecord, path: Path) -> None:

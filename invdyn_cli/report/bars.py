@@ -15,6 +15,7 @@ from invdyn_cli.maths.metrics import ACCURATE
 from invdyn_cli.report.canvas import (
     BLACK,
     BLUE,
+    COLOURS,
     GREEN,
     GREY,
     INK,
@@ -28,7 +29,7 @@ from invdyn_cli.report.canvas import (
     limit_bars,
     plain,
 )
-from invdyn_cli.report.comparison import Job, band_of, matches, values_of
+from invdyn_cli.report.comparison import Job, band_of, matches, merged, values_of
 
 OF_MODEL = {"PEST": GREEN, "NN": BLUE, "DBM": PURPLE}
 """The hues of the paper's Fig. 3."""
@@ -41,18 +42,20 @@ LETTERS = 118
 
 def draw(spec: Mapping[str, Any], statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Figure:
     """An experiment's `figure`: a panel per value of the label `panels`, a group of bars per combination of the labels
-    `groups`, a bar per entry of `bars` ({shown: the labels it picks}).
+    `groups`, a bar per entry of `bars` ({shown: the labels it picks; `set`, else "test"; `colour`}).
 
     A bar is the mean NMSE over joints (the median of the seeds, a whisker for their range), a diamond the same on clean
     test inputs, dots the single joints where `joints` is true.
     """
     key = spec.get("panels")
+    jobs = [job for job in jobs if any(matches(job[0], _labels(bar)) for bar in spec["bars"].values())]
     panels = _values(jobs, key) if key else [""]
     groups = [
         dict(zip(spec["groups"], values, strict=True))
         for values in itertools.product(*(_values(jobs, key) for key in spec["groups"]))
     ]
-    everything = np.array([x for _, metrics in jobs for x in _shown(spec, metrics)])
+    sets = list(dict.fromkeys(bar.get("set", "test") for bar in spec["bars"].values()))
+    everything = np.array([x for name in sets for _, metrics in jobs for x in _shown(spec, metrics, name)])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 0.9 + 2.9 * len(panels)), layout="constrained")
         figure.suptitle(plain(spec["title"]), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
@@ -62,7 +65,7 @@ def draw(spec: Mapping[str, Any], statements: Sequence[Mapping[str, Any]], jobs:
             label = f"NMSE {ACCURATE}: accurate, in the paper's words"
             axes.axhline(ACCURATE, color=BLACK, lw=1.1, label=label, zorder=1.5)
             axes.grid(False, axis="x")
-            axes.set_ylabel("test NMSE, mean over joints")
+            axes.set_ylabel(f"{'test ' * (sets == ['test'])}NMSE, mean over joints")
             inside = [job for job in jobs if not key or job[0][key] == panel]
             _bars(axes, spec, statements, inside, groups)
             if key:
@@ -84,22 +87,23 @@ def _bars(
 ) -> None:
     width = 0.8 / len(spec["bars"])
     others = iter(OTHERS)
-    for k, (shown, picked) in enumerate(spec["bars"].items()):
-        colour = OF_MODEL.get(shown) or next(others)
-        for (i, group), (labels, metrics) in itertools.product(enumerate(groups), jobs):
+    for k, (shown, bar) in enumerate(spec["bars"].items()):
+        picked = _labels(bar)
+        colour, of = COLOURS.get(bar.get("colour")) or OF_MODEL.get(shown) or next(others), bar.get("set", "test")
+        for (i, group), (labels, several) in itertools.product(enumerate(groups), merged(jobs)):
             if not (matches(labels, picked) and matches(labels, group)):
                 continue
-            where = i + (k - (len(spec["bars"]) - 1) / 2) * width
-            values = values_of(metrics, "test")
+            where, metrics = i + (k - (len(spec["bars"]) - 1) / 2) * width, several[0]
+            values = [x for one in several for x in values_of(one, of)]
             axes.bar(where, median(values), 0.8 * width, color=colour, label=shown, zorder=2)
             if len(values) > 1:
                 label = "seeds, lowest to highest"
                 axes.vlines(where, min(values), max(values), color=INK, lw=1.6, label=label, zorder=3)
-            for clean in values_of(metrics, "test_clean")[:1]:
+            for clean in values_of(metrics, "test_clean")[:1] if of == "test" else ():
                 axes.plot(where, clean, "D", ms=4.5, mfc="white", mec=INK, label="on clean test inputs", zorder=4)
-            if dots := _joints(spec, metrics):
+            if dots := _joints(spec, metrics, of):
                 axes.plot([where] * len(dots), dots, ".", ms=5, color=INK, label="single joints", zorder=3)
-            if (band := band_of(statements, labels)) is not None:
+            if (band := band_of(statements, labels, of)) is not None:
                 _box(axes, where, width, *band)
 
 
@@ -111,14 +115,20 @@ def _box(axes: Axes, where: float, width: float, low: float, high: float) -> Non
     axes.bar(where, high - low, width, bottom=low, label="expected", **look)
 
 
-def _shown(spec: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[float]:
-    """All that a bar shows."""
-    return [*values_of(metrics, "test"), *values_of(metrics, "test_clean")[:1], *_joints(spec, metrics)]
+def _shown(spec: Mapping[str, Any], metrics: Mapping[str, Any], of: str) -> list[float]:
+    """All that a bar shows of a set."""
+    clean = values_of(metrics, "test_clean")[:1] if of == "test" else []
+    return [*values_of(metrics, of), *clean, *_joints(spec, metrics, of)]
 
 
-def _joints(spec: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[float]:
-    found = metrics["test"]["nmse"]["joint"].values() if spec.get("joints") else ()
+def _joints(spec: Mapping[str, Any], metrics: Mapping[str, Any], of: str) -> list[float]:
+    found = metrics[of]["nmse"]["joint"].values() if spec.get("joints") else ()
     return [x for x in found if x is not None]
+
+
+def _labels(bar: Mapping[str, Any]) -> dict[str, Any]:
+    """That a bar picks its jobs by."""
+    return {key: value for key, value in bar.items() if key not in ("set", "colour")}
 
 
 def _values(jobs: Sequence[Job], key: str) -> list[str]:

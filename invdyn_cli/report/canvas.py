@@ -16,6 +16,9 @@ from invdyn_cli.types import RunRecord
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILLION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#999999"
+COLOURS = {"black": BLACK, "orange": ORANGE, "sky": SKY, "green": GREEN, "blue": BLUE, "vermillion": VERMILLION,
+           "purple": PURPLE, "grey": GREY}  # fmt: skip
+"""By the names that experiments/*.yaml call them."""
 MEASURED, PREDICTED, RESIDUAL, SAMPLES = BLACK, VERMILLION, BLUE, SKY
 KEPT, DROPPED = BLUE, VERMILLION
 SET_COLOURS = {"train": BLUE, "validation": SKY, "test": VERMILLION, "test_clean": ORANGE}

@@ -56,13 +56,13 @@ td { white-space: normal; vertical-align: top; } .verdicts td { min-width: 7rem;
 
 @dataclass(frozen=True)
 class Exhibit:
-    """An experiment on the page: its title, source and command, its PNG or None, its table and verdicts; `absent` says
-    in its place why it was left out."""
+    """An experiment on the page: its title, source and command, its PNGs with a caption each, its table and verdicts;
+    `absent` says in its place why it was left out."""
 
     title: str
     source: str
     command: str
-    figure: Path | None = None
+    figures: Sequence[tuple[Path, str]] = ()
     table: Grid | None = None
     verdicts: Grid | None = None
     absent: str = ""
@@ -144,10 +144,13 @@ def _exhibit(x: Exhibit) -> str:
     under = f'<p class="sub">{escape(x.source)}. <code>{escape(x.command)}</code></p>'
     if x.absent:
         return f'{under}<p class="warning">Left out: {escape(x.absent)}</p>'
-    drawn = picture(x.figure, CAPTION, x.title) if x.figure else ""
+    drawn = "".join(picture(path, caption, x.title) for path, caption in x.figures)
     said = _table(x.verdicts, "verdicts") if x.verdicts else ""
     return (
-        under + drawn + said + (folded("all numbers", _table(x.table, "scores"), shown=not x.figure) if x.table else "")
+        under
+        + drawn
+        + said
+        + (folded("all numbers", _table(x.table, "scores"), shown=not x.figures) if x.table else "")
     )
 
 

@@ -1,20 +1,32 @@
 """invdyn figures: the figures of experiments/*.yaml, and the page that puts all of it beside the paper."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+from matplotlib.figure import Figure
 from omegaconf import DictConfig
 from rich.console import Console
 
 from invdyn_cli import store
 from invdyn_cli.errors import LogError
-from invdyn_cli.report import bars, comparison, html, paper
+from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
 from invdyn_cli.verbs import published, tables
 from invdyn_cli.verbs.launch import launch
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure: its file in every format, and its caption."""
+
+    paths: Sequence[Path]
+    caption: str
 
 
 def main(argv: Sequence[str]) -> int:
@@ -39,7 +51,7 @@ def task(config: DictConfig) -> None:
             continue
         tables.write(done, own)
         drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
-        for path in drawn:
+        for path in (path for one in drawn for path in one.paths):
             console.print(str(path), highlight=False, soft_wrap=True)
         exhibits.append(_exhibit(done, drawn))
         if picked := done.spec.get("paper_tables"):
@@ -49,24 +61,40 @@ def task(config: DictConfig) -> None:
     console.print(str(written), highlight=False, soft_wrap=True)
 
 
-def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Path]:
-    """The experiment's figure, once per format; nothing where it has none."""
-    if "figure" not in done.spec:
-        return []
-    figure = bars.draw(done.spec["figure"], done.spec.get("statements", ()), done.jobs)
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{done.name}.{suffix}" for suffix in formats]
-    for path in paths:
-        store.write_aside(path, lambda part, kind=path.suffix[1:]: figure.savefig(part, dpi=110, format=kind))
-    return paths
+def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Drawn]:
+    """The experiment's `figure` as NAME, its `figures` as NAME_FILE, once per format; nothing where it has none."""
+    specs = [(done.name, done.spec["figure"])] if "figure" in done.spec else []
+    specs += [(f"{done.name}_{spec['file']}", spec) for spec in done.spec.get("figures", ())]
+    courses: list[curves.Run] = []
+    if any(spec.get("kind") == "curves" for _, spec in specs):
+        courses = [(labels, curves.course(record)) for labels, record in done.records()]
+    drawn = []
+    for name, spec in specs:
+        figure = _figure(done, spec, courses)
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / f"{name}.{suffix}" for suffix in formats]
+        for path in paths:
+            store.write_aside(path, partial(figure.savefig, dpi=110, format=path.suffix[1:]))
+        drawn.append(Drawn(paths, spec.get("caption", paper.CAPTION)))
+    return drawn
 
 
-def _exhibit(done: Published, drawn: Sequence[Path]) -> Exhibit:
+def _figure(done: Published, spec: Mapping[str, Any], courses: Sequence[curves.Run]) -> Figure:
+    """By its `kind`: bars (if it says none), curves, or torques of the first job."""
+    kind = spec.get("kind", "bars")
+    if kind == "curves":
+        return curves.draw(spec, courses)
+    if kind == "torques":
+        return repetitions.draw(spec, next(done.records())[1])
+    return bars.draw(spec, done.spec.get("statements", ()), done.jobs)
+
+
+def _exhibit(done: Published, drawn: Sequence[Drawn]) -> Exhibit:
     return Exhibit(
         done.spec["title"],
         done.spec["source"],
         _command(done.name),
-        figure=next((path for path in drawn if path.suffix == ".png"), None),
+        figures=tuple((path, one.caption) for one in drawn for path in one.paths if path.suffix == ".png"),
         table=done.table,
         verdicts=done.verdicts,
     )
@@ -79,8 +107,7 @@ def _command(name: str) -> str:
 def _paper_tables(done: Published, picked: dict[str, str]) -> tuple[Grid, Grid]:
     """Tables I and II beside what the runs of the picked jobs had."""
     runs = {
-        (labels["data"], labels["data.split"]): store.load_run(folder / store.RUN)
-        for (labels, _), folder in zip(done.jobs, done.folders, strict=True)
-        if comparison.matches(labels, picked)
+        (labels["data"], labels["data.split"]): record
+        for labels, record in done.records(lambda labels: comparison.matches(labels, picked))
     }
     return paper.table_one(next(iter(runs.values())).model), paper.table_two(runs)

@@ -2,7 +2,7 @@
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from invdyn_cli.errors import LogError, UsageError, closest, listed
 from invdyn_cli.maths import metrics
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid, Job
+from invdyn_cli.types import RunRecord
 from invdyn_cli.verbs import run, screen, sweep
 from invdyn_cli.verbs.launch import config_folder
 
@@ -31,6 +32,14 @@ class Published:
     folders: tuple[Path, ...]
     table: Grid
     verdicts: Grid | None
+
+    def records(
+        self, wanted: Callable[[Mapping[str, str]], bool] = lambda _: True
+    ) -> Iterator[tuple[Mapping[str, str], RunRecord]]:
+        """The labels and the run of every wanted job, read one after the other."""
+        for (labels, _), folder in zip(self.jobs, self.folders, strict=True):
+            if wanted(labels):
+                yield labels, store.load_run(folder / store.RUN)
 
 
 def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False) -> Published:
@@ -100,6 +109,8 @@ def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[
 def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:
     if spec["columns"] == "sets":
         return comparison.by_sets(done)
+    if spec["columns"] == "stages":
+        return comparison.by_stages(done)
     floors = {
         name: _noise_floor(real_data / path, *repeated) for name, (path, *repeated) in spec.get("floors", {}).items()
     }

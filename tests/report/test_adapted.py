@@ -32,7 +32,9 @@ def test_scores_by_stage(record):
     """Errors of every hundred samples over the variance of all, their mean and peak by stage, and the updates."""
     found = store.metrics(record)["adaptation_scores"]
     variance = record.predictions["test"].data.tau.var(0)
-    assert found["stages"]["still"] == {"mean": 0.0, "peak": 0.0}
+    still = {"mean": 0.0, "peak": 0.0, "line_peak": 0.0, "samples_below": {"0.1": 0, "0.01": 0}}
+    assert found["stages"]["still"] == still
+    assert found["as_learned"]["stages"]["still"]["mean"] > 0
     assert found["stages"]["moving"]["mean"] == pytest.approx(np.mean(1 / variance))
     assert found["nmse"]["mean"] == pytest.approx(np.mean(1 / variance) / 2)
     assert list(found["nmse"]["joint"].values()) == pytest.approx(list(0.5 / variance))

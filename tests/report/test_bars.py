@@ -89,3 +89,15 @@ def test_panels_are_comparable():
     assert rich.get_ylim() == poor.get_ylim()
     low, high = rich.get_ylim()
     assert low < 1e-28 and high > 0.9
+
+
+def test_seeds_share_a_bar_and_a_bar_may_show_another_set():
+    """Jobs that differ in their seed have one bar, their median, and `set` says which errors it shows."""
+    jobs = []
+    for seed, x in enumerate((0.1, 0.2, 0.9)):
+        labels, metrics = job("NN", "rich", "noisy", x)
+        jobs.append(({**labels, "seed": str(seed)}, {**metrics, "train": {"nmse": {"mean": x / 10, "joint": {}}}}))
+    several = {"learned": {"name": "NN", "set": "train", "colour": "sky"}, "tested": {"name": "NN"}}
+    (axes,) = bars.draw({"title": "", "groups": ["name"], "bars": several}, [], jobs).axes
+    tops = {label: [top for *_, top in found] for label, found in shown(axes).items()}
+    assert tops == {"learned": [pytest.approx(0.02)], "tested": [pytest.approx(0.2)]}

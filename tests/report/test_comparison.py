@@ -78,3 +78,61 @@ def test_floors_follow_their_robot():
     rows = comparison.by_joints(jobs, {"one": [0.25]}).rows
     assert rows[2] == ("one", "noise floor", "RMSE", "0.250", "", "0.250")
     assert len(rows) == 5
+
+
+def followed(name, mean, *, seed=None, until=None, learned=1.0):
+    """A job that adapted: the mean error of its only stage, samples until below 0.1, its error as learned."""
+
+    def errors(x, samples):
+        stage = {"mean": x, "peak": 3 * x, "line_peak": 2 * x, "samples_below": {"0.1": samples, "0.01": None}}
+        return {"nmse": {"mean": x, "peak": 3 * x, "line_peak": 2 * x}, "stages": {"grasp": stage}}
+
+    labels, metrics = job(name, mean, **({} if seed is None else {"seed": seed}))
+    scores = {**errors(mean, until), "as_learned": errors(learned, None), "seconds_per_update": {"p50": 0.002}}
+    return labels, {**metrics, "adaptation_scores": scores}
+
+
+FOLLOWED = [*(followed("NN", x, seed=str(k), until=700) for k, x in enumerate((0.1, 0.2, 0.6))), followed("PEST", 0.05)]
+
+
+@pytest.mark.parametrize(
+    ("statement", "found"),
+    [
+        ({"value": "adapted.grasp.mean", "each": {"name": "NN"}}, "0.100 to 0.600"),
+        ({"value": "adapted.grasp.samples_below 0.1", "each": {"name": "NN"}}, "700"),
+        ({"value": "adapted.grasp.samples_below 0.1", "each": {"name": "PEST"}}, "inf"),
+        ({"value": "learned.line_peak", "each": {"name": "PEST"}}, "2.00"),
+        ({"value": "adapted.mean", "each": {"name": "NN"}, "over": {"name": "PEST"}}, "4.00"),
+        ({"value": "adapted.mean", "each": {"name": "PEST"}, "over": {"name": ["NN", "PEST"]}}, "0.250 to 1.00"),
+        (
+            {"value": "adapted.peak", "over_value": "learned.peak", "each": {"name": "NN"}, "over": {"name": "NN"}},
+            "0.200",
+        ),
+        ({"value": "adapted.lift.mean", "each": {"name": "NN"}}, ""),
+    ],
+)
+def test_statements_on_stages(statement, found):
+    """A statement picks a stage's error, as learned or adapted; seeds are judged one by one, and a ratio is that of
+    their medians, one method against each of several."""
+    grid = comparison.judge([{"paper": "", "claim": "", "band": [0, 10], **statement}], FOLLOWED)
+    assert grid.rows[0][3] == found
+
+
+def test_what_never_comes_never_holds():
+    """Samples that never suffice are no large number: the verdict says never."""
+    never = {"paper": "", "claim": "", "value": "adapted.grasp.samples_below 0.1", "band": [0, 1e6]}
+    assert comparison.judge([{**never, "each": {"name": "PEST"}}], FOLLOWED).rows[0][4] == "differs: never"
+
+
+def test_a_row_per_method_and_stage():
+    """Seeds share a row, with their median and range; as learned and adapted stand below each other."""
+    grid = comparison.by_stages(FOLLOWED)
+    rows = {row[:3]: row[3:] for row in grid.rows}
+    assert list(rows) == [
+        (name, kind, stage)
+        for name in ("NN", "PEST")
+        for kind in ("as learned", "adapted")
+        for stage in ("grasp", "whole")
+    ]
+    assert rows["NN", "adapted", "grasp"][:2] == ("0.200 (0.100 to 0.600)", "0.400 (0.200 to 1.20)")
+    assert rows["NN", "adapted", "grasp"][3:] == ("700", "never", "2.00")

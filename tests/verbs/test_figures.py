@@ -13,6 +13,15 @@ SPEC = {
     "common": [*TINY, "data=sim_clean", "model=ffnn", "model.epochs=1"],
     "jobs": [{"name": "NN", "overrides": [], "sweep": {"data": ["sim_clean"], "data.split": ["interpolation"]}}],
     "figure": {"title": "One bar", "groups": ["data"], "bars": {"NN": {"name": "NN"}}},
+    "figures": [
+        {
+            "file": "train",
+            "title": "One more",
+            "groups": ["data"],
+            "bars": {"NN": {"name": "NN", "set": "train"}},
+            "caption": "What was learned.",
+        },
+    ],
     "paper_tables": {"name": "NN"},
     "statements": [{"paper": "good", "claim": "always", "each": {"name": "NN"}, "band": [0, 1e6]}],
 }
@@ -35,12 +44,13 @@ def test_a_page_of_all_experiments(experiments, command):
     done = command(*call)
     assert done.code == 0, done.err
     drawn = experiments / "outputs" / "figures"
-    assert {path.name for path in drawn.iterdir()} == {"small.png", "small.svg"}
+    assert {path.name for path in drawn.iterdir()} == {f"small{x}.{y}" for x in ("", "_train") for y in ("png", "svg")}
     assert (experiments / "outputs/tables/small.md").is_file()
     page = (experiments / "outputs/paper/index.html").read_text()
     assert (
         "Of 1 statements" in page
         and ", 1 hold." in page
+        and "What was learned." in page
         and "Table I:" in page
         and "Left out: experiment far needs" in page
     )
