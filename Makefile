@@ -10,10 +10,10 @@ PUBLISHED = batch_simulated dbm seven_joints filters adaptation
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite bench wheel clean $(PUBLISHED:%=table-%)
+.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite hyperparameters latency bench wheel clean $(PUBLISHED:%=table-%)
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
-OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most
+OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most epochs repetitions seconds
 said = $(strip $(foreach name,$(OPTIONS),$(if $(filter command,$(firstword $(origin $(name)))),$(name)=$($(name)))))
 ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# each, where two processes share two cores
 EXPERIMENT = PYTHONPATH=. $(BIN)/python experiments
@@ -76,6 +76,12 @@ detection: $(INSTALLED)  ## the smallest sizes that are found, over noise, into 
 
 excite: $(INSTALLED)  ## ambiguous logs, the trajectory that each asks for, and what it settles (seed=, cases=, only=)
 	$(EXPERIMENT)/excite.py $(said)
+
+hyperparameters: $(INSTALLED)  ## how nets go on learning: adapting against forgetting (seed=, epochs=, repetitions=)
+	$(EXPERIMENT)/hyperparameters.py $(said)
+
+latency: $(INSTALLED)  ## what a tick of a 1 kHz loop costs (seconds=, docs=true)
+	$(EXPERIMENT)/latency.py $(said)
 
 bench: $(INSTALLED)  ## times against PyTorch (pip install torch; left out with a word without it) and Pinocchio
 	$(BIN)/python experiments/bench.py

@@ -3,7 +3,7 @@
     python experiments/bench.py            (make bench)
     python experiments/bench.py --json bench.json
 
-Four comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
+Five comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
 
 train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches. One epoch of PyTorch,
         ten of invdyn, each per epoch. invdyn may use all cores. PyTorch runs on one thread, which is its best: on nets
@@ -17,10 +17,15 @@ dbm     the shared DBM of four joints, 36,000 samples, 410 columns for all four 
         ridge that leaves each of eight tasks out in turn, against the same columns stacked and numpy's lstsq, once,
         without any choice; one core and one thread for both.
 
+adapt   nets of Table I for seven joints learn on from 9,000 samples, the last 100 at a time, 5 epochs in batches of 32,
+        each predicted before, against the same in PyTorch, a loop over joints and batches; one core and one thread.
+        Skipped where torch is not installed.
+
 The loops are in Python, as Pinocchio and PyTorch are used from Python; in C++ they would be faster.
 """
 
 import argparse
+import itertools
 import json
 import os
 import statistics
@@ -226,7 +231,59 @@ def dbm() -> dict:
     return measure(what, lambda: Dbm(form="shared").fit(dataset, jax.random.key(0)), by_hand, 3)
 
 
-PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm}
+def adapt() -> dict:
+    """The delta rule along a log against PyTorch's SGD."""
+    try:
+        import torch
+    except ImportError:
+        return {"skipped": "torch is not installed: pip install torch"}
+    import jax
+    import numpy as np
+
+    from invdyn_cli import experiment
+    from invdyn_cli.adaptation.incremental import Incremental
+    from invdyn_cli.models.ffnn import Ffnn
+    from invdyn_cli.types import Dataset, Motion, Trajectory
+
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.normal(size=(3, 9_000, 7))
+    tau = np.sin(q) + 0.1 * qdd
+    data = Dataset((Trajectory("a", np.arange(9_000) / 1000, Motion(q, qd, qdd), tau),), tuple("abcdefg"))
+    adapter, model = Incremental(), Ffnn(epochs=1)
+    fit = adapter.fit(model, data, jax.random.key(0))
+    torch.set_num_threads(1)
+    hidden = {column: group.hidden for group in model.groups(7) for column in group.columns}
+    nets = []
+    for column in range(7):
+        widths, layers = [21, *hidden[column]], []
+        for before, after in itertools.pairwise(widths):
+            layers += [torch.nn.Linear(before, after), torch.nn.ReLU()]
+        net = torch.nn.Sequential(*layers, torch.nn.Linear(widths[-1], 1))
+        nets.append((column, net, torch.optim.SGD(net.parameters(), lr=adapter.learning_rate)))
+    x = torch.from_numpy(np.concatenate([q, qd, qdd], axis=1).astype("f4"))
+    y = torch.from_numpy(tau.astype("f4"))
+
+    def by_hand():
+        for start in range(0, 9_000, 100):
+            inputs, targets = x[start : start + 100], y[start : start + 100]
+            for column, net, optimiser in nets:
+                with torch.no_grad():
+                    net(inputs)
+                for _ in range(adapter.epochs):
+                    order = torch.randperm(100)
+                    for rows in (order[k : k + 32] for k in range(0, 96, 32)):
+                        loss = torch.nn.functional.mse_loss(net(inputs[rows])[:, 0], targets[rows, column])
+                        optimiser.zero_grad()
+                        loss.backward()
+                        optimiser.step()
+
+    def ours():
+        return experiment.follow(adapter, model, fit, data)
+
+    return measure("nets of seven joints learn on along 9,000 samples; against a PyTorch loop", ours, by_hand, 3)
+
+
+PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm, "adapt": adapt}
 
 if __name__ == "__main__":
     if PART in os.environ:

@@ -170,9 +170,16 @@ def _adaptation_scores(record: RunRecord) -> dict[str, Any]:
     return {
         **stages.scores(followed),
         **as_learned,
+        **_load(record),
         "updates": followed.data.samples // record.adaptation.block,
         "seconds_per_update": {name: record.seconds.get(f"update_{name}") for name in ("p50", "p99")},
     }
+
+
+def _load(record: RunRecord) -> dict[str, Any]:
+    """The load that was believed in last, where the adaptation weighs any."""
+    believed = np.flatnonzero(np.isfinite(record.trace.get("mass", np.empty(0))))
+    return {"load": {name: record.trace[name][believed[-1]] for name in ("mass", "mass_std")}} if len(believed) else {}
 
 
 def write_metrics(record: RunRecord, path: Path) -> None:

@@ -98,7 +98,7 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
     What is compared is `value` of the picked jobs, and `over_value`, else the same, of the others: the NMSE of a set
     ("test" if unsaid), or a path into errors along a repetition (`stages.scores`): "learned" or "adapted", a stage or
     nothing, "mean", "peak", "line_peak" or "samples_below LEVEL", as in "adapted.grasp.samples_below 0.1" (infinite:
-    never).
+    never), or "load.mass" [kg], what was believed in last.
     """
     rows, together = [], merged(jobs)
     for statement in statements:
@@ -157,6 +157,9 @@ def _values(together: Sequence[tuple], wanted: Mapping[str, Any], value: str) ->
 def _picked(metrics: Mapping[str, Any], value: str) -> list[float]:
     """Of one job: what a statement's `value` says; none where there is no such thing."""
     kind, _, path = value.partition(".")
+    if kind == "load":
+        found = metrics.get("adaptation_scores", {}).get("load", {})
+        return [found[path]] if path in found else []
     if kind not in ("learned", "adapted"):
         return values_of(metrics, value)
     path, below, level = path.partition(BELOW)
