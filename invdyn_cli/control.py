@@ -55,7 +55,11 @@ class Sweep:
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", tuple(self.gains))
         for name, good, allowed in (
-            ("gains", len(self.gains) > 0 and all(0 < x < np.inf for x in self.gains), "a list of numbers above 0 /rad"),
+            (
+                "gains",
+                len(self.gains) > 0 and all(0 < x < np.inf for x in self.gains),
+                "a list of numbers above 0 /rad",
+            ),
             ("gains", len(set(self.gains)) == len(self.gains), "each gain once"),
             ("damping_time", 0 <= self.damping_time < np.inf, "from 0 s"),
             ("velocity_cutoff", 0 < self.velocity_cutoff < RATE / 2, f"above 0 and below {RATE / 2:g} Hz"),
@@ -171,11 +175,10 @@ def run(
         for loaded, k, gain, kind in wanted:
             task = source.task(robot, first + k, loaded=loaded)
             desired = task.motion(robot)
-            feedforward = {
-                ALONE: lambda: Table(np.zeros_like(desired.q)),
-                LEARNED: lambda: Table(model.predict(fit, desired)),
-                ADAPTED: lambda: Learner(adapting, desired, source.torque_lag),
-            }[kind]()
+            if kind == ADAPTED:
+                feedforward = Learner(adapting, desired, source.torque_lag)
+            else:
+                feedforward = Table(model.predict(fit, desired) if kind == LEARNED else np.zeros_like(desired.q))
             loop = _arm(robot, task, sweep, source)
             cases.append(_measured(loop, task, desired, feedforward, gain, spread, sweep, (loaded, kind, k + 1)))
             progress(len(cases) / len(wanted), f"{cases[-1].rms:.3g} deg at {gain:g} /rad, {kind}")
@@ -245,6 +248,11 @@ def _arm(robot: Robot, task: Task, sweep: Sweep, source: PickPlace) -> ClosedLoo
     return loop
 
 
+def _rms(x: np.ndarray) -> np.ndarray:
+    """(n,) over time (T, n)."""
+    return np.sqrt(np.mean(x**2, axis=0))
+
+
 def _measured(
     loop: ClosedLoop,
     task: Task,
@@ -282,18 +290,17 @@ def _measured(
     counted = slice(loop.before, None)
     error = np.rad2deg(goal - q[counted])
     stage = task.stages(np.arange(len(goal)) / RATE)
-    rms = lambda x: np.sqrt(np.mean(x**2, axis=0))  # noqa: E731
     loaded, kind, repetition = what
     return Case(
         gain=gain,
         loaded=loaded,
         kind=kind,
         repetition=repetition,
-        error=rms(error),
+        error=_rms(error),
         peak=np.abs(error).max(axis=0),
-        stages={name: rms(error[stage == name]) for name in dict.fromkeys(stage.tolist())},
-        feedback=rms(back[counted]),
-        torque=rms(loop.commands[counted]) if not failed else np.full(n, np.nan),
+        stages={name: _rms(error[stage == name]) for name in dict.fromkeys(stage.tolist())},
+        feedback=_rms(back[counted]),
+        torque=_rms(loop.commands[counted]) if not failed else np.full(n, np.nan),
         tick=(float(np.percentile(took[counted], 50)), float(np.percentile(took[counted], 99))),
         failed=failed,
     )

@@ -153,7 +153,7 @@ class PickPlace(AbstractSource):
         return tuple(out)
 
     def task(self, robot: Robot, k: int, *, loaded: bool) -> "Task":
-        """Repetition k, from 0, without the object or with it; those from `repetitions` + `watched` on are in no log."""
+        """Repetition k, from 0, without the object or with it; none of the log's where k >= repetitions + watched."""
         draw = np.random.default_rng([self.seed, int(loaded), k])
         own, reference = int(draw.integers(2**31)), Manipulation()
         times = reference.times(own)

@@ -169,7 +169,8 @@ def _run(
     """The control loop: measured "q", true "qd" (of the links if `link`), the links' true "q_link", commanded "tau" and
     "link" torque, (T, n) each."""
     goal, drive = np.asarray(wanted.q), loop.drive
-    q, qd, q_link, felt = np.empty((4, *goal.shape))
+    samples, n = goal.shape
+    q, qd, q_link, felt = np.empty((4, samples, n))
     controller = commissioned(control, loop.robot, loop.made, wanted, loop.rate, loop.step)
     loop.start(goal[0])
     ticks = len(loop.commands)
