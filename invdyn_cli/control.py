@@ -284,6 +284,12 @@ def _measured(
         started = time.perf_counter()
         ahead = feedforward.torque(row, q[first - 1 : tick + 1], tau[first - 1 : tick])
         took[tick] = time.perf_counter() - started
+        if not np.isfinite(ahead).all():
+            joint = loop.robot.joints[int(np.argmin(np.isfinite(ahead)))]
+            failed = (
+                f"at {loop.sample / RATE:.2f} s the feedforward of {joint} is no number any more, learning diverged"
+            )
+            break
         back[tick] = stiffness * (goal[row] - last) + damping * (goal_qd[row] - velocity)
         loop.apply(ahead + back[tick])
         tau[tick] = loop.logged(loop.drive.felt if loop.drive.sense else loop.commands[tick])

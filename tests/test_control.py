@@ -100,13 +100,27 @@ def test_the_object_tells_while_it_is_held(record):
 
 
 def test_out_of_control_is_a_result(arm, source):
-    """An arm that feedback cannot hold is told in a sentence with joint and time; the others still run. A model that
-    does not adapt is not tried as if it did."""
-    made = run(source, Exact(), Batch(), arm, Sweep(gains=(1.0, STIFF), largest_error=0.2))
+    """An arm that feedback cannot hold is told in a sentence with joint and time, not an exception. A model that does
+    not adapt is not tried as if it did."""
+    made = run(source, Exact(), Batch(), arm, Sweep(gains=(1.0,), largest_error=0.2))
     assert made.kinds == (ALONE, LEARNED)
-    (soft,), (stiff,) = (made.runs(gain, False, ALONE) for gain in made.sweep.gains)
+    (soft,) = made.runs(1.0, False, ALONE)
     assert "out of control" in soft.failed and "arm_joint" in soft.failed and np.isnan(soft.rms)
-    assert not stiff.failed and np.isfinite(stiff.rms)
+
+
+class Diverging(Following):
+    """Adds ten times what was wrong, each time."""
+
+    def update(self, model, state, motion, tau):
+        fitted, left = state
+        return fitted, left * 10 + 1e300 * (tau - tau + 1)
+
+
+def test_learning_that_diverges_is_a_result(arm, source):
+    """A feedforward that is no number any more never reaches the arm: it is told, with the joint, and the others run."""
+    made = run(source, Exact(), Diverging(), arm, Sweep(gains=(STIFF,)))
+    assert all("diverged" in x.failed and "arm_joint" in x.failed for x in made.cases if x.kind == ADAPTED)
+    assert not any(x.failed or np.isnan(x.rms) for x in made.cases if x.kind != ADAPTED)
 
 
 class Noting:
