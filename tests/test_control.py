@@ -117,7 +117,7 @@ class Diverging(Following):
 
 
 def test_learning_that_diverges_is_a_result(arm, source):
-    """A feedforward that is no number any more never reaches the arm: it is told, with the joint, and the others run."""
+    """A feedforward that is no number any more never reaches the arm: it is told by joint, and the others run."""
     made = run(source, Exact(), Diverging(), arm, Sweep(gains=(STIFF,)))
     assert all("diverged" in x.failed and "arm_joint" in x.failed for x in made.cases if x.kind == ADAPTED)
     assert not any(x.failed or np.isnan(x.rms) for x in made.cases if x.kind != ADAPTED)

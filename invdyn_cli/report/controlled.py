@@ -106,7 +106,7 @@ def sentences(record: ControlRecord) -> list[str]:
         told = f"{OBJECT[loaded].capitalize()}, gain {gain:g}: feedback alone errs by {significant(finite[gain])} deg"
         learned, *adapted = (record.rms(gain, loaded, kind) for kind in record.kinds[1:])
         if math.isfinite(learned):
-            told += f"; as learned it is {_times(finite[gain], learned)} closer"
+            told += f"; as learned it is {_times(finite[gain], learned)}"
         if adapted and math.isfinite(adapted[0]):
             told += (
                 f"; adapted {_times(finite[gain], adapted[0])}, {_times(learned, adapted[0])} closer than as learned"
@@ -119,7 +119,7 @@ def sentences(record: ControlRecord) -> list[str]:
 
 
 def _times(before: float, after: float) -> str:
-    return f"{before / after:.1f} times"
+    return f"{before / after:.1f} times closer" if before >= after else f"{after / before:.1f} times farther off"
 
 
 def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:
