@@ -108,9 +108,9 @@ def sentences(record: ControlRecord) -> list[str]:
         if math.isfinite(learned):
             told += f"; as learned it is {_times(finite[gain], learned)}"
         if adapted and math.isfinite(adapted[0]):
-            told += (
-                f"; adapted {_times(finite[gain], adapted[0])}, {_times(learned, adapted[0])} closer than as learned"
-            )
+            told += f"; adapted {_times(finite[gain], adapted[0])}"
+            if math.isfinite(learned):
+                told += f", {_times(learned, adapted[0])} than as learned"
         out.append(f"{told}.")
     for case in record.cases:
         if case.failed:
@@ -119,7 +119,9 @@ def sentences(record: ControlRecord) -> list[str]:
 
 
 def _times(before: float, after: float) -> str:
-    return f"{before / after:.1f} times closer" if before >= after else f"{after / before:.1f} times farther off"
+    if abs(before / after - 1) < 0.01:
+        return "no closer"
+    return f"{before / after:.1f} times closer" if before > after else f"{after / before:.1f} times farther off"
 
 
 def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:
