@@ -12,6 +12,7 @@ VERBS = {
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
     "figures": "the published figures, and a page that puts all of it beside the paper",
     "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
+    "control": "a learned model, adapted or not, in the control loop of the simulated arm",
     "report": "draw the figures and the page of a run.h5 anew",
 }
 
@@ -26,6 +27,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
   invdyn diagnose data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf
   invdyn excite robot=urdf robot.path=arm.urdf diagnosis=FOLDER/diagnosis.json
+  invdyn control model=pest_friction adaptation=payload
   invdyn run --help                                   all options of a verb
   invdyn --version
 

@@ -37,7 +37,7 @@ def online(
     fit: Fit,
     *,
     rate: float = 1000.0,
-    cutoff: float = 10.0,
+    cutoff: float | None = 10.0,
     order: int = 4,
 ) -> Online:
     """Make the loop's functions for an adapter and the (extended) model that it fitted.
@@ -47,15 +47,15 @@ def online(
 
     Args:
         rate: [Hz] of the loop.
-        cutoff, order: of the Butterworth low-pass, as the data that were fitted had it.
+        cutoff, order: of the Butterworth low-pass, as the data that were fitted had it; None: none.
 
     Raises:
         ValueError: if the cut-off is not between 0 and half the rate.
     """
-    if not 0 < cutoff < rate / 2:
+    if cutoff is not None and not 0 < cutoff < rate / 2:
         raise ValueError(f"cutoff={cutoff} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
-    sections = butterworth(rate, cutoff, order)
-    rest = signal.sosfilt_zi(sections)[:, :, None]
+    sections = np.empty((0, 6)) if cutoff is None else butterworth(rate, cutoff, order)
+    rest = signal.sosfilt_zi(sections)[:, :, None] if len(sections) else np.empty((0, 2, 1))
 
     def init(q: Array, tau: Array) -> PyTree:
         q, tau = np.asarray(q, float), np.asarray(tau, float)
@@ -69,7 +69,7 @@ def online(
 
     @jax.jit(donate_argnums=0)
     def step(state: PyTree, q: Array, tau: Array, wanted: Motion) -> tuple[PyTree, Array]:
-        passed, memory = _filtered(sections, state["filter"], jnp.concatenate([q, tau]))
+        passed, memory = filtered(sections, state["filter"], jnp.concatenate([q, tau]))
         before, n = state["motion"], len(passed) // 2
         qd = (passed[:n] - before.q) * rate
         motion = Motion(passed[:n], qd, (qd - before.qd) * rate)
@@ -81,7 +81,7 @@ def online(
     return Online(init, step)
 
 
-def _filtered(sections: np.ndarray, memory: Array, x: Array) -> tuple[Array, Array]:
+def filtered(sections: np.ndarray, memory: Array, x: Array) -> tuple[Array, Array]:
     """x (n,) one sample through second-order sections (S, 6), and the memory (S, 2, n) after it (direct form II
     transposed, as SciPy's `sosfilt`)."""
     after = []
@@ -89,4 +89,4 @@ def _filtered(sections: np.ndarray, memory: Array, x: Array) -> tuple[Array, Arr
         y = b0 * x + z1
         after.append(jnp.stack([b1 * x - a1 * y + z2, b2 * x - a2 * y]))
         x = y
-    return x, jnp.stack(after)
+    return x, jnp.stack(after) if after else memory

@@ -5,15 +5,16 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from scipy import signal
 
 from invdyn_cli import experiment
 from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.adaptation.payload import Payload
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
-from invdyn_cli.maths.signals import differentiate, lowpass
+from invdyn_cli.maths.signals import butterworth, differentiate, lowpass
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
-from invdyn_cli.online import online
+from invdyn_cli.online import filtered, online
 from invdyn_cli.types import Dataset, Motion, Trajectory
 from tests.records import make_dataset, make_robot
 
@@ -56,6 +57,16 @@ def test_ticks_are_the_log(adapter: AbstractAdapter, model: AbstractModel, log):
         ticked.append(np.asarray(state["said"]))
     np.testing.assert_allclose(ticked, said, rtol=1e-4, atol=1e-4 * np.abs(said).max())
     np.testing.assert_allclose(state["motion"].qdd, motion.qdd[-1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 5])
+def test_the_recursion_is_scipys(order):
+    """Sample by sample the sections give what scipy.signal.sosfilt gives of the whole, from rest at the first one."""
+    x = np.cumsum(np.random.default_rng(0).normal(size=(400, 3)), axis=0)
+    sections = butterworth(1000.0, 30.0, order)
+    past = signal.sosfilt_zi(sections)[..., None] * x[0]
+    _, said = jax.lax.scan(lambda memory, row: filtered(sections, memory, row)[::-1], jax.numpy.array(past), x)
+    np.testing.assert_allclose(said, signal.sosfilt(sections, x, axis=0, zi=past)[0], rtol=0, atol=1e-9)
 
 
 def test_it_gives_the_torque_of_the_motion_that_is_wanted(log):

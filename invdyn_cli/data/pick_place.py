@@ -21,7 +21,7 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import SOURCE, simulate
 from invdyn_cli.simulation.references import STAGES, Manipulation
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side
-from invdyn_cli.types import Robot, Splits
+from invdyn_cli.types import Motion, Robot, Splits
 
 DURATION, RATE = 9.6, 1000.0
 """[s] of a recording, [Hz] (the paper: 9 to 10 s, 1 kHz)."""
@@ -152,30 +152,38 @@ class PickPlace(AbstractSource):
             out += [Hidden("torque_ripple", joint, wave)] * self.ripple
         return tuple(out)
 
-    def _repetition(self, robot: Robot, k: int, *, loaded: bool) -> RawTrajectory:
-        seed = [self.seed, int(loaded), k]
-        draw = np.random.default_rng(seed)
-        own, task = int(draw.integers(2**31)), Manipulation()
-        times, name = task.times(own), f"{'loaded' if loaded else 'unloaded'}_{k + 1}"
+    def task(self, robot: Robot, k: int, *, loaded: bool) -> "Task":
+        """Repetition k, from 0, without the object or with it; none of the log's where k >= repetitions + watched."""
+        draw = np.random.default_rng([self.seed, int(loaded), k])
+        own, reference = int(draw.integers(2**31)), Manipulation()
+        times = reference.times(own)
         load = {"mass": self.mass, "com": list(self.com), "window": list(times["holds"])}
         load["ramp"] = float(draw.uniform(self.ramp[0], self.ramp[1]))
+        torque_noise = tuple(self.torque_noise * np.resize(ARM["coulomb"], robot.dofs))
+        return Task(
+            name=f"{'loaded' if loaded else 'unloaded'}_{k + 1}",
+            reference=reference,
+            seed=own,
+            hidden=(*self.hidden(robot), *[Hidden("payload_change", None, load)] * loaded),
+            noise=Noise(position=self.position_noise, torque=torque_noise),
+            begins=tuple(times[stage][0] for stage in STAGES),
+        )
+
+    def _repetition(self, robot: Robot, k: int, *, loaded: bool) -> RawTrajectory:
+        task = self.task(robot, k, loaded=loaded)
         raw = simulate(
             robot,
-            task,
-            (*self.hidden(robot), *[Hidden("payload_change", None, load)] * loaded),
-            noise=Noise(
-                position=self.position_noise, torque=tuple(self.torque_noise * np.resize(ARM["coulomb"], robot.dofs))
-            ),
+            task.reference,
+            task.hidden,
+            noise=task.noise,
             duration=DURATION,
             rate=RATE,
-            seed=own,
+            seed=task.seed,
             torque_side=self.torque_side,
             position_side="motor",
-            name=name,
+            name=task.name,
         )
-        begins = [times[stage][0] for stage in STAGES]
-        stage = np.array(STAGES)[np.searchsorted(begins, raw.t, side="right") - 1]
-        return replace(raw, stage=stage, payload_mass=self.mass if loaded else 0.0)
+        return replace(raw, stage=task.stages(raw.t), payload_mass=self.mass if loaded else 0.0)
 
     def _named(self, robot: Robot) -> str:
         """Sixteen hex digits of all that the log depends on."""
@@ -201,3 +209,32 @@ class PickPlace(AbstractSource):
             rate=None,
             max_gap=1.5 / RATE,
         )
+
+
+@dataclass(frozen=True)
+class Task:
+    """One repetition before it is played: what the arm shall do, and all that is in it.
+
+    Attributes:
+        name: the trajectory's.
+        reference: the motion, drawn by `seed`.
+        seed: of the motion and the noise.
+        hidden: in the arm, the object with its window among it.
+        noise: of the sensors.
+        begins: (4,) [s] when each of `STAGES` does.
+    """
+
+    name: str
+    reference: Manipulation
+    seed: int
+    hidden: tuple[Hidden, ...]
+    noise: Noise
+    begins: tuple[float, ...]
+
+    def motion(self, robot: Robot) -> Motion:
+        """The motion (T, n) over `DURATION` at `RATE`."""
+        return self.reference.motion(robot, DURATION, RATE, self.seed)
+
+    def stages(self, t: np.ndarray) -> np.ndarray:
+        """Name of the stage at each t (T,) [s]."""
+        return np.array(STAGES)[np.searchsorted(self.begins, t, side="right") - 1]

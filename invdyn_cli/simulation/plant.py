@@ -3,10 +3,8 @@
 What is logged at t is what the controller measured then, and the torque that it asked for from then on, held until the
 next tick (zero-order hold): a torque is on average half a tick younger than its t.
 """
-# pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -16,18 +14,16 @@ import numpy as np
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.logfile import Log, RawTrajectory
-from invdyn_cli.simulation import gear
-from invdyn_cli.simulation.arm import build, set_joints
-from invdyn_cli.simulation.control import Control, Controller, commissioned
-from invdyn_cli.simulation.drive import Drive
+from invdyn_cli.simulation.closed_loop import EXACT, ClosedLoop, quiet
+from invdyn_cli.simulation.control import Control, commissioned
 from invdyn_cli.simulation.events import refuse_outside, refuse_trajectory
-from invdyn_cli.simulation.hidden import Hidden, assemble, refuse
+from invdyn_cli.simulation.hidden import Hidden, refuse
 from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side, stepped
 from invdyn_cli.types import Motion, Robot
 
 SOURCE = f"simulated arm (invdyn, MuJoCo {mujoco.__version__})"
-EXACT, USUAL = Noise(), Control()
+USUAL = Control()
 LOOK_EVERY = 50
 """Ticks between two looks at whether the arm is still under control."""
 
@@ -76,39 +72,24 @@ def simulate(
         noise.of(sensor.name, robot.dofs)
     refuse_link_encoder(link_encoder, position_side)
     refuse_events(hidden, duration)
-    made, step = assemble(robot, hidden, name), 1 / (rate * substeps)
     wanted = reference.motion(robot, duration, rate, seed)
-    arm = build(
-        robot,
-        inertial=made.inertial,
-        gravity=made.gravity,
-        carried=[*made.carried, *made.events.bodies()],
-        armature=made.armature,
-        geared=[x.joint for x in made.gears],
-        timestep=step,
-    )
-    set_joints(arm, damping=made.damping, stiffness=made.stiffness, pull=made.pull)
-    gear.put(arm, made.gears)
-    controller = commissioned(control, robot, made, wanted, rate, step)
-    arm.model.dof_frictionloss[arm.motor] = made.friction
-    drive = Drive(arm, made, substeps, sense=torque_side == "link")
-    noises = np.random.default_rng([seed, 1])
-    with _quiet():
-        logged = _run(drive, controller, wanted, noise, control, noises, rate, name, position_side == "link", progress)
-    tau = logged["link" if torque_side == "link" else "tau"]
-    tau = tau + noises.normal(size=tau.shape) * noise.of("torque", robot.dofs)
+    how = {"noise": noise, "rate": rate, "substeps": substeps, "seed": seed, "torque_side": torque_side, "name": name}
+    loop = ClosedLoop(robot, hidden, samples=len(wanted), before=round(control.settle * rate), **how)
+    with quiet():
+        logged = _run(loop, wanted, control, name, position_side == "link", progress)
+    tau = loop.logged(logged["link" if torque_side == "link" else "tau"])
     qd = None
     if noise.velocity is not None:
-        qd = logged["qd"] + noises.normal(size=tau.shape) * noise.of("velocity", robot.dofs)
+        qd = logged["qd"] + loop.noises.normal(size=tau.shape) * noise.of("velocity", robot.dofs)
     return RawTrajectory(
         name=name,
         t=np.arange(len(tau)) / rate,
         q=logged["q"],
-        tau=stepped(tau, noise.of("torque_quantum", robot.dofs)),
+        tau=tau,
         qd=qd,
         q_ref=np.asarray(wanted.q),
         q_link=_second_encoder(logged["q_link"], noise, seed) if link_encoder else None,
-        notes="; ".join(arm.notes),
+        notes="; ".join(loop.arm.notes),
     )
 
 
@@ -183,68 +164,33 @@ def _second_encoder(q: np.ndarray, noise: Noise, seed: int) -> np.ndarray:
 
 
 def _run(
-    drive: Drive,
-    controller: Controller,
-    wanted: Motion,
-    noise: Noise,
-    control: Control,
-    noises: np.random.Generator,
-    rate: float,
-    name: str,
-    link: bool,
-    progress: Progress,
+    loop: ClosedLoop, wanted: Motion, control: Control, name: str, link: bool, progress: Progress
 ) -> Mapping[str, np.ndarray]:
     """The control loop: measured "q", true "qd" (of the links if `link`), the links' true "q_link", commanded "tau" and
     "link" torque, (T, n) each."""
-    goal = np.asarray(wanted.q)
+    goal, drive = np.asarray(wanted.q), loop.drive
     samples, n = goal.shape
-    before = round(control.settle * rate)
-    commands = np.empty((before + samples, n))
     q, qd, q_link, felt = np.empty((4, samples, n))
-    errors = noises.normal(size=(before + samples, n)) * noise.of("position", n) + drive.build.encoder
-    quantum = noise.of("position_quantum", n)
-    drive.start(goal[0] - drive.build.encoder)
-    for tick in range(before + samples):
-        k = tick - before
-        measured = drive.q() + errors[tick]
-        if quantum.any():
-            measured = stepped(measured, quantum)
-        commands[tick] = controller.torque(max(k, 0), measured)
+    controller = commissioned(control, loop.robot, loop.made, wanted, loop.rate, loop.step)
+    loop.start(goal[0])
+    ticks = len(loop.commands)
+    for tick in range(ticks):
+        k = loop.sample
+        measured = loop.measure()
         if k >= 0:
             q_link[k], qd[k] = drive.q(link=True), drive.qd(link=link)
-            q[k] = stepped(q_link[k] + errors[tick], quantum) if link else measured
-        drive.advance(commands, tick, k / rate)
+            q[k] = loop.measure(link=True) if link else measured
+        if not tick % LOOK_EVERY:
+            if why := loop.lost(goal[max(k, 0)] - measured, control.largest_error):
+                advice = "smaller hidden effects, a slower reference, or another control.frequency"
+                raise UsageError(f"{name}: {why}", advice=advice)
+            progress(tick / ticks, f"{max(k, 0) / loop.rate:.0f} s of {name}")
+        loop.apply(controller.torque(max(k, 0), measured))
         if k >= 0 and drive.sense:
             felt[k] = drive.felt
-        if not tick % LOOK_EVERY:
-            _refuse_runaway(drive, goal[max(k, 0)] - measured, k / rate, control, name)
-            progress(tick / len(commands), f"{max(k, 0) / rate:.0f} s of {name}")
     progress(1.0, name)
-    return {"q": q, "qd": qd, "q_link": q_link, "tau": commands[before:], "link": felt}
-
-
-def _refuse_runaway(drive: Drive, error: np.ndarray, t: float, control: Control, name: str) -> None:
-    worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf)))
-    if abs(error[worst]) <= control.largest_error:
-        return
-    joint = drive.model.joint(int(drive.arm.motor[worst])).name
-    when = f"at {t:.2f} s" if t >= 0 else "before the log begins"
-    raise UsageError(
-        f"{name}: the simulated arm is out of control {when}, {joint} is {error[worst]:.3g} from its "
-        f"reference; allowed: {control.largest_error:g}",
-        advice="smaller hidden effects, a slower reference, or another control.frequency",
-    )
+    return {"q": q, "qd": qd, "q_link": q_link, "tau": loop.commands[loop.before :], "link": felt}
 
 
 def _between(progress: Progress, start: float, end: float) -> Progress:
     return lambda done, note: progress(start + (end - start) * done, note)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)

@@ -56,10 +56,10 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
     console = console or Console(quiet=True)
     screen.use_compilation_cache()
     started = datetime.datetime.now(datetime.UTC)
-    _refuse_options(config)
-    source = _object(config, "data", AbstractSource)
-    model = _object(config, "model", AbstractModel)
-    adaptation = _object(config, "adaptation", AbstractAdapter)
+    refuse_options(config)
+    source = make_object(config, "data", AbstractSource)
+    model = make_object(config, "model", AbstractModel)
+    adaptation = make_object(config, "adaptation", AbstractAdapter)
     robot = make_robot(config, source.header(), optional=not (source.needs_robot or model.needs_robot), console=console)
     for note in robot.notes if robot else ():
         console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
@@ -72,7 +72,7 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
     console.print(tables.score_table(record))
     for warning in record.fit.warnings:
         console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
-    console.print(str(_relative(folder)), highlight=False, markup=False, soft_wrap=True)
+    console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)
     return record
 
 
@@ -116,7 +116,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
         return None
 
 
-def _refuse_options(config: DictConfig) -> None:
+def refuse_options(config: DictConfig) -> None:
     """What belongs to no group, and groups that were emptied."""
     for group in ("robot", "data", "model", "adaptation"):
         if config[group] is None or "_target_" not in config[group]:
@@ -132,7 +132,8 @@ def refuse_formats(option: str, formats: Any) -> None:
         raise UsageError(f"{option}={formats}; allowed: a list of {listed(FORMATS)}")
 
 
-def _object(config: DictConfig, group: str, kind: type) -> Any:
+def make_object(config: DictConfig, group: str, kind: type) -> Any:
+    """What a group's config makes, if it is of that kind and can be stored."""
     made = instantiate(config[group])
     if not isinstance(made, kind):
         raise UsageError(f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}")
@@ -156,7 +157,8 @@ def _with_origin(record: RunRecord, config: DictConfig, started: datetime.dateti
     )
 
 
-def _relative(folder: Path) -> Path:
+def relative(folder: Path) -> Path:
+    """As seen from the working directory, where it lies below it."""
     try:
         return folder.relative_to(Path.cwd())
     except ValueError:

@@ -63,6 +63,21 @@ def test_its_log_is_written_once(arm, tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
 
 
+def test_a_task_is_what_the_log_has(arm):
+    """A repetition before it is played asks for the motion of the log's, has its stages, and holds the object where it
+    is loaded; one beyond the log's is another motion."""
+    source = PickPlace(**PLAIN, cache=None)
+    unloaded, loaded = sorted(source.log(arm).trajectories, key=lambda x: x.payload_mass)
+    for raw in (unloaded, loaded):
+        task = source.task(arm, 0, loaded=raw is loaded)
+        assert task.name == raw.name
+        np.testing.assert_array_equal(task.motion(arm).q, raw.q_ref)
+        np.testing.assert_array_equal(task.stages(raw.t), raw.stage)
+        assert [x.effect for x in task.hidden] == ["payload_change"] * (raw is loaded)
+    later = source.task(arm, 1, loaded=True)
+    assert np.abs(later.motion(arm).q - loaded.q_ref).max() > 1e-3
+
+
 def test_repetitions_differ_a_little(arm):
     """Every repetition has its own postures and times, within some hundredths of a radian and tenths of a second."""
     task = Manipulation()

@@ -1,0 +1,183 @@
+"""What a learned feedforward is worth in a control loop: figure, table, sentences, JSON (invdyn-control/1), CSV."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from invdyn_cli.control import ADAPTED, ALONE, LEARNED, Case, ControlRecord
+from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, STYLE, WIDTH, add_legend, log_axis, plain
+from invdyn_cli.report.tables import significant
+
+SCHEMA = "invdyn-control/1"
+COLOURS = {ALONE: BLACK, LEARNED: ORANGE, ADAPTED: BLUE}
+MARKERS = {ALONE: "s", LEARNED: "^", ADAPTED: "o"}
+WIDTHS = {ALONE: 1.6, LEARNED: 4.0, ADAPTED: 1.6}
+"""What has nothing to adapt to lies on what was learned: the lower line is the wider."""
+OBJECT = {False: "without the object", True: "with the object"}
+
+POOR = 5.0
+"""[deg] Where feedback alone errs by about this much, feedforwards are compared in words."""
+
+
+def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
+    """The figure, in the formats that the paths end with."""
+    with matplotlib.rc_context(STYLE):
+        figure = _figure(record, named)
+        for path in paths:
+            figure.savefig(path, dpi=110)
+
+
+def _figure(record: ControlRecord, named: str) -> Figure:
+    """Tracking error and the feedback's share over the gain, without and with the object."""
+    figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
+    title = f"{named}: tracking, and the feedback that it takes"
+    figure.suptitle(plain(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    panels = figure.subplots(2, 2, sharex=True, sharey="row")
+    gains = sorted(record.sweep.gains)
+    for column, loaded in enumerate((False, True)):
+        for row, values in enumerate((record.rms, record.share)):
+            axes = panels[row, column]
+            for kind in record.kinds:
+                said = np.array([values(gain, loaded, kind) for gain in gains]) * (100.0 if row else 1.0)
+                look = {
+                    "color": COLOURS[kind],
+                    "marker": MARKERS[kind],
+                    "lw": WIDTHS[kind],
+                    "ms": 3 + 1.2 * WIDTHS[kind],
+                }
+                axes.plot(gains, said, label=kind, **look)
+            log_axis(axes)
+        panels[0, column].set_title(OBJECT[loaded])
+        panels[1, column].set_xlabel("gain Kp / standard deviation of the joint's torque [1/rad]")
+        _gain_axis(panels[1, column], gains)
+    panels[0, 0].set_ylabel("tracking error, RMS over joints [deg]")
+    panels[1, 0].set_ylabel("feedback's torque, share of the whole [%]")
+    add_legend(figure, panels[0, 0])
+    return figure
+
+
+def _gain_axis(axes: Axes, gains: Sequence[float]) -> None:
+    """A log axis with a tick at each gain that was tried, the stiffest left."""
+    axes.set_xscale("log")
+    axes.set_xticks(gains, [f"{x:g}" for x in gains])
+    axes.set_xticks([], minor=True)
+    axes.set_xlim(max(gains) * 1.15, min(gains) / 1.15)
+
+
+def table(record: ControlRecord) -> Table:
+    """A line for each gain, without and with the object: error [deg] and the feedback's share [%] of each kind."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption="error: RMS over time and joints; feedback: RMS share")
+    table.add_column("object")
+    table.add_column(Text("gain\n[1/rad]"), justify="right")
+    for kind in record.kinds:
+        table.add_column(Text(f"{kind}\nerror [deg]"), justify="right")
+    for kind in record.kinds[1:]:
+        table.add_column(Text(f"{kind}\nfeedback [%]"), justify="right")
+    for loaded in (False, True):
+        for i, gain in enumerate(record.sweep.gains):
+            errors = [significant(record.rms(gain, loaded, kind)) for kind in record.kinds]
+            shares = [significant(100 * record.share(gain, loaded, kind)) for kind in record.kinds[1:]]
+            table.add_row("" if i else OBJECT[loaded].split()[0], f"{gain:g}", *errors, *shares)
+        table.add_section()
+    return table
+
+
+def sentences(record: ControlRecord) -> list[str]:
+    """How much closer the feedforwards are at the gain where feedback alone errs by nearly POOR; what went wrong."""
+    out = []
+    for loaded in (False, True):
+        alone = {gain: record.rms(gain, loaded, ALONE) for gain in record.sweep.gains}
+        finite = {gain: x for gain, x in alone.items() if math.isfinite(x)}
+        if not finite:
+            continue
+        gain = min(finite, key=lambda g: abs(math.log(finite[g] / POOR)))
+        told = f"{OBJECT[loaded].capitalize()}, gain {gain:g}: feedback alone errs by {significant(finite[gain])} deg"
+        learned, *adapted = (record.rms(gain, loaded, kind) for kind in record.kinds[1:])
+        if math.isfinite(learned):
+            told += f"; as learned it is {_times(finite[gain], learned)}"
+        if adapted and math.isfinite(adapted[0]):
+            told += f"; adapted {_times(finite[gain], adapted[0])}"
+            if math.isfinite(learned):
+                told += f", {_times(learned, adapted[0])} than as learned"
+        out.append(f"{told}.")
+    for case in record.cases:
+        if case.failed:
+            out.append(f"{OBJECT[case.loaded].capitalize()}, gain {case.gain:g}, {case.kind}: {case.failed}.")
+    return out
+
+
+def _times(before: float, after: float) -> str:
+    if abs(before / after - 1) < 0.01:
+        return "no closer"
+    return f"{before / after:.1f} times closer" if before > after else f"{after / before:.1f} times farther off"
+
+
+def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:
+    """All runs with every joint, schema invdyn-control/1; null for what there is no number for."""
+
+    def joints(values: np.ndarray) -> dict[str, float | None]:
+        return {name: _number(x) for name, x in zip(record.joints, values, strict=True)}
+
+    def case(one: Case) -> dict[str, Any]:
+        stages = {name: {"rms": _number(_rms(x)), "joint": joints(x)} for name, x in one.stages.items()}
+        return {
+            "object": one.loaded,
+            "feedforward": one.kind.replace(" ", "_"),
+            "gain": one.gain,
+            "repetition": one.repetition,
+            "error_deg": {"rms": _number(one.rms), "peak": _number(float(one.peak.max())), "joint": joints(one.error)},
+            "peak_deg": joints(one.peak),
+            "stages_deg": stages,
+            "feedback_N_m": joints(one.feedback),
+            "feedback_share": {"mean": _number(one.share), "joint": joints(one.feedback / one.torque)},
+            "seconds_per_tick": {"p50": _number(one.tick[0]), "p99": _number(one.tick[1])},
+            "failed": one.failed or None,
+        }
+
+    said = {
+        "schema": SCHEMA,
+        **choices,
+        "joints": list(record.joints),
+        "torque_spread_N_m": joints(record.spread),
+        **{name: value for name, value in vars(record.sweep).items() if name != "gains"},
+        "gains": list(record.sweep.gains),
+        "cases": [case(x) for x in record.cases],
+        "seconds": dict(record.seconds),
+    }
+    return json.dumps(said, indent=2, allow_nan=False) + "\n"
+
+
+def as_csv(record: ControlRecord) -> str:
+    """A line for each run, numbers unrounded; errors of the joints in columns of their own."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = ("object", "feedforward", "gain", "repetition", "error_deg", "peak_deg", "feedback_share")
+    writer.writerow([*columns, *(f"error_deg[{x}]" for x in record.joints)])
+    for one in record.cases:
+        what = int(one.loaded), one.kind.replace(" ", "_"), one.gain, one.repetition
+        writer.writerow([*what, *map(_cell, (one.rms, one.peak.max(), one.share, *one.error))])
+    return text.getvalue()
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _cell(value: float) -> float | str:
+    return float(value) if math.isfinite(value) else ""

@@ -1,0 +1,130 @@
+"""The simulated arm tick by tick, for whoever closes the loop: measure, then apply a torque, held until the next tick.
+
+`plant.simulate` closes it with the simulation's own controller, `control.py` of the package with a learned one: the arm
+and its sensors are the same.
+"""
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+
+from invdyn_cli.simulation import gear
+from invdyn_cli.simulation.arm import build, set_joints
+from invdyn_cli.simulation.control import Control, commissioned
+from invdyn_cli.simulation.drive import Drive
+from invdyn_cli.simulation.hidden import Hidden, assemble
+from invdyn_cli.simulation.sensors import Noise, Side, stepped
+from invdyn_cli.types import Motion, Robot
+
+EXACT = Noise()
+
+
+class ClosedLoop:
+    """One arm with its sensors; mutable, alive for one simulation.
+
+    Args:
+        robot: what everybody believes the arm to be.
+        hidden: what is different about it.
+        samples: ticks from t = 0 on.
+        before: ticks until then.
+        noise: of the sensors.
+        rate: [Hz] of the ticks.
+        substeps: steps of the physics per tick.
+        seed: of the noise.
+        torque_side: "link": torques are felt behind the gear.
+        name: the trajectory's, for events that belong to one.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        hidden: Sequence[Hidden] = (),
+        *,
+        samples: int,
+        before: int = 0,
+        noise: Noise = EXACT,
+        rate: float = 1000.0,
+        substeps: int = 4,
+        seed: int = 0,
+        torque_side: Side = "command",
+        name: str = "trajectory_1",
+    ) -> None:
+        self.robot, self.rate, self.before, self.tick = robot, rate, before, 0
+        self.made = made = assemble(robot, hidden, name)
+        self.step = 1 / (rate * substeps)
+        self.arm = build(
+            robot,
+            inertial=made.inertial,
+            gravity=made.gravity,
+            carried=[*made.carried, *made.events.bodies()],
+            armature=made.armature,
+            geared=[x.joint for x in made.gears],
+            timestep=self.step,
+        )
+        set_joints(self.arm, damping=made.damping, stiffness=made.stiffness, pull=made.pull)
+        gear.put(self.arm, made.gears)
+        self.arm.model.dof_frictionloss[self.arm.motor] = made.friction
+        self.drive = Drive(self.arm, made, substeps, sense=torque_side == "link")
+        self.noises = np.random.default_rng([seed, 1])
+        self._errors = self.noises.normal(size=(before + samples, robot.dofs)) * noise.of("position", robot.dofs)
+        self._errors += made.encoder
+        self._quantum = noise.of("position_quantum", robot.dofs)
+        self._torque_noise = noise.of("torque", robot.dofs)
+        self._torque_quantum = noise.of("torque_quantum", robot.dofs)
+        self.commands = np.empty((before + samples, robot.dofs))
+
+    @property
+    def sample(self) -> int:
+        """Ticks since t = 0, negative before."""
+        return self.tick - self.before
+
+    def start(self, q: np.ndarray) -> None:
+        """At rest where the encoders read q (n,) but for their noise."""
+        self.drive.start(q - self.made.encoder)
+
+    def measure(self, *, link: bool = False) -> np.ndarray:
+        """Angles (n,) [rad; m] as measured at this tick, of the motors or of the links."""
+        measured = self.drive.q(link=link) + self._errors[self.tick]
+        return stepped(measured, self._quantum) if self._quantum.any() else measured
+
+    def apply(self, tau: np.ndarray) -> None:
+        """Torques (n,) [N m; N] until the next tick."""
+        self.commands[self.tick] = tau
+        self.drive.advance(self.commands, self.tick, self.sample / self.rate)
+        self.tick += 1
+
+    def logged(self, tau: np.ndarray) -> np.ndarray:
+        """Torques (..., n) as they are logged: with noise, in whole steps."""
+        return stepped(tau + self.noises.normal(size=tau.shape) * self._torque_noise, self._torque_quantum)
+
+    def hold(self, control: Control, wanted: Motion, ticks: int) -> None:
+        """Start where a motion (T, n) does, and let the simulation's own controller hold the arm there."""
+        controller = commissioned(control, self.robot, self.made, wanted, self.rate, self.step)
+        self.start(np.asarray(wanted.q)[0])
+        for _ in range(ticks):
+            self.apply(controller.torque(0, self.measure()))
+
+    def lost(self, error: np.ndarray, largest: float) -> str:
+        """Why an arm this far from its reference, (n,) [rad; m], is out of control; "" where it is not."""
+        worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf)))
+        if abs(error[worst]) <= largest:
+            return ""
+        t = self.sample / self.rate
+        when = f"at {t:.2f} s" if t >= 0 else "before the log begins"
+        return (
+            f"the simulated arm is out of control {when}, {self.robot.joints[worst]} is {error[worst]:.3g} from its "
+            f"reference; allowed: {largest:g}"
+        )
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)

@@ -1,0 +1,68 @@
+"""invdyn control: a learned feedforward in the control loop of the simulated arm, from stiff feedback to soft."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.markup import escape
+
+from invdyn_cli import control
+from invdyn_cli.control import ControlRecord, Sweep
+from invdyn_cli.data.pick_place import PickPlace
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
+from invdyn_cli.report import controlled
+from invdyn_cli.verbs import screen
+from invdyn_cli.verbs.launch import instantiate, job, launch
+from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
+
+OPTIONS = ("gains", "damping_time", "velocity_cutoff", "settle", "largest_error", "repetitions")
+"""Options of the command that are fields of `control.Sweep`."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Control with the overrides in argv; the exit code."""
+    return launch("control", argv, task)
+
+
+def task(config: DictConfig) -> None:
+    """One job."""
+    execute(config, Path(job().runtime.output_dir), Console())
+
+
+def execute(config: DictConfig, folder: Path, console: Console) -> ControlRecord:
+    """Config -> objects -> the arm in closed loop -> files in `folder`; tells on `console` what came out."""
+    screen.use_compilation_cache()
+    refuse_options(config)
+    if config.data._target_ != f"{PickPlace.__module__}.{PickPlace.__name__}":
+        raise UsageError(f"data makes a {config.data._target_}; allowed: data=pick_place, the arm with a task to do")
+    target = f"{Sweep.__module__}.{Sweep.__name__}"
+    sweep: Sweep = instantiate(OmegaConf.create({"_target_": target, **{name: config[name] for name in OPTIONS}}))
+    source: PickPlace = make_object(config, "data", PickPlace)
+    model = make_object(config, "model", AbstractModel)
+    adaptation = make_object(config, "adaptation", AbstractAdapter)
+    robot = make_robot(config, None, optional=False, console=console)
+    assert robot is not None  # make_robot refuses a source that brings none
+    with screen.stages(quiet=console.quiet) as stage:
+        record = control.run(source, model, adaptation, robot, sweep, seed=config.seed, stage=stage)
+    choices = {name: job().runtime.choices.get(name) for name in ("model", "data", "adaptation", "robot")}
+    write(record, {**choices, "seed": config.seed, "data_seed": source.seed}, folder, tuple(config.figures.formats))
+    for note in robot.notes:
+        console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
+    console.print(controlled.table(record))
+    for line in controlled.sentences(record):
+        console.print(escape(line), highlight=False)
+    for warning in record.warnings:
+        console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
+    console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)
+    return record
+
+
+def write(record: ControlRecord, choices: dict, folder: Path, formats: Sequence[str] = ()) -> None:
+    """control.csv, figures/control.png and, last, control.json."""
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    (folder / "control.csv").write_text(controlled.as_csv(record))
+    named = f"{choices['model']}, {choices['adaptation']}"
+    controlled.draw(record, named, [folder / "figures" / f"control.{x}" for x in sorted({"png", *formats})])
+    (folder / "control.json").write_text(controlled.as_json(record, choices))
