@@ -49,6 +49,7 @@ figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs 
 
 real: $(INSTALLED)  ## the same models on real robots' logs
 	$(BIN)/invdyn tables experiment=real_logs
+	$(BIN)/invdyn tables experiment=ur10e_load
 
 real-diagnosis: $(INSTALLED)  ## what the simulations of real robots get wrong, into outputs/real_diagnosis (only=, docs=true)
 	$(EXPERIMENT)/real_diagnosis.py $(said)

@@ -1,13 +1,14 @@
 """Adapting against forgetting: how often, in what batches, how long and how fast nets learn on while the arm works.
 
-    python experiments/hyperparameters.py [seed=0] [epochs=40] [repetitions=3] [folder=outputs/hyperparameters]
+    python experiments/hyperparameters.py [seed=0] [epochs=40] [repetitions=2] [docs=false]
+                                          [folder=outputs/hyperparameters]
 
 The sweep of the paper's section IV-A on data=pick_place (causal): the nets of section V-C, learned on the unloaded arm,
 follow repetitions with the object by the delta rule with every adaptation rate, batch size, number of epochs and
 learning rate. Learning rates share a program (vmap); what has another shape has one of its own. Two numbers each, NMSE
 and mean over joints: adapting, of what is predicted while the object is held; forgetting, of an unloaded repetition
-that nobody learned from, predicted with what the nets are when the object is put down. Writes hyperparameters.png and
-hyperparameters.csv, and prints the best.
+that nobody learned from, predicted with what the nets are when the object is put down. Writes hyperparameters.csv and
+hyperparameters.png (into docs/ with docs=true), and prints the best.
 """
 
 import csv
@@ -49,7 +50,8 @@ class Options:
 
     seed: int = 0
     epochs: int = 40
-    repetitions: int = 3
+    repetitions: int = 2
+    docs: bool = False
     folder: str = "outputs/hyperparameters"
 
 
@@ -87,10 +89,11 @@ def main(argv: Sequence[str]) -> None:
         writer.writeheader()
         writer.writerows(map(vars, tried))
     figure = draw(tried, as_learned(model, fit, loaded, unloaded))
-    figure.savefig(folder / "hyperparameters.png", dpi=110)
+    picture = (Path("docs") if options.docs else folder) / "hyperparameters.png"
+    figure.savefig(picture, dpi=110)
     for title, key in (("adapting", lambda x: x.adapting), ("both", lambda x: x.adapting * x.forgetting)):
         print(f"best {title}: {min((x for x in tried if np.isfinite(key(x))), key=key)}")
-    print(folder / "hyperparameters.png")
+    print(picture)
 
 
 def sweep(

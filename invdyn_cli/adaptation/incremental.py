@@ -91,17 +91,16 @@ class Incremental(AbstractAdapter):
         steps = self.rate // size
         key = jax.random.fold_in(jax.random.key(self.seed), state["learned"])
         orders = jax.vmap(lambda k: jax.random.permutation(k, self.rate))(jax.random.split(key, self.epochs))
-        batches = orders[:, : steps * size].reshape(self.epochs * steps, size)
+        rows = orders[:, : steps * size].reshape(self.epochs * steps, size)
+        batches = jax.tree.map(lambda x: x[rows], (motion, tau))
 
-        def error(weights: PyTree, rows: Array) -> Array:
+        def error(weights: PyTree, motion: Motion, tau: Array) -> Array:
             params = model.with_weights(state["params"], weights)
-            said = jax.vmap(lambda one: model.apply(params, one, state["robot"]))(
-                jax.tree.map(lambda x: x[rows], motion)
-            )
-            return jnp.sum(jnp.mean(((tau[rows] - said) / state["scale"]) ** 2, axis=0))
+            said = jax.vmap(lambda one: model.apply(params, one, state["robot"]))(motion)
+            return jnp.sum(jnp.mean(((tau - said) / state["scale"]) ** 2, axis=0))
 
-        def step(weights: PyTree, rows: Array) -> tuple[PyTree, None]:
-            slopes = jax.grad(error)(weights, rows)
+        def step(weights: PyTree, batch: tuple[Motion, Array]) -> tuple[PyTree, None]:
+            slopes = jax.grad(error)(weights, *batch)
             return jax.tree.map(lambda w, s: w - state["learning_rate"] * s, weights, slopes), None
 
         weights = jax.lax.scan(step, model.weights(state["params"]), batches)[0]

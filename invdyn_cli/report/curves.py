@@ -52,7 +52,8 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
     """A figure of `lines` ({shown: {each: labels, set: test or test_adapted, colour, dashed}}): NMSE of 100 samples
     along a repetition, the median over repetitions, and over seeds; their band where it is not dashed.
 
-    With `mass` ({each: labels, kg: the true one}) a panel below shows what the load is taken for.
+    With `mass` ({each: labels, kg: the true one, shares of it between which is drawn}) a panel below shows what the
+    load is taken for.
     """
     weighed = spec.get("mass")
     with matplotlib.rc_context(STYLE):
@@ -74,14 +75,14 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
         for panel in panels:
             mark_stages(panel, _begins([x for _, x in runs]), named=panel is axes)
             panel.margins(x=0.01)
-        panels[-1].set_xlabel("samples of a repetition (1 kHz)")
+        panels[-1].set_xlabel("samples of a repetition")
         add_legend(figure, *panels)
     return figure
 
 
 def mark_stages(axes: Axes, begins: Mapping[str, float], *, named: bool = True) -> None:
-    """Where stages begin, with their names above."""
-    for name, at in begins.items():
+    """Where stages begin, with their names above, where there are several."""
+    for name, at in begins.items() if len(begins) > 1 else ():
         axes.axvline(at, color=PREDICTED, lw=0.9, ls="--", zorder=1.4)
         if named:
             axes.annotate(plain(name), (at, 1), xycoords=("data", "axes fraction"), xytext=(3, -10),
@@ -117,7 +118,7 @@ def _weights(axes: Axes, spec: Mapping[str, Any], picked: Sequence[Course]) -> N
         for sign in (1, -1):
             axes.plot(t, middle + sign * std, color=colour, lw=0.8, ls=":", label=label)
     axes.axhline(spec["kg"], color=INK, lw=0.9, label=f"true mass, {spec['kg']:g} kg")
-    axes.set_ylim(0.8 * spec["kg"], 1.2 * spec["kg"])
+    axes.set_ylim(*(share * spec["kg"] for share in spec.get("shares", (0.8, 1.2))))
     axes.set_ylabel("mass [kg]")
 
 
