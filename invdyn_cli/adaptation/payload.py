@@ -10,6 +10,7 @@ look alike from sample to sample. Three questions are asked of every sample:
   and Jones 1976), or the one that was put down last does (cumulative sum; Page 1954).
 - How much is it? Recursive least squares since it came (Ljung 1999, 11.2), forgetting in proportion to that time.
 - Has it gone, or is it another one? A cumulative sum of none against it; the likelihood ratio of any other against it.
+  What is left of a load on its way out is another one, until it is fainter than what motions without a load show.
 
 The threshold is a multiple of what motions without a load reach. What friction does that no function of the motion
 says is a disturbance beside: an observer follows it (Ohnishi 1996), so that predictions do not wait for a verdict.
@@ -177,7 +178,9 @@ class Payload(AbstractAdapter):
         doubt = _if(gone > 0, _faded(state["doubt"], 0.0, here), _none(here))
         instead = _solved(doubt, prior)
         empty = (doubt["b"] @ instead / 2 < self.surety) | (instead[0] <= 0)
-        leaves = loaded & (gone > threshold) & empty
+        usual = phi @ load["L"] @ phi / 2 * self.window / (self.window + since)  # its evidence in a stretch like any
+        faint = loaded & (usual < threshold / self.margin) & (since > self.window / 2)
+        leaves = loaded & (gone > threshold) & empty | faint
         wrong = loaded & (gone > threshold) & ~empty
         other = loaded & (came - _gain(window, phi) > threshold) & (since > self.window)
 
@@ -187,7 +190,7 @@ class Payload(AbstractAdapter):
             **state,
             "window": _if(turns, _none(window), window),
             "load": load,
-            "before": _if(leaves & (since > self.window), _faded(state["load"], 0.0, here), state["before"]),
+            "before": _if(loaded & turns & ~faint & (since > self.window), state["load"], state["before"]),
             "doubt": _if(turns, _none(doubt), doubt),
             "phi": _solved(load, prior),
             "loaded": takes | loaded & ~leaves,
