@@ -65,7 +65,7 @@ class Incremental(AbstractAdapter):
             "params": jax.tree.map(jnp.asarray, fit.params),
             "robot": fit.robot,
             "scale": jnp.asarray(fit.details[SCALE]),
-            "learning_rate": jnp.asarray(self.learning_rate, jnp.float32),
+            "learning_rate": jnp.asarray(self.learning_rate),
             "motion": Motion(empty, empty, empty),
             "tau": empty,
             "waiting": jnp.array(0),
@@ -101,7 +101,7 @@ class Incremental(AbstractAdapter):
 
         def step(weights: PyTree, batch: tuple[Motion, Array]) -> tuple[PyTree, None]:
             slopes = jax.grad(error)(weights, *batch)
-            return jax.tree.map(lambda w, s: w - state["learning_rate"] * s, weights, slopes), None
+            return jax.tree.map(lambda w, s: w - (state["learning_rate"] * s).astype(w.dtype), weights, slopes), None
 
         weights = jax.lax.scan(step, model.weights(state["params"]), batches)[0]
         return {

@@ -240,6 +240,7 @@ WATCHED = ("variance", "samples", "hidden", "threshold")
 """What a fit says about motions without a load, behind "load_"."""
 
 
+@jax.jit
 def columns(robot: Robot, motion: Motion) -> Array:
     """Y (n, 10): torques of one sample per inertial parameter of a body on the last link."""
     nothing = jnp.zeros((robot.dofs, PARAMETERS))

@@ -30,7 +30,7 @@ def nmse_in_blocks(
     """MSE(S) / Var(T) per joint (blocks, n) of every `size` samples S in turn (paper, section V-C); what fills no block
     is left out. `variance` (n,) is Var(T), None: of all of them. NaN for a joint whose target never changes."""
     blocks = len(target) // size
-    squares = ((target - prediction) ** 2)[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
+    squares = ((target - prediction) ** 2)[: blocks * size].reshape(blocks, size, target.shape[1]).mean(axis=1)
     scale = np.asarray(np.var(target, axis=0) if variance is None else variance)
     return np.divide(squares, scale, out=np.full(squares.shape, np.nan), where=scale > 0)
 

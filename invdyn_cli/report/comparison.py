@@ -72,7 +72,10 @@ def by_stages(jobs: Sequence[Job]) -> Grid:
     for labels, several in merged(jobs):
         for kind, shown in (("learned", "as learned"), ("adapted", "adapted")):
             names = list(dict.fromkeys(s for m in several for s in _errors(m, kind).get("stages", {})))
-            for where, said in [*((f".{name}", name) for name in names), *[("", "whole")] * (len(names) > 1)]:
+            for where, said in [
+                *((f".{name}", name) for name in names),
+                *[("", "whole")] * (names not in ([], ["all"])),
+            ]:
                 numbers = [_middle([x for m in several for x in _picked(m, f"{kind}{where}.{key}")]) for key in STAGED]
                 rows.append(
                     (", ".join(labels.values()), shown, said, *numbers, _update(several) if kind == "adapted" else "")
