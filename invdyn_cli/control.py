@@ -21,7 +21,8 @@ from invdyn_cli.experiment import Stage
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, silent
 from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.online import Online, online
-from invdyn_cli.simulation.closed_loop import ClosedLoop, quiet
+from invdyn_cli.simulation.arm import quiet
+from invdyn_cli.simulation.closed_loop import ClosedLoop
 from invdyn_cli.simulation.plant import USUAL
 from invdyn_cli.types import Motion, Robot
 

@@ -11,7 +11,7 @@ import numpy as np
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.maths import metrics
-from invdyn_cli.types import Dataset, Fit, Prediction, Robot, RunRecord, Score, Splits
+from invdyn_cli.types import Dataset, Fit, Prediction, PyTree, Robot, RunRecord, Score, Splits
 
 Stage = Callable[[str], Progress]
 """Opens a stage of the work by its name and gives what to report its progress to."""
@@ -110,24 +110,35 @@ def follow(
     size = adaptation.block
     whole = data.samples // size * size
     samples = data.motion, data.tau
-
-    def block(state, part):
-        motion, tau = part
-        said = jax.vmap(lambda one: adaptation.predict(model, state, one))(motion)
-        state = adaptation.learn(model, state, motion, tau)
-        return state, (said, adaptation.trace(state))
-
-    def sample(state, one):
-        motion, tau = one
-        said = adaptation.predict(model, state, motion)
-        state = adaptation.update(model, state, motion, tau)
-        return state, (said, adaptation.trace(state))
-
     blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, size, x.shape[1]), samples)
-    state, (first, traced) = jax.jit(partial(jax.lax.scan, block))(adaptation.init(model, fit), blocks)
-    _, (last, rest) = jax.jit(partial(jax.lax.scan, sample))(state, jax.tree.map(lambda x: x[whole:], samples))
+    state, (first, traced) = _blocks(adaptation, model, adaptation.init(model, fit), blocks)
+    last, rest = _samples(adaptation, model, state, jax.tree.map(lambda x: x[whole:], samples))
     trace = {name: np.concatenate([np.repeat(traced[name], size, axis=0), rest[name]]) for name in traced}
     return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(last)]), trace
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _blocks(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, blocks: PyTree) -> PyTree:
+    """The state after blocks (blocks, block, n), and torques and trace of each."""
+
+    def block(state: PyTree, part: tuple) -> tuple[PyTree, tuple]:
+        said = jax.vmap(lambda one: adaptation.predict(model, state, one))(part[0])
+        state = adaptation.learn(model, state, *part)
+        return state, (said, adaptation.trace(state))
+
+    return jax.lax.scan(block, state, blocks)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _samples(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, samples: PyTree) -> PyTree:
+    """Torques and trace of samples (T, n), one after the other."""
+
+    def sample(state: PyTree, one: tuple) -> tuple[PyTree, tuple]:
+        said = adaptation.predict(model, state, one[0])
+        state = adaptation.update(model, state, *one)
+        return state, (said, adaptation.trace(state))
+
+    return jax.lax.scan(sample, state, samples)[1]
 
 
 def update_times(

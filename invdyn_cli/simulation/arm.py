@@ -7,7 +7,8 @@ positive definite mass matrix. Where even that fails, a joint gets the `LEAST_IN
 """
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
@@ -138,6 +139,16 @@ def mass_matrices(model: mujoco.MjModel, gear: np.ndarray) -> np.ndarray:
     span = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, 0.5, np.pi)
     span[gear] = 0.0
     return np.array([mass_matrix(model, data, draw.uniform(-span, span)) for _ in range(POSTURES)])
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def lightest(arm: Arm) -> np.ndarray:

@@ -5,10 +5,8 @@ and its sensors are the same.
 """
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 
 from invdyn_cli.simulation import gear
@@ -118,13 +116,3 @@ class ClosedLoop:
             f"the simulated arm is out of control {when}, {self.robot.joints[worst]} is {error[worst]:.3g} from its "
             f"reference; allowed: {largest:g}"
         )
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)

@@ -4,8 +4,6 @@ As in `drive`, a step begins half a step before `qpos`, so that the integration 
 """
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,13 +151,3 @@ class Driven:
                 self.data.qfrc_applied[self.columns] = pull
             self.data.ctrl[:] = self.commands[row * self.substeps + k]
             mujoco.mj_step(self.model, self.data)
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """An arm that flies away is told by its error; MuJoCo would write a file here."""
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)

@@ -14,7 +14,8 @@ import numpy as np
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.logfile import Log, RawTrajectory
-from invdyn_cli.simulation.closed_loop import EXACT, ClosedLoop, quiet
+from invdyn_cli.simulation.arm import quiet
+from invdyn_cli.simulation.closed_loop import EXACT, ClosedLoop
 from invdyn_cli.simulation.control import Control, commissioned
 from invdyn_cli.simulation.events import refuse_outside, refuse_trajectory
 from invdyn_cli.simulation.hidden import Hidden, refuse

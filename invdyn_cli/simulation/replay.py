@@ -17,8 +17,8 @@ import numpy as np
 
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.interfaces import Progress, silent
-from invdyn_cli.simulation.arm import mass_matrix
-from invdyn_cli.simulation.driven import STEP, Driven, Stretch, quiet
+from invdyn_cli.simulation.arm import mass_matrix, quiet
+from invdyn_cli.simulation.driven import STEP, Driven, Stretch
 
 LENGTH = 0.2
 """[s] of a window: long enough for friction and masses to show, short enough for a start that is not quite known."""
