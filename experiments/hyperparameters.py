@@ -27,6 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.options import options_of
+from invdyn_cli import experiment
 from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.maths.metrics import nmse
@@ -103,14 +104,15 @@ def sweep(
     state = adapter.init(model, fit)
     many = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(SPEEDS), *jnp.shape(x))), state)
     many["learning_rate"] = jnp.array(SPEEDS, jnp.float32)
-    step = jax.jit(jax.vmap(partial(follow, adapter, model), (0, None, None)))
+    step = jax.jit(jax.vmap(partial(experiment.follow_blocks, adapter, model), (0, None)))
     ask = jax.jit(jax.vmap(partial(torques, adapter, model), (0, None)))
     probe = unloaded.motion[slice(None, None, PROBE)]
     said, held, forgetting = [], [], []
     for x in loaded:
         for part in cut(x, adapter.rate):
-            many, torque = step(many, part.motion, part.tau)
-            said.append(np.asarray(torque))
+            blocks = jax.tree.map(lambda x: x.reshape(-1, adapter.rate, x.shape[-1]), (part.motion, part.tau))
+            many, (torque, _) = step(many, blocks)
+            said.append(np.asarray(torque).reshape(len(SPEEDS), *part.tau.shape))
             held.append(np.isin(part.stage, ("grasp", "place")))
             if part.stage[-1] == "place":
                 forgetting.append([nmse(unloaded.tau[::PROBE], np.asarray(t)).mean() for t in ask(many, probe)])
@@ -133,18 +135,6 @@ def cut(x: Trajectory, size: int) -> list[Trajectory]:
     whole = len(x.t) // size * size
     rows = slice(0, put_down), slice(put_down, whole)
     return [replace(x, t=x.t[r], motion=x.motion[r], tau=x.tau[r], stage=x.stage[r]) for r in rows]
-
-
-def follow(adapter: Incremental, model: Ffnn, state: PyTree, motion, tau: Array) -> tuple[PyTree, Array]:
-    """The state after blocks (T, n), and the torques that were predicted before each was learned from."""
-
-    def block(state, part):
-        said = torques(adapter, model, state, part[0])
-        return adapter.learn(model, state, *part), said
-
-    blocks = jax.tree.map(lambda x: jnp.reshape(x, (-1, adapter.rate, x.shape[-1])), (motion, tau))
-    state, said = jax.lax.scan(block, state, blocks)
-    return state, said.reshape(-1, said.shape[-1])
 
 
 def torques(adapter: Incremental, model: Ffnn, state: PyTree, motion) -> Array:

@@ -46,7 +46,7 @@ class Sweep:
         repetitions: of the task, for each.
     """
 
-    gains: Sequence[float] = (100.0, 50.0, 20.0, 10.0, 5.0)
+    gains: Sequence[float] = (100.0, 50.0, 25.0, 12.5, 6.25)
     damping_time: float = 0.1
     velocity_cutoff: float = 25.0
     settle: float = 1.0

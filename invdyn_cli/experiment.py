@@ -111,15 +111,15 @@ def follow(
     whole = data.samples // size * size
     samples = data.motion, data.tau
     blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, size, x.shape[1]), samples)
-    state, (first, traced) = _blocks(adaptation, model, adaptation.init(model, fit), blocks)
+    state, (first, traced) = follow_blocks(adaptation, model, adaptation.init(model, fit), blocks)
     last, rest = _samples(adaptation, model, state, jax.tree.map(lambda x: x[whole:], samples))
     trace = {name: np.concatenate([np.repeat(traced[name], size, axis=0), rest[name]]) for name in traced}
     return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(last)]), trace
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _blocks(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, blocks: PyTree) -> PyTree:
-    """The state after blocks (blocks, block, n), and torques and trace of each."""
+def follow_blocks(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, blocks: PyTree) -> PyTree:
+    """The state after a motion and its torques in blocks (blocks, block, n), and torques said and trace of each."""
 
     def block(state: PyTree, part: tuple) -> tuple[PyTree, tuple]:
         said = jax.vmap(lambda one: adaptation.predict(model, state, one))(part[0])

@@ -20,8 +20,8 @@ import numpy as np
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
+from invdyn_cli.maths import stages
 from invdyn_cli.models import extended
-from invdyn_cli.report import stages
 from invdyn_cli.types import (
     Dataset,
     Diagnosis,

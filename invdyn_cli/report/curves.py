@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from invdyn_cli.maths import stages
 from invdyn_cli.maths.metrics import ACCURATE, BLOCK
-from invdyn_cli.report import stages
 from invdyn_cli.report.canvas import BLACK, COLOURS, INK, PREDICTED, STYLE, WIDTH, add_legend, log_axis, plain
 from invdyn_cli.report.comparison import matches
 from invdyn_cli.types import RunRecord

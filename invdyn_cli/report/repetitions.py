@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from invdyn_cli.report import stages
+from invdyn_cli.maths import stages
 from invdyn_cli.report.canvas import SKY, STYLE, VERMILLION, WIDTH, add_legend, plain, thinned
 from invdyn_cli.report.curves import mark_stages
 from invdyn_cli.report.tables import units

@@ -1,6 +1,7 @@
 """invdyn control: a learned feedforward in the control loop of the simulated arm, from stiff feedback to soft."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -16,9 +17,6 @@ from invdyn_cli.report import controlled
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import instantiate, job, launch
 from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
-
-OPTIONS = ("gains", "damping_time", "velocity_cutoff", "settle", "largest_error", "repetitions")
-"""Options of the command that are fields of `control.Sweep`."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -38,7 +36,9 @@ def execute(config: DictConfig, folder: Path, console: Console) -> ControlRecord
     if config.data._target_ != f"{PickPlace.__module__}.{PickPlace.__name__}":
         raise UsageError(f"data makes a {config.data._target_}; allowed: data=pick_place, the arm with a task to do")
     target = f"{Sweep.__module__}.{Sweep.__name__}"
-    sweep: Sweep = instantiate(OmegaConf.create({"_target_": target, **{name: config[name] for name in OPTIONS}}))
+    sweep: Sweep = instantiate(
+        OmegaConf.create({"_target_": target, **{f.name: config[f.name] for f in fields(Sweep)}})
+    )
     source: PickPlace = make_object(config, "data", PickPlace)
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)

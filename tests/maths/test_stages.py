@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from invdyn_cli.maths import stages
 from invdyn_cli.maths.metrics import BLOCK
-from invdyn_cli.report import stages
 from invdyn_cli.types import Dataset, Prediction
 from tests.records import make_record
 
