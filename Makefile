@@ -6,7 +6,8 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
-PUBLISHED = batch_simulated dbm seven_joints filters adaptation
+# The longest first, so that two at a time end together.
+PUBLISHED = adaptation batch_simulated dbm seven_joints filters
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
