@@ -3,7 +3,7 @@
     python experiments/bench.py            (make bench)
     python experiments/bench.py --json bench.json
 
-Five comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
+Six comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
 
 train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches. One epoch of PyTorch,
         ten of invdyn, each per epoch. invdyn may use all cores. PyTorch runs on one thread, which is its best: on nets
@@ -17,9 +17,9 @@ dbm     the shared DBM of four joints, 36,000 samples, 410 columns for all four 
         ridge that leaves each of eight tasks out in turn, against the same columns stacked and numpy's lstsq, once,
         without any choice; one core and one thread for both.
 
-adapt   nets of Table I for seven joints learn on from 9,000 samples, the last 100 at a time, 5 epochs in batches of 32,
+adapt   nets of Table I for seven joints learn on from 90,000 samples, the last 100 at a time, 5 epochs, batches of 32,
         each predicted before, against the same in PyTorch, a loop over joints and batches; one core and one thread.
-        Skipped where torch is not installed.
+        Skipped where torch is not installed. adapt_deep: the same with the nets of section V-C.
 
 The loops are in Python, as Pinocchio and PyTorch are used from Python; in C++ they would be faster.
 """
@@ -231,7 +231,7 @@ def dbm() -> dict:
     return measure(what, lambda: Dbm(form="shared").fit(dataset, jax.random.key(0)), by_hand, 3)
 
 
-def adapt() -> dict:
+def adapt(deep: bool = False) -> dict:
     """The delta rule along a log against PyTorch's SGD."""
     try:
         import torch
@@ -246,10 +246,11 @@ def adapt() -> dict:
     from invdyn_cli.types import Dataset, Motion, Trajectory
 
     rng = np.random.default_rng(0)
-    q, qd, qdd = rng.normal(size=(3, 9_000, 7))
+    samples = 90_000
+    q, qd, qdd = rng.normal(size=(3, samples, 7))
     tau = np.sin(q) + 0.1 * qdd
-    data = Dataset((Trajectory("a", np.arange(9_000) / 1000, Motion(q, qd, qdd), tau),), tuple("abcdefg"))
-    adapter, model = Incremental(), Ffnn(epochs=1)
+    data = Dataset((Trajectory("a", np.arange(samples) / 1000, Motion(q, qd, qdd), tau),), tuple("abcdefg"))
+    adapter, model = Incremental(), Ffnn((100, 100, 10), joints=(), epochs=1) if deep else Ffnn(epochs=1)
     fit = adapter.fit(model, data, jax.random.key(0))
     torch.set_num_threads(1)
     hidden = {column: group.hidden for group in model.groups(7) for column in group.columns}
@@ -264,7 +265,7 @@ def adapt() -> dict:
     y = torch.from_numpy(tau.astype("f4"))
 
     def by_hand():
-        for start in range(0, 9_000, 100):
+        for start in range(0, samples, 100):
             inputs, targets = x[start : start + 100], y[start : start + 100]
             for column, net, optimiser in nets:
                 with torch.no_grad():
@@ -280,10 +281,11 @@ def adapt() -> dict:
     def ours():
         return experiment.follow(adapter, model, fit, data)
 
-    return measure("nets of seven joints learn on along 9,000 samples; against a PyTorch loop", ours, by_hand, 3)
+    nets_of = "V-C" if deep else "Table I"
+    return measure(f"nets of {nets_of}, 7 joints, learn on along 90,000 samples; against PyTorch", ours, by_hand, 3)
 
 
-PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm, "adapt": adapt}
+PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm, "adapt": adapt, "adapt_deep": lambda: adapt(deep=True)}
 
 if __name__ == "__main__":
     if PART in os.environ:
