@@ -97,8 +97,9 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
     band, and if not, by what factor they miss it.
 
     A statement has `paper` (what it says), `claim` (what is compared), `each` (labels of the jobs it picks), `band`
-    (lowest and highest value allowed), and may have `over` (jobs whose median divides the median of the picked ones,
-    one by one; a single one stands against each of the others) and `why` (said where it does not hold).
+    (lowest and highest value allowed; 0 and .inf: any), and may have `over` (jobs whose median divides the median of
+    the picked ones, one by one; a single one stands against each of the others) and `why` (said where it does not
+    hold).
 
     What is compared is `value` of the picked jobs, and `over_value`, else the same, of the others: the NMSE of a set
     ("test" if unsaid), or a path into errors along a repetition (`stages.scores`): "learned" or "adapted", a stage or
@@ -117,11 +118,10 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
             picked = [[median(a) / median(b)] for a, b in zip(picked, others, strict=True)]
         values = [x for group in picked for x in group]
         low, high = statement["band"]
-        band = f"{significant(low)} to {significant(high)}" if low else f"below {significant(high)}"
         verdict = _verdict(values, low, high)
         if verdict != "holds" and statement.get("why"):
             verdict += f"; {statement['why']}"
-        rows.append((statement["paper"], statement["claim"], band, _band(values), verdict))
+        rows.append((statement["paper"], statement["claim"], _allowed(low, high), _band(values), verdict))
     return Grid(("the paper", f"compared here ({_kind(statements)})", "expected", "found", "verdict"), tuple(rows))
 
 
@@ -200,6 +200,12 @@ def _middle(values: Sequence[float]) -> str:
 
 def _kind(statements: Sequence[Mapping[str, Any]]) -> str:
     return "NMSE" if any("value" in x for x in statements) else "test NMSE"
+
+
+def _allowed(low: float, high: float) -> str:
+    if not low:
+        return f"below {significant(high)}"
+    return f"above {significant(low)}" if math.isinf(high) else f"{significant(low)} to {significant(high)}"
 
 
 def _verdict(values: Sequence[float], low: float, high: float) -> str:

@@ -52,6 +52,15 @@ def test_verdicts(statement, found, verdict):
     assert grid.rows[0][3:] == (found, verdict)
 
 
+@pytest.mark.parametrize(
+    ("band", "said"), [([0, 0.1], "below 0.100"), ([0.1, math.inf], "above 0.100"), ([0.1, 1], "0.100 to 1.00")]
+)
+def test_expected_is_said_in_words(band, said):
+    """A bound that is none is not told as a number."""
+    grid = comparison.judge([{"paper": "", "claim": "", "each": {"name": "PEST"}, "band": band}], JOBS)
+    assert grid.rows[0][2] == said
+
+
 def test_every_seed_counts():
     """Where a fit has several seeds, each one's error is judged, not the error of their mean."""
     assert comparison.values_of(JOBS[1][1], "test") == [0.2, 0.4, 0.9]
