@@ -20,7 +20,7 @@ import numpy as np
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.interfaces import FittedModel
-from invdyn_cli.maths import stages
+from invdyn_cli.maths import loads, stages
 from invdyn_cli.models import extended
 from invdyn_cli.types import (
     Dataset,
@@ -170,16 +170,10 @@ def _adaptation_scores(record: RunRecord) -> dict[str, Any]:
     return {
         **stages.scores(followed),
         **as_learned,
-        **_load(record),
+        **({"loads": [vars(x) for x in loads.believed(followed.data, record.trace)]} if record.trace else {}),
         "updates": followed.data.samples // record.adaptation.block,
         "seconds_per_update": {name: record.seconds.get(f"update_{name}") for name in ("p50", "p99")},
     }
-
-
-def _load(record: RunRecord) -> dict[str, Any]:
-    """The load that was believed in last, where the adaptation weighs any."""
-    believed = np.flatnonzero(np.isfinite(record.trace.get("mass", np.empty(0))))
-    return {"load": {name: record.trace[name][believed[-1]] for name in ("mass", "mass_std")}} if len(believed) else {}
 
 
 def write_metrics(record: RunRecord, path: Path) -> None:

@@ -22,6 +22,7 @@ MEANT = {
         "least_speed": 0.05,
         "weighting": "torque_spread",
         "friction": "stribeck",
+        "ripples": 1,
         "rotor_inertia": True,
     },
     ("robot", "apollo_arm"): {"path": "apollo_arm"},

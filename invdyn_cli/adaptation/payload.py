@@ -55,7 +55,7 @@ class Payload(AbstractAdapter):
     window: int = 100
     rest_speed: float = 0.03
     surety: float = 12.0
-    margin: float = 2.0
+    margin: float = 3.0
     observer: int | None = 10
     rate: int = 1
 
@@ -142,16 +142,18 @@ class Payload(AbstractAdapter):
         return {**turned, "disturbance": disturbance}
 
     def trace(self, state: PyTree) -> dict[str, Array]:
-        """loaded (0 or 1), mass and its standard deviation [kg] and com (3,) [m, last joint's frame] of the load (NaN:
-        none), and how near the next change is: its evidence over the threshold."""
+        """loaded (0 or 1), mass [kg] and com (3,) [m, last joint's frame] of the load and their standard deviations
+        (NaN: none), and how near the next change is: its evidence over the threshold."""
         loaded, phi = state["loaded"], jnp.where(state["loaded"], state["phi"], jnp.nan)
-        spread = jnp.linalg.inv(state["load"]["L"] + self._prior())[0, 0] ** 0.5
+        covariance, com = jnp.linalg.inv(state["load"]["L"] + self._prior())[:4, :4], phi[1:4] / phi[0]
+        slope = jnp.concatenate([-com[:, None], jnp.eye(3)], axis=1) / phi[0]  # of com over mass and mass times com
         evidence = jnp.where(loaded, state["gone"], jnp.maximum(state["came"], state["back"]))
         return {
             "loaded": 1.0 * loaded,
             "mass": phi[0],
-            "mass_std": jnp.where(loaded, spread, jnp.nan),
-            "com": phi[1:4] / phi[0],
+            "mass_std": jnp.where(loaded, covariance[0, 0] ** 0.5, jnp.nan),
+            "com": com,
+            "com_std": jnp.sqrt(jnp.diag(slope @ covariance @ slope.T)),
             "evidence": evidence / state["threshold"],
         }
 

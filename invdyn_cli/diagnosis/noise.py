@@ -9,6 +9,7 @@ from scipy import linalg
 from invdyn_cli.diagnosis.candidates import torque_candidate
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time
 
 FLOOR = 5e-4
@@ -119,29 +120,17 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
         if used.sum() < 50 or not noise.deviation[j]:
             continue
         q, qd = angle[used, j], speed[used, j]
-        reach = float(np.ptp(q))
-        if not reach > 0.05:
+        if not np.ptp(q) > 0.05:
             continue
-        grid = np.arange(4 * np.pi / reach, effect.most, 0.5 * np.pi / reach)
-        power = _power(noise.residual[used, j], q, qd, grid, evidence.recording.filter.cutoffs[j])
-        power = power / noise.deviation[j] ** 2
+        passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
+        grid = ripple.grid(q, effect.most)
+        power = ripple.power(noise.residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
         for _ in range(PEAKS):
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
                 break
-            fine = grid[best] + np.linspace(-1, 1, 21) * (grid[1] - grid[0] if len(grid) > 1 else 0.1)
-            sharp = _power(noise.residual[used, j], q, qd, fine, evidence.recording.filter.cutoffs[j])
+            fine = ripple.around(float(grid[best]), q)
+            sharp = ripple.power(noise.residual[used, j], q, fine, **passed)
             made.append(torque_candidate(evidence, effect, j, {"cycles": float(fine[np.argmax(sharp)])}))
-            power[np.abs(grid - grid[best]) < 2 * np.pi / reach] = 0
+            power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
     return made
-
-
-def _power(residual: np.ndarray, q: np.ndarray, qd: np.ndarray, cycles: np.ndarray, cutoff: float) -> np.ndarray:
-    """Explained squares (C,) [N^2 m^2] of a sine over the angle, attenuated as the filter does at the present speed."""
-    out = np.empty(len(cycles))
-    for start in range(0, len(cycles), 64):
-        c = cycles[start : start + 64, None]
-        gain = 1 / (1 + (c * qd / (2 * np.pi * cutoff)) ** 8)
-        wave = gain * np.exp(1j * c * q)
-        out[start : start + 64] = 2 * np.abs(wave @ residual) ** 2 / np.maximum(np.sum(gain**2, axis=1), 1e-9)
-    return out

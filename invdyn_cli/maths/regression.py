@@ -41,14 +41,15 @@ FEW_BLOCKS = 20
 @dataclass(frozen=True)
 class Design:
     """Which rows and columns there are: the robot's ten parameters a link, then `extras` for every joint, as
-    `extra_columns` has them with `rest_speed`; `weights` (n,) multiplies the rows of each joint, and rows of a joint
-    slower than `least_speed` do not count."""
+    `extra_columns` has them with `rest_speed` and `cycles`; `weights` (n,) multiplies the rows of each joint, and rows
+    of a joint slower than `least_speed` do not count."""
 
     robot: Robot
     extras: tuple[str, ...]
     weights: Array
     rest_speed: float = REST_SPEED
     least_speed: float = 0.0
+    cycles: Array | tuple = ()
 
     @property
     def columns(self) -> list[str]:
@@ -58,7 +59,7 @@ class Design:
 
 
 jax.tree_util.register_dataclass(
-    Design, data_fields=["robot", "weights"], meta_fields=["extras", "rest_speed", "least_speed"]
+    Design, data_fields=["robot", "weights", "cycles"], meta_fields=["extras", "rest_speed", "least_speed"]
 )
 
 
@@ -178,16 +179,22 @@ def torque_spread(dataset: Dataset) -> np.ndarray:
     return np.where(spread > 0, spread, 1.0)
 
 
-def extra_columns(extras: tuple[str, ...], motion: Motion, rest_speed: float = REST_SPEED) -> list[Array]:
-    """The columns beside the inertial ones, like `motion.qd` each: coulomb, viscous, offset, armature, and stribeck_0
-    and so on, friction that fades with the speeds STRIBECK."""
+def extra_columns(
+    extras: tuple[str, ...], motion: Motion, rest_speed: float = REST_SPEED, cycles: Array | tuple = ()
+) -> list[Array]:
+    """The columns beside the inertial ones, like `motion.qd` each: coulomb, viscous, offset, armature; stribeck_0 and
+    so on, friction that fades with the speeds STRIBECK; ripple_0_sin, ripple_0_cos and so on, of `cycles` (lines, n) in
+    2 pi of each joint's angle (0: no line), joints being the first axis of a motion."""
     direction = jnp.clip(motion.qd / rest_speed, -1, 1)
+    lines = [jnp.reshape(c, (-1, *(1,) * (jnp.ndim(motion.q) - 1))) for c in cycles]
     column = {
         "coulomb": direction,
         "viscous": motion.qd,
         "offset": jnp.ones_like(motion.qd),
         "armature": motion.qdd,
         **{f"stribeck_{i}": direction * jnp.exp(-((motion.qd / v) ** 2)) for i, v in enumerate(STRIBECK)},
+        **{f"ripple_{i}_sin": jnp.sin(c * motion.q) for i, c in enumerate(lines)},
+        **{f"ripple_{i}_cos": jnp.where(c > 0, jnp.cos(c * motion.q), 0.0) for i, c in enumerate(lines)},
     }
     return [column[name] for name in extras]
 
@@ -198,7 +205,8 @@ def design_rows(design: Design, motion: Motion, valid: Array) -> Array:
     inertial = rigid_body.regressor(design.robot, motion.q, motion.qd, motion.qdd)
     inertial = inertial.reshape(-1, *inertial.shape[2:])
     diagonal = jnp.eye(design.robot.dofs)[:, :, None]
-    columns = [diagonal * column for column in extra_columns(design.extras, motion, design.rest_speed)]
+    beside = extra_columns(design.extras, motion, design.rest_speed, design.cycles)
+    columns = [diagonal * column for column in beside]
     return (jnp.concatenate([inertial, *columns]) if columns else inertial) * _row_weights(design, motion, valid)
 
 
@@ -210,7 +218,7 @@ def _row_weights(design: Design, motion: Motion, valid: Array) -> Array:
 def _possible_directions(design: Design) -> np.ndarray:
     """Orthonormal directions (p, r) of parameter space that some motion of this robot can show; the rest never does."""
     motion = Motion(*(x.T for x in rigid_body.random_states(design.robot, 256, seed=0)))
-    unweighted = Design(design.robot, design.extras, np.ones(design.robot.dofs))
+    unweighted = Design(design.robot, design.extras, np.ones(design.robot.dofs), cycles=design.cycles)
     scale, directions = _svd_of_rows(unweighted, motion, np.eye(len(design.columns)))
     return directions[:, scale > 1e-10 * scale[0]]
 

@@ -1,6 +1,6 @@
 """model=pest: inertial parameter estimation, tau = K psi by a truncated singular value decomposition (paper, III-A)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import jax
@@ -10,9 +10,15 @@ import numpy as np
 from invdyn_cli.chunks import in_chunks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths import links, regression, rigid_body
-from invdyn_cli.maths.regression import Design
+from invdyn_cli.maths import links, regression, rigid_body, ripple
+from invdyn_cli.maths.regression import Design, Solution
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+SCANNED = 20_000
+"""Samples in which ripples are sought."""
+
+LINE = 0.1
+"""Share of what is left of a joint's torque beyond which a line over the angle is a ripple."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,7 @@ class Pest(AbstractModel):
             the smallest psi that fits: a simulator takes it.
         rest_speed: [rad/s; m/s] below which the sign of a measured velocity is noise.
         least_speed: [rad/s; m/s] of a joint whose torques are learned from: near rest friction may be anything.
+        ripples: adds sin(c q), cos(c q) for every joint, so many lines, c being sought in what is left without them.
     """
 
     threshold: float = 1e-3
@@ -44,6 +51,7 @@ class Pest(AbstractModel):
     consistent: bool = False
     rest_speed: float = regression.REST_SPEED
     least_speed: float = 0.0
+    ripples: int = 0
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -52,6 +60,8 @@ class Pest(AbstractModel):
         ):
             if value not in allowed:
                 raise UsageError(f"model.{name}={value!r}; allowed: {', '.join(allowed)}")
+        if not (isinstance(self.ripples, int) and self.ripples >= 0):
+            raise UsageError(f"model.ripples={self.ripples}; allowed: a whole number >= 0")
         if not self.rest_speed > 0:
             raise UsageError(f"model.rest_speed={self.rest_speed}; allowed: a number > 0")
         for name in ("threshold", "least_speed"):
@@ -67,19 +77,21 @@ class Pest(AbstractModel):
             "offset": self.offset,
             "armature": self.rotor_inertia,
             **dict.fromkeys((f"stribeck_{i}" for i in range(len(regression.STRIBECK))), self.friction == "stribeck"),
+            **{f"ripple_{i}_{wave}": True for i in range(self.ripples) for wave in ("sin", "cos")},
         }
         return tuple(name for name, wanted in chosen.items() if wanted)
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
-        """All parameters zero: {"psi": (n, 10), "extras": (columns, n)}."""
+        """All parameters zero: {"psi": (n, 10), "extras": (columns, n), "cycles": (ripples, n)}."""
         n = len(dataset.joints)
-        return {"psi": jnp.zeros((n, 10)), "extras": jnp.zeros((len(self.extras), n))}
+        shapes = {"psi": (n, 10), "extras": (len(self.extras), n), "cycles": (self.ripples, n)}
+        return {name: jnp.zeros(shape) for name, shape in shapes.items()}
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample, equation 5."""
         assert robot is not None
         tau = rigid_body.inverse_dynamics(robot, params["psi"], motion.q, motion.qd, motion.qdd)
-        columns = regression.extra_columns(self.extras, motion, self.rest_speed)
+        columns = regression.extra_columns(self.extras, motion, self.rest_speed, params["cycles"])
         for value, column in zip(params["extras"], columns, strict=True):
             tau = tau + jnp.reshape(value, (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
         return tau
@@ -106,16 +118,11 @@ class Pest(AbstractModel):
                 "model=pest needs the robot's kinematics, and these data bring no URDF",
                 advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
             )
-        n = robot.dofs
-        weights = 1 / regression.torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
-        design = Design(robot, self.extras, weights, self.rest_speed, self.least_speed)
-        solution = regression.solve(
-            design, dataset, self.threshold, self.relative, lambda done, note: progress(0.6 * done, note)
-        )
+        design, solution = self._solved(robot, dataset, lambda done, note: progress(0.6 * done, note))
         covariance, details = regression.uncertainty(
             design, dataset, solution, lambda done, note: progress(0.6 + 0.4 * done, f"rank {solution.rank}, {note}")
         )
-        params = _params(solution.psi, n)
+        params = _params(solution.psi, design)
         few = details["blocks"] < regression.FEW_BLOCKS
         warnings = (
             f"The residuals hold only {details['blocks']} independent stretches: standard deviations are rough.",
@@ -123,9 +130,9 @@ class Pest(AbstractModel):
         if self.consistent:
             psi, cost, chance = links.consistent(robot, solution, covariance)
             if cost > chance:
-                change = _rms(self, _params(psi - solution.psi, n), dataset)
+                change = _rms(self, _params(psi - solution.psi, design), dataset)
                 warnings += (links.sentence(cost, chance, change, dataset.joints),)
-            params, details = _params(psi, n), {**details, "consistent": {"cost": cost, "chance": chance}}
+            params, details = _params(psi, design), {**details, "consistent": {"cost": cost, "chance": chance}}
         return Fit(
             params=params,
             robot=robot,
@@ -141,10 +148,36 @@ class Pest(AbstractModel):
             warnings=warnings,
         )
 
+    def _solved(self, robot: Robot, dataset: Dataset, progress: Progress) -> tuple[Design, Solution]:
+        """The least squares; every ripple is sought in what those before it leave."""
+        n, cycles = robot.dofs, np.zeros((0, robot.dofs))
+        if self.ripples:
+            before = replace(self, ripples=self.ripples - 1)
+            design, solution = before._solved(robot, dataset, progress)
+            line = before._line(robot, dataset, _params(solution.psi, design))
+            cycles = np.concatenate([design.cycles, line[None]])
+        weights = 1 / regression.torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
+        design = Design(robot, self.extras, weights, self.rest_speed, self.least_speed, cycles)
+        return design, regression.solve(design, dataset, self.threshold, self.relative, progress)
 
-def _params(psi: np.ndarray, n: int) -> dict[str, np.ndarray]:
+    def _line(self, robot: Robot, dataset: Dataset, params: PyTree) -> np.ndarray:
+        """Cycles (n,) of the line that stands out in what is left of each joint where it moves; 0: none does."""
+        rows = slice(None, None, -(-dataset.samples // SCANNED))
+        said = [in_chunks(lambda m: _apply_rows(self, params, m, robot), x.motion) for x in dataset.trajectories]
+        left, motion = (dataset.tau - np.concatenate(said))[rows], dataset.motion[rows]
+        moves = np.abs(motion.qd) >= max(self.least_speed, self.rest_speed)
+        found = [ripple.strongest(x[m], q[m]) for x, q, m in zip(left.T, motion.q.T, moves.T, strict=True)]
+        return np.array([cycles if share > LINE else 0.0 for cycles, share in found])
+
+
+def _params(psi: np.ndarray, design: Design) -> dict[str, np.ndarray]:
     """The parameters (10 n + columns n,) as `apply` takes them."""
-    return {"psi": psi[: 10 * n].reshape(n, 10), "extras": psi[10 * n :].reshape(-1, n)}
+    n = design.robot.dofs
+    return {
+        "psi": psi[: 10 * n].reshape(n, 10),
+        "extras": psi[10 * n :].reshape(-1, n),
+        "cycles": np.asarray(design.cycles),
+    }
 
 
 def _rms(model: Pest, params: PyTree, dataset: Dataset) -> np.ndarray:

@@ -104,7 +104,7 @@ def judge(statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Grid:
     What is compared is `value` of the picked jobs, and `over_value`, else the same, of the others: the NMSE of a set
     ("test" if unsaid), or a path into errors along a repetition (`stages.scores`): "learned" or "adapted", a stage or
     nothing, "mean", "peak", "line_peak" or "samples_below LEVEL", as in "adapted.grasp.samples_below 0.1" (infinite:
-    never), or "load.mass" [kg], what was believed in last.
+    never), or "load.mass" [kg] or another number of every load that was believed in (`loads.Load`).
     """
     rows, together = [], merged(jobs)
     for statement in statements:
@@ -163,8 +163,8 @@ def _picked(metrics: Mapping[str, Any], value: str) -> list[float]:
     """Of one job: what a statement's `value` says; none where there is no such thing."""
     kind, _, path = value.partition(".")
     if kind == "load":
-        found = metrics.get("adaptation_scores", {}).get("load", {})
-        return [found[path]] if path in found else []
+        every = metrics.get("adaptation_scores", {}).get("loads", [])
+        return [math.inf if x[path] is None else x[path] for x in every]
     if kind not in ("learned", "adapted"):
         return values_of(metrics, value)
     path, below, level = path.partition(BELOW)

@@ -10,7 +10,9 @@ import numpy as np
 
 from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
 from invdyn_cli.report.tables import (
+    LOAD_HEADS,
     choice,
+    load_rows,
     member_spread,
     robot_of,
     round_by_error,
@@ -70,6 +72,7 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
     under = f"{choice(record, 'adaptation')}{seed}" + (f", robot {robot.name}" if robot else "")
     sections = [
         ("Scores", _scores(record)),
+        ("Loads", _loads(record)),
         ("Figures", "".join(_figure(x) for x in figures if x.suffix == ".png")),
         ("Fit", pairs(_fit_facts(record)) + _base_parameters(record.fit.details.get("base_parameters"))),
         ("Robot", _robot(record)),
@@ -152,6 +155,14 @@ def _scores(record: RunRecord) -> str:
         f"<tr>{'<th>NMSE</th><th>RMSE</th>' * len(names)}</tr></thead><tbody>{body}</tbody></table></div>"
         f'<p class="note">{escape(note)}</p>'
     )
+
+
+def _loads(record: RunRecord) -> str:
+    rows = load_rows(record)
+    head = "".join(f"<th>{escape(x)}</th>" for x in LOAD_HEADS)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(x)}</td>' for x in row)}</tr>" for row in rows)
+    note = "What was believed in along the test set, with a standard error, as of the last sample that spoke for it."
+    return f'<div class="wide"><table>{head}{body}</table></div><p class="note">{note}</p>' if rows else ""
 
 
 def _worst(values: Sequence[float]) -> int | None:

@@ -14,6 +14,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from invdyn_cli.maths import loads
 from invdyn_cli.types import Robot, RunRecord
 
 ORDER = ("train", "validation", "test")
@@ -119,6 +120,34 @@ def score_table(record: RunRecord, *, most: int = 3) -> Table:
     table.add_section()
     table.add_row(mean[0], *map(significant, mean[1]), style="bold")
     return table
+
+
+LOAD_HEADS = ("recording", "came [s]", "went [s]", "mass [kg]", "centre of mass [m], last joint's frame")
+
+
+def load_rows(record: RunRecord) -> list[tuple[str, ...]]:
+    """A row under `LOAD_HEADS` for every load that was believed in along the test set."""
+    if "test_adapted" not in record.predictions:
+        return []
+    return [
+        (
+            x.trajectory,
+            f"{x.came:.2f}",
+            "-" if x.went is None else f"{x.went:.2f}",
+            round_by_error(x.mass, x.mass_std),
+            ", ".join(round_by_error(*each) for each in zip(x.com, x.com_std, strict=True)),
+        )
+        for x in loads.believed(record.predictions["test_adapted"].data, record.trace)
+    ]
+
+
+def load_table(record: RunRecord) -> Table | None:
+    """The loads that were believed in; None where there was none."""
+    rows = load_rows(record)
+    table = Table(*LOAD_HEADS, title="Loads", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table if rows else None
 
 
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -70,6 +70,8 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
     for note in record.split.get("notes", ()):
         console.print(f"[dim]data: {escape(note)}[/]", highlight=False)
     console.print(tables.score_table(record))
+    if loads := tables.load_table(record):
+        console.print(loads)
     for warning in record.fit.warnings:
         console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
     console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)

@@ -200,6 +200,28 @@ def test_friction_offset_and_rotor_inertia_come_out_as_planted(apollo4):
     assert nmse(friction_and_more(apollo4, other), model.predict(fit, other)).max() < 1e-18
 
 
+def test_ripples_come_out_as_planted(apollo4):
+    """Two lines over the angle of joints 1 and 2 and one of joint 3, of drawn cycles, are found to half of the
+    resolution 2 pi / reach, other motions are predicted to a tenth of them, and joint 4, with none, is given none."""
+    rng = np.random.default_rng(3)
+    cycles = np.array([rng.uniform(15, 25, 4), rng.uniform(40, 80, 4)])
+    size = np.array([[1.0, 2.0, 0.5, 0.0], [0.5, 1.0, 0.0, 0.0]])
+    phase = rng.uniform(-np.pi, np.pi, (2, 4))
+
+    def torque(motion: Motion) -> np.ndarray:
+        wave = size[:, None] * np.sin(cycles[:, None] * motion.q + phase[:, None])
+        return rigid_torque(apollo4, motion) + wave.sum(0) + rng.normal(0, 0.02, motion.q.shape)
+
+    motion, other = random_motion(4, 6000), random_motion(4, 500, seed=1)
+    model = Pest(ripples=2)
+    fit = model.fit(dataset(apollo4, motion, torque(motion)), KEY)
+    found = fit.params["cycles"]
+    np.testing.assert_array_equal(found > 0, size > 0)
+    assert np.all(np.abs(found - cycles)[size > 0] < (np.pi / np.ptp(motion.q, axis=0) * np.ones((2, 1)))[size > 0])
+    left = torque(other) - model.predict(fit, other)
+    assert np.all(np.sqrt(np.mean(left**2, axis=0)) < 0.1 * np.maximum(size.sum(0), 0.3))
+
+
 def test_base_parameters_are_the_combinations_that_they_say(apollo4):
     """On clean data each value is the combination of the true parameters that its expression spells (four digits)."""
     motion = sines(4, 3000)
@@ -328,6 +350,7 @@ def test_memory_does_not_grow_with_the_samples():
         ({"friction": "striebeck"}, "model.friction='striebeck'; allowed: none, coulomb_viscous"),
         ({"threshold": -1.0}, "model.threshold=-1.0; allowed: a number >= 0"),
         ({"threshold": float("nan")}, "model.threshold=nan"),
+        ({"ripples": -1}, "model.ripples=-1; allowed: a whole number >= 0"),
     ],
 )
 def test_misuse_is_refused(options, words):

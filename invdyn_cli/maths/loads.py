@@ -1,0 +1,73 @@
+"""The loads that were believed in along recordings, read from the trace of an adaptation that weighs them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.maths import stages
+from invdyn_cli.types import Dataset, Trajectory
+
+
+@dataclass(frozen=True)
+class Load:
+    """A stretch of one recording in which a load was believed in.
+
+    Attributes:
+        trajectory: of that name.
+        came, went: [s] of its clock; went: None where it was believed in until the end.
+        came_in, went_in: the stages of that, "" without stages.
+        came_after, went_after: [s] since these began.
+        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; as of the last sample that said nothing
+            against the load.
+    """
+
+    trajectory: str
+    came: float
+    went: float | None
+    came_in: str
+    went_in: str
+    came_after: float
+    went_after: float | None
+    mass: float
+    mass_std: float
+    com: tuple[float, ...]
+    com_std: tuple[float, ...]
+
+
+def believed(data: Dataset, trace: Mapping[str, np.ndarray]) -> list[Load]:
+    """All of them in time; none for a trace of something else. `trace` is (samples, …) over all of the data."""
+    found, row = [], 0
+    for x in data.trajectories if "loaded" in trace else ():
+        own = {name: values[row : row + len(x.t)] for name, values in trace.items()}
+        row += len(x.t)
+        edges = np.flatnonzero(np.diff(own["loaded"] > 0.5, prepend=False, append=False))
+        found += [_load(x, own, int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    return found
+
+
+def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) -> Load:
+    """The load of rows `first` to `end`."""
+    stands = np.flatnonzero(trace["evidence"][first:end] <= 0)
+    last = first + int(stands[-1]) if len(stands) else end - 1
+    came_in, came_after = _stage(x, first)
+    went_in, went_after = _stage(x, end) if end < len(x.t) else ("", None)
+    return Load(
+        trajectory=x.name,
+        came=float(x.t[first]),
+        went=float(x.t[end]) if end < len(x.t) else None,
+        came_in=came_in,
+        went_in=went_in,
+        came_after=came_after,
+        went_after=went_after,
+        mass=float(trace["mass"][last]),
+        mass_std=float(trace["mass_std"][last]),
+        com=tuple(trace["com"][last].tolist()),
+        com_std=tuple(trace["com_std"][last].tolist()),
+    )
+
+
+def _stage(x: Trajectory, row: int) -> tuple[str, float]:
+    """Name of a row's stage, and time [s] since it began."""
+    name, rows = next((name, rows) for name, rows in stages.parts(x) if rows.stop > row)
+    return "" if x.stage is None else name, float(x.t[row] - x.t[rows.start])

@@ -1,0 +1,42 @@
+"""Ripple: lines in a residual over a joint's angle, c cycles over 2 pi, c unknown: teeth, magnets, strain waves."""
+
+import numpy as np
+
+MOST = 400.0
+"""Cycles of a turn that are sought."""
+
+
+def grid(q: np.ndarray, most: float = MOST) -> np.ndarray:
+    """Cycles (C,) to ask for, a quarter of a period of the reach apart: from two periods within the reach of q (T,)."""
+    reach = float(np.ptp(q))
+    return np.arange(4 * np.pi / reach, most, 0.5 * np.pi / reach) if reach > 4 * np.pi / most else np.zeros(0)
+
+
+def power(
+    residual: np.ndarray, q: np.ndarray, cycles: np.ndarray, qd: np.ndarray | float = 0.0, cutoff: float = np.inf
+) -> np.ndarray:
+    """Squares (C,) of the residual (T,) that a sine over the angle q (T,) explains, for each of the cycles (C,);
+    attenuated as a low-pass at `cutoff` [Hz] does at the speed qd [rad/s]."""
+    out = np.empty(len(cycles))
+    for start in range(0, len(cycles), 64):
+        c = cycles[start : start + 64, None]
+        gain = 1 / (1 + (c * qd / (2 * np.pi * cutoff)) ** 8)
+        wave = gain * np.exp(1j * c * q)
+        out[start : start + 64] = 2 * np.abs(wave @ residual) ** 2 / np.maximum(np.sum(abs(wave) ** 2, axis=1), 1e-9)
+    return out
+
+
+def around(cycles: float, q: np.ndarray) -> np.ndarray:
+    """Cycles (21,) between the neighbours of one on the grid."""
+    return cycles + np.linspace(-1, 1, 21) * 0.5 * np.pi / float(np.ptp(q))
+
+
+def strongest(residual: np.ndarray, q: np.ndarray) -> tuple[float, float]:
+    """Cycles of the line that explains most of a residual (T,) over the angle q (T,), and its share of the squares;
+    0, 0 where the joint hardly turns."""
+    asked = grid(q) if len(q) else np.zeros(0)
+    if not len(asked):
+        return 0.0, 0.0
+    fine = around(float(asked[np.argmax(power(residual, q, asked))]), q)
+    found = power(residual, q, fine)
+    return float(fine[np.argmax(found)]), float(found.max() / max(np.sum(residual**2), 1e-300))
