@@ -75,7 +75,7 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
         for panel in panels:
             mark_stages(panel, _begins([x for _, x in runs]), named=panel is axes)
             panel.margins(x=0.01)
-        panels[-1].set_xlabel("samples of a repetition")
+        panels[-1].set_xlabel("samples of a repetition" if len(_begins([x for _, x in runs])) > 1 else "samples")
         add_legend(figure, *panels)
     return figure
 
