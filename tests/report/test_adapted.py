@@ -8,6 +8,7 @@ import pytest
 from invdyn_cli import store
 from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.maths.metrics import BLOCK, nmse_in_blocks
+from invdyn_cli.report import page, tables
 from invdyn_cli.report.adapted import adaptation
 from invdyn_cli.types import Prediction
 from tests.records import make_record
@@ -39,6 +40,25 @@ def test_scores_by_stage(record):
     assert found["nmse"]["mean"] == pytest.approx(np.mean(1 / variance) / 2)
     assert list(found["nmse"]["joint"].values()) == pytest.approx(list(0.5 / variance))
     assert found["updates"] == 8 and found["seconds_per_update"] == {"p50": 0.001, "p99": 0.002}
+
+
+def test_loads_are_told(record):
+    """A load of 2 kg in the second recording's second stage stands in metrics.json, in the terminal's table and on the
+    page with its times and standard errors, and an adaptation that weighs nothing tells of none."""
+    loaded = np.arange(800) >= 600
+    mass = np.where(loaded, 2.0, np.nan)
+    com = np.repeat([[0.0, 0.01, 0.08]], 800, axis=0)
+    trace = {"loaded": 1.0 * loaded, "evidence": 0.0 * mass, "mass": mass, "mass_std": 0.1 * mass, "com": com}
+    weighed = replace(record, trace={**trace, "com_std": 0 * com + 0.001})
+    (found,) = store.metrics(weighed)["adaptation_scores"]["loads"]
+    second = record.predictions["test"].data.trajectories[1]
+    assert (found["trajectory"], found["came_in"], found["went"]) == (second.name, "moving", None)
+    assert (found["came"], found["came_after"], found["mass"]) == pytest.approx((second.t[200], 0, 2))
+    row = (second.name, f"{second.t[200]:.2f}", "-", "2.00 ± 0.20", "0.0000 ± 0.0010, 0.0100 ± 0.0010, 0.0800 ± 0.0010")
+    assert tables.load_rows(weighed) == [row]
+    assert all(cell in page.page(weighed, []) for cell in row)
+    assert tables.load_table(record) is None and "Loads" not in page.page(record, [])
+    assert "loads" not in store.metrics(record)["adaptation_scores"]
 
 
 def test_what_fills_no_block_is_left_out():
