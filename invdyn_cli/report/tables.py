@@ -144,7 +144,9 @@ def load_rows(record: RunRecord) -> list[tuple[str, ...]]:
 def load_table(record: RunRecord) -> Table | None:
     """The loads that were believed in; None where there was none."""
     rows = load_rows(record)
-    table = Table(*LOAD_HEADS, title="Loads", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title="Loads", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in LOAD_HEADS:
+        table.add_column(Text(head), overflow="fold")
     for row in rows:
         table.add_row(*map(Text, row))
     return table if rows else None
