@@ -22,7 +22,8 @@ def power(
         c = cycles[start : start + 64, None]
         gain = 1 / (1 + (c * qd / (2 * np.pi * cutoff)) ** 8)
         wave = gain * np.exp(1j * c * q)
-        out[start : start + 64] = 2 * np.abs(wave @ residual) ** 2 / np.maximum(np.sum(abs(wave) ** 2, axis=1), 1e-9)
+        own = np.broadcast_to(gain**2, wave.shape).sum(axis=1)
+        out[start : start + 64] = 2 * np.abs(wave @ residual) ** 2 / np.maximum(own, 1e-9)
     return out
 
 
