@@ -79,6 +79,8 @@ class AbstractAdapter(abc.ABC):
 
     adapts: bool = True
     """Whether `update` changes anything; then the test set is also judged as it is adapted to ("test_adapted")."""
+    if_diverged: str = ""
+    """What may help where its torques are no numbers any more: the end of a sentence."""
 
     @property
     def block(self) -> int:

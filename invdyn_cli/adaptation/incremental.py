@@ -31,6 +31,8 @@ class Incremental(AbstractAdapter):
     learning_rate: float = 0.01
     seed: int = 0
 
+    if_diverged = "a lower adaptation.learning_rate may help"
+
     def __post_init__(self) -> None:
         for name in ("rate", "batch_size", "epochs"):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
