@@ -111,13 +111,13 @@ def follow(
     """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other; and the
     adaptation's trace, (samples, …) by name, after each sample (after each block, where blocks are learned from)."""
     size = adaptation.block
-    whole = data.samples // size * size
+    whole = data.samples // size * size  # may be 0: then all samples are taken one by one
     samples = data.motion, data.tau
-    blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, size, x.shape[1]), samples)
+    blocks = jax.tree.map(lambda x: x[:whole].reshape(whole // size, size, x.shape[1]), samples)
     state, (first, traced) = follow_blocks(adaptation, model, adaptation.init(model, fit), blocks)
     last, rest = _samples(adaptation, model, state, jax.tree.map(lambda x: x[whole:], samples))
     trace = {name: np.concatenate([np.repeat(traced[name], size, axis=0), rest[name]]) for name in traced}
-    return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(last)]), trace
+    return np.concatenate([np.asarray(first).reshape(whole, len(data.joints)), np.asarray(last)]), trace
 
 
 @partial(jax.jit, static_argnums=(0, 1))

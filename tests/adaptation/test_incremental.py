@@ -67,9 +67,14 @@ def test_one_step_is_the_delta_rule(data):
     np.testing.assert_allclose(moved, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("adapter", [Incremental(rate=40), ErrorModel(NET, incremental=Incremental(rate=40))])
+@pytest.mark.parametrize(
+    "adapter",
+    [Incremental(rate=40), ErrorModel(NET, incremental=Incremental(rate=40)), Incremental(rate=1000)],
+    ids=["incremental", "error_model", "none is full"],
+)
 def test_blocks_are_samples(adapter, data):
-    """A log that is followed in blocks, with a rest that fills none, is predicted as sample by sample."""
+    """A log that is followed in blocks, with a rest that fills none, is predicted as sample by sample; so is one that
+    is shorter than a block."""
     model = adapter.extended(NET)
     fit = adapter.fit(model, data, KEY)
     said, _ = experiment.follow(adapter, model, fit, data)

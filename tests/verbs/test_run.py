@@ -103,6 +103,17 @@ def test_learning_that_diverges_ends_well(adaptation, option, command):
     assert metrics["adaptation_scores"]["nmse"]["mean"] is None
 
 
+@pytest.mark.parametrize("adaptation", ["incremental", "payload"])
+def test_a_rate_beyond_the_test_set(adaptation, command):
+    """No whole block: nothing is learned in one, no update is timed, and the run is whole."""
+    said = command("run", *ADAPTS, f"adaptation={adaptation}", "adaptation.rate=100000")
+    assert (said.code, said.err) == (0, [])
+    metrics = json.loads(Path(said.out[-1], "metrics.json").read_text())
+    assert metrics["test_adapted"]["nmse"]["mean"] > 0
+    assert metrics["adaptation_scores"]["updates"] == 0
+    assert metrics["adaptation_scores"]["seconds_per_update"] == {"p50": None, "p99": None}
+
+
 def test_can_be_repeated(finished, command):
     """The same command gives the same scores in another process; another seed gives others."""
     scores = {}
