@@ -3,6 +3,7 @@
 import hashlib
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -66,6 +67,8 @@ def run(
         test = splits.tests["test"]
         said, trace = follow(adaptation, model, fit, test)
         predictions["test_adapted"] = Prediction(test, said)
+        told = diverged(adaptation, test, predictions["test"].tau, said)
+        fit = replace(fit, warnings=(*fit.warnings, *told))
         took = update_times(adaptation, model, fit, test)
         updates = {f"update_{name}": float(np.percentile(took, x)) for name, x in (("p50", 50), ("p99", 99))}
     predicted = time.perf_counter()
@@ -108,13 +111,13 @@ def follow(
     """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other; and the
     adaptation's trace, (samples, …) by name, after each sample (after each block, where blocks are learned from)."""
     size = adaptation.block
-    whole = data.samples // size * size
+    whole = data.samples // size * size  # may be 0: then all samples are taken one by one
     samples = data.motion, data.tau
-    blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, size, x.shape[1]), samples)
+    blocks = jax.tree.map(lambda x: x[:whole].reshape(whole // size, size, x.shape[1]), samples)
     state, (first, traced) = follow_blocks(adaptation, model, adaptation.init(model, fit), blocks)
     last, rest = _samples(adaptation, model, state, jax.tree.map(lambda x: x[whole:], samples))
     trace = {name: np.concatenate([np.repeat(traced[name], size, axis=0), rest[name]]) for name in traced}
-    return np.concatenate([np.asarray(first).reshape(whole, -1), np.asarray(last)]), trace
+    return np.concatenate([np.asarray(first).reshape(whole, len(data.joints)), np.asarray(last)]), trace
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -157,10 +160,28 @@ def update_times(
     return np.array(took[1:] or [np.nan])  # the first one compiles
 
 
+def diverged(adaptation: AbstractAdapter, data: Dataset, learned: np.ndarray, followed: np.ndarray) -> tuple[str, ...]:
+    """A sentence, where followed torques (samples, n) are not finite though they were as learned, or none."""
+    finite = np.all(np.isfinite(followed), axis=1)
+    lost = ~finite & np.all(np.isfinite(learned), axis=1)
+    if not lost.any():
+        return ()
+    first = row = int(np.argmax(lost))
+    for x in data.trajectories:
+        if row < len(x.t):
+            at = f"{x.t[row] - x.t[0]:.2f} s of {x.name}"
+            how = "from there on" if not finite[first:].any() else "there"
+            advice = f"; {adaptation.if_diverged}" if adaptation.if_diverged else ""
+            return (f"adapting diverged at {at}: its torques are no numbers {how}{advice}",)
+        row -= len(x.t)
+    return ()
+
+
 def score(data: Dataset, prediction: np.ndarray) -> Score:
-    """NMSE and RMSE of every joint over all trajectories together."""
-    tau = data.tau
-    return Score(data.joints, metrics.nmse(tau, prediction), metrics.rmse(tau, prediction))
+    """NMSE and RMSE of every joint over all trajectories together, NaN where a prediction is not finite."""
+    finite = np.isfinite(prediction).all(axis=0)
+    nmse, rmse = (np.where(finite, error(data.tau, prediction), np.nan) for error in (metrics.nmse, metrics.rmse))
+    return Score(data.joints, nmse, rmse)
 
 
 def digest(splits: Splits) -> str:

@@ -59,7 +59,8 @@ class AbstractModel(abc.ABC):
         Raises:
             UsageError: where there is none.
         """
-        raise UsageError(f"{type(self).__name__} has no weights that go on learning", advice="model=ffnn")
+        got = f"{type(self).__name__} has no weights that go on learning"
+        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep")
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
         """The parameters with other weights."""
@@ -79,6 +80,8 @@ class AbstractAdapter(abc.ABC):
 
     adapts: bool = True
     """Whether `update` changes anything; then the test set is also judged as it is adapted to ("test_adapted")."""
+    if_diverged: str = ""
+    """What may help where its torques are no numbers any more: the end of a sentence."""
 
     @property
     def block(self) -> int:

@@ -193,10 +193,11 @@ class Score:
     rmse: np.ndarray
 
     def mean(self, kind: str) -> float:
-        """Mean of "nmse" or "rmse" over the joints that have one: a torque that never changes has no NMSE."""
+        """Mean of "nmse" or "rmse" over the joints that have one: a torque that never changes has no NMSE. NaN as soon
+        as a joint has no RMSE: its prediction is not finite."""
         values = getattr(self, kind)
-        finite = values[~np.isnan(values)]
-        return float(np.mean(finite)) if len(finite) else float("nan")
+        counted = values[~np.isnan(values) | np.isnan(self.rmse)]
+        return float(np.mean(counted)) if len(counted) else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
         """{"nmse": {"mean", "joint": {name: x}}, "rmse": …} as in metrics.json."""

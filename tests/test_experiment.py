@@ -16,7 +16,7 @@ from invdyn_cli.interfaces import AbstractModel, AbstractSource, silent
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.testing import check_adapter, check_model
-from invdyn_cli.types import Dataset, Fit, Motion, Splits, Trajectory
+from invdyn_cli.types import Dataset, Fit, Motion, Score, Splits, Trajectory
 from tests.records import make_dataset, make_robot
 
 ROBOT = make_robot(("a", "b"))
@@ -223,3 +223,57 @@ def test_an_adaptation_predicts_before_it_learns():
     np.testing.assert_allclose(record.predictions["test_adapted"].tau, expected, atol=1e-12)
     assert record.scores["test_adapted"].rmse[0] != record.scores["test"].rmse[0]
     assert "test_adapted" not in experiment.run(Data(), Constant(), Batch(), None).scores
+
+
+@dataclass(frozen=True)
+class Diverging(Follower):
+    """Says nonsense of joint a after `after` samples, for `lasting` of them."""
+
+    after: int = 40
+    lasting: int = 1000
+    nonsense: float = np.nan
+
+    def init(self, model, fit):
+        return *super().init(model, fit), 0
+
+    def predict(self, model, state, motion):
+        lost = (state[3] >= self.after) & (state[3] < self.after + self.lasting)
+        nonsense = jax.numpy.array([self.nonsense, 0.0])
+        return super().predict(model, state[:3], motion) + jax.numpy.where(lost, nonsense, 0.0)
+
+    def update(self, model, state, motion, tau):
+        return *super().update(model, state[:3], motion, tau), state[3] + 1
+
+
+@pytest.mark.parametrize("nonsense", [np.nan, np.inf])
+def test_what_diverged_is_told_and_has_no_score(nonsense):
+    """Torques of joint a that are no numbers from the second trajectory's eleventh sample on: one warning with that
+    time and name, no score of that joint, and no mean as if the other joint were all; what was learned is scored."""
+    record = experiment.run(Data(), Constant(), Diverging(nonsense=nonsense), None)
+    assert record.fit.warnings == ("adapting diverged at 0.10 s of move_1: its torques are no numbers from there on",)
+    for kind in ("nmse", "rmse"):
+        adapted = record.scores["test_adapted"]
+        assert np.isnan([adapted.mean(kind), getattr(adapted, kind)[0]]).all()
+        assert np.isfinite(getattr(adapted, kind)[1]) and np.isfinite(record.scores["test"].mean(kind))
+
+
+def test_a_mean_is_over_joints_that_have_variance():
+    """A torque that never changes has no NMSE, and the mean is over the others."""
+    score = Score(("a", "b"), np.array([np.nan, 0.5]), np.array([1.0, 2.0]))
+    assert score.mean("nmse") == 0.5 and score.mean("rmse") == 1.5
+
+
+@dataclass(frozen=True)
+class Curable(Diverging):
+    """One that knows what may help."""
+
+    if_diverged = "a lower adaptation.after may help"
+
+
+def test_only_adapting_is_blamed_for_what_it_did():
+    """No word where all is finite or the model was no better as learned; "there" where numbers come back; what may
+    help is said where the adaptation knows it."""
+    (told,) = experiment.run(Data(), Constant(), Curable(lasting=5), None).fit.warnings
+    assert told.endswith("0.10 s of move_1: its torques are no numbers there; a lower adaptation.after may help")
+    assert not experiment.run(Data(), Constant(), Follower(), None).fit.warnings
+    assert not experiment.run(Data(), Constant(np.nan), Diverging(), None).fit.warnings

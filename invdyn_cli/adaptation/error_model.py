@@ -24,6 +24,8 @@ class ErrorModel(AbstractAdapter):
     adapted: bool = True
     incremental: Incremental = field(default_factory=Incremental)
 
+    if_diverged = "a lower adaptation.incremental.learning_rate may help"
+
     @property
     def adapts(self) -> bool:  # type: ignore[override]
         """Whether the learner goes on."""

@@ -31,12 +31,14 @@ class Incremental(AbstractAdapter):
     learning_rate: float = 0.01
     seed: int = 0
 
+    if_diverged = "a lower adaptation.learning_rate may help"
+
     def __post_init__(self) -> None:
         for name in ("rate", "batch_size", "epochs"):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"adaptation.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+                raise UsageError(f"{name}={getattr(self, name)}; allowed: a whole number >= 1")
         if not self.learning_rate > 0:
-            raise UsageError(f"adaptation.learning_rate={self.learning_rate}; allowed: a number > 0")
+            raise UsageError(f"learning_rate={self.learning_rate}; allowed: a number > 0")
 
     @property
     def block(self) -> int:

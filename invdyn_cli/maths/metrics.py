@@ -28,11 +28,13 @@ def nmse_in_blocks(
     target: np.ndarray, prediction: np.ndarray, size: int, variance: np.ndarray | None = None
 ) -> np.ndarray:
     """MSE(S) / Var(T) per joint (blocks, n) of every `size` samples S in turn (paper, section V-C); what fills no block
-    is left out. `variance` (n,) is Var(T), None: of all of them. NaN for a joint whose target never changes."""
+    is left out. `variance` (n,) is Var(T), None: of all of them. NaN for a joint whose target never changes; infinite
+    where a prediction is not finite."""
     blocks = len(target) // size
     squares = ((target - prediction) ** 2)[: blocks * size].reshape(blocks, size, target.shape[1]).mean(axis=1)
     scale = np.asarray(np.var(target, axis=0) if variance is None else variance)
-    return np.divide(squares, scale, out=np.full(squares.shape, np.nan), where=scale > 0)
+    found = np.divide(squares, scale, out=np.full(squares.shape, np.nan), where=scale > 0)
+    return np.where(np.isfinite(squares), found, np.inf)
 
 
 def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 Blocks are counted from the beginning of each stage in each repetition, so that repetitions of different lengths lie
 over each other and no block belongs to two stages; what fills no block at a stage's end is left out. T is the whole
-set. An error is the mean over joints.
+set. An error is the mean over joints. NaN is where a repetition has no such block; a block in which a prediction is not
+finite has an infinite error.
 """
 
 import warnings
@@ -53,7 +54,7 @@ def line(errors: np.ndarray) -> np.ndarray:
 
 def reached(errors: np.ndarray) -> np.ndarray:
     """Which blocks half of the repetitions have, (blocks,) of (repetitions, blocks)."""
-    return np.isfinite(errors).mean(axis=0) >= 0.5
+    return (~np.isnan(errors)).mean(axis=0) >= 0.5
 
 
 def until_below(errors: np.ndarray, level: float) -> int | None:
@@ -66,23 +67,27 @@ def until_below(errors: np.ndarray, level: float) -> int | None:
 
 def scores(judged: Prediction) -> dict[str, Any]:
     """Over all blocks and by stage: `mean`; `peak`, the highest block of all repetitions; `line_peak`, the highest of
-    the median over repetitions; by stage `samples_below` each of `LEVELS`, as `until_below` has it."""
-    found = {name: x for name, x in errors(judged).items() if x.shape[1]}
+    the median over repetitions; by stage `samples_below` each of `LEVELS`, as `until_below` has it.
+
+    What holds a prediction that is not finite has no score: infinity, and None for `samples_below`."""
+    found = {name: _judged(x) for name, x in errors(judged).items() if x.shape[1]}
     if not found:
         return {}
     joints = np.concatenate([x.reshape(-1, x.shape[2]) for x in by_joint(judged).values()])
+    every = np.concatenate([x.ravel() for x in found.values()])
+    lines = np.concatenate([line(x) for x in found.values()])
     return {
         "nmse": {
-            "mean": float(np.nanmean(np.concatenate([x.ravel() for x in found.values()]))),
-            "peak": max(float(np.nanmax(x)) for x in found.values()),
-            "line_peak": max(float(line(x).max()) for x in found.values()),
+            "mean": float(_mean(every, axis=0)),
+            "peak": _highest(every),
+            "line_peak": _highest(lines),
             "joint": dict(zip(judged.data.joints, _mean(joints, axis=0), strict=True)),
         },
         "stages": {
             name: {
-                "mean": float(np.nanmean(x)),
-                "peak": float(np.nanmax(x)),
-                "line_peak": float(line(x).max()),
+                "mean": float(_mean(x.ravel(), axis=0)),
+                "peak": _highest(x),
+                "line_peak": _highest(line(x)),
                 "samples_below": {f"{level:g}": until_below(x, level) for level in LEVELS},
             }
             for name, x in found.items()
@@ -107,7 +112,17 @@ def padded(every: list[np.ndarray]) -> np.ndarray:
     return out
 
 
-def _mean(values: np.ndarray, axis: int) -> np.ndarray:
+def _judged(errors: np.ndarray) -> np.ndarray:
+    """The same, infinite in all blocks where it is in any: a repetition that diverged is not hidden by a median."""
+    return np.where(np.isinf(errors).any() & ~np.isnan(errors), np.inf, errors)
+
+
+def _highest(values: np.ndarray) -> float:
+    """Of the numbers there are, NaN where there is none."""
+    return float(np.fmax.reduce(values, axis=None, initial=np.nan))
+
+
+def _mean(values: np.ndarray, axis: int) -> Any:
     """Of the numbers there are, NaN where there is none, and no word about it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)

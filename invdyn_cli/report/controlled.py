@@ -30,6 +30,9 @@ OBJECT = {False: "without the object", True: "with the object"}
 POOR = 5.0
 """[deg] Where feedback alone errs by about this much, feedforwards are compared in words."""
 
+IN_TIMES, SEEN = 1.2, 1.0
+"""Ratio of errors from which they are told in times, below it in per cent; [%] below which they are told as equal."""
+
 
 def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
     """The figure, in the formats that the paths end with."""
@@ -119,9 +122,11 @@ def sentences(record: ControlRecord) -> list[str]:
 
 
 def _times(before: float, after: float) -> str:
-    if abs(before / after - 1) < 0.01:
-        return "no closer"
-    return f"{before / after:.1f} times closer" if before > after else f"{after / before:.1f} times farther off"
+    times, where = (before / after, "closer") if before > after else (after / before, "farther off")
+    if times >= IN_TIMES:
+        return f"{times:.1f} times {where}"
+    change = 100 * abs(after / before - 1)
+    return f"{change:.0f} % {where}" if change >= SEEN else "no closer"
 
 
 def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:

@@ -138,7 +138,8 @@ def _together(found: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarra
     """Times; the median over runs of the median over repetitions; the band of all of them."""
     t = found[0][0]
     middle = np.median([np.nanmedian(x, axis=0) for _, x in found], axis=0)
-    low, high = np.nanpercentile(np.concatenate([x for _, x in found]), SHOWN, axis=0)
+    with np.errstate(invalid="ignore"):  # between infinite errors a percentile is NaN, and is not drawn
+        low, high = np.nanpercentile(np.concatenate([x for _, x in found]), SHOWN, axis=0)
     return t, middle, low, high
 
 

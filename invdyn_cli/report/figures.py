@@ -124,12 +124,13 @@ def errors(record: RunRecord) -> Figure | None:
         members = record.member_scores.get(name, ())
         for axes, kind in ((upper, "nmse"), (lower, "rmse")):
             values = np.asarray(getattr(record.scores[name], kind), float)
+            still = np.isnan(values) & np.isfinite(record.scores[name].rmse)
             axes.bar(where, np.where(np.isfinite(values), values, 0), 0.92 * width, color=colour, label=plain(name))
             for member in members if len(members) > 1 else ():
                 axes.plot(where, getattr(member, kind), ".", color=BLACK, ms=3, label="one member")
-            for x, value in zip(where, values, strict=True):
+            for x, value, constant in zip(where, values, still, strict=True):
                 if not np.isfinite(value) or value == 0:
-                    word = {"nan": "no variance" if kind == "nmse" else "NaN"}.get(f"{value:g}", f"{value:g}")
+                    word = "no variance" if constant else "NaN" if np.isnan(value) else f"{value:g}"
                     at = axes.get_xaxis_transform()
                     axes.text(
                         x, 0.03, word, transform=at, rotation=90, ha="center", va="bottom", fontsize=7, color=colour

@@ -94,6 +94,8 @@ def summary(record: RunRecord) -> str:
         return "This run was not judged on a test set."
     score = record.scores["test"]
     mean = score.mean("nmse")
+    if not np.isfinite(score.rmse).all():
+        return "Predictions on the test set are not finite, so that an NMSE cannot be given."
     if math.isnan(mean):
         return "No joint's torque changes in the test set, so that an NMSE cannot be given."
     worst = int(np.nanargmax(score.nmse))
@@ -138,7 +140,7 @@ def remarks(record: RunRecord) -> list[str]:
 def _scores(record: RunRecord) -> str:
     names = scored_sets(record)
     *joints, mean = score_rows(record)
-    worst = [_worst([values[c] for _, values in joints]) for c in range(len(mean[1]))]
+    worst = [None if math.isnan(x) else _worst([values[c] for _, values in joints]) for c, x in enumerate(mean[1])]
     head = "".join(f'<th colspan="2">{escape(x)}</th>' for x in names)
     body = ""
     for row, (joint, values) in enumerate(joints):

@@ -110,9 +110,11 @@ class ClosedLoop:
         worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf)))
         if abs(error[worst]) <= largest:
             return ""
-        t = self.sample / self.rate
+        t, off = self.sample / self.rate, abs(float(error[worst]))
         when = f"at {t:.2f} s" if t >= 0 else "before the log begins"
+        unit = "m" if self.robot.prismatic[worst] else "rad"
+        digits = next((k for k in range(3, 17) if f"{off:.{k}g}" != f"{largest:.{k}g}"), 17)
         return (
-            f"the simulated arm is out of control {when}, {self.robot.joints[worst]} is {error[worst]:.3g} from its "
-            f"reference; allowed: {largest:g}"
+            f"the simulated arm is out of control {when}, {self.robot.joints[worst]} is {off:.{digits}g} {unit} from "
+            f"its reference; allowed: {largest:g} {unit}"
         )

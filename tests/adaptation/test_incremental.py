@@ -67,9 +67,14 @@ def test_one_step_is_the_delta_rule(data):
     np.testing.assert_allclose(moved, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("adapter", [Incremental(rate=40), ErrorModel(NET, incremental=Incremental(rate=40))])
+@pytest.mark.parametrize(
+    "adapter",
+    [Incremental(rate=40), ErrorModel(NET, incremental=Incremental(rate=40)), Incremental(rate=1000)],
+    ids=["incremental", "error_model", "none is full"],
+)
 def test_blocks_are_samples(adapter, data):
-    """A log that is followed in blocks, with a rest that fills none, is predicted as sample by sample."""
+    """A log that is followed in blocks, with a rest that fills none, is predicted as sample by sample; so is one that
+    is shorter than a block."""
     model = adapter.extended(NET)
     fit = adapter.fit(model, data, KEY)
     said, _ = experiment.follow(adapter, model, fit, data)
@@ -120,13 +125,19 @@ def test_an_error_model_leaves_its_base_alone(data):
 
 
 def test_a_model_without_weights_is_refused(data):
-    """PEST has no weights that steps could move; that is said in one line, before anything is fitted."""
-    with pytest.raises(UsageError, match="no weights"):
+    """PEST has no weights that steps could move, be it the model or a learner: that is said in one line, before
+    anything is fitted, with models that have some and no place that it may not be in."""
+    with pytest.raises(UsageError, match="no weights") as model:
         Incremental().fit(Pest(), data, KEY)
+    adapter = ErrorModel(Pest())
+    with pytest.raises(UsageError, match="no weights") as learner:
+        adapter.fit(adapter.extended(Pest()), data, KEY)
+    assert str(model.value) == str(learner.value)
+    assert "ffnn_deep" in str(model.value) and "model=" not in str(model.value)
 
 
 @pytest.mark.parametrize(("name", "value"), [("rate", 0), ("batch_size", 0), ("epochs", 0), ("learning_rate", 0.0)])
 def test_wrong_options(name, value):
-    """What is out of range is named with what is allowed."""
-    with pytest.raises(UsageError, match=f"adaptation.{name}={value}"):
+    """What is out of range is named with what is allowed, but no place: adaptation, or adaptation.incremental."""
+    with pytest.raises(UsageError, match=f"^{name}={value}; allowed: "):
         Incremental(**{name: value})

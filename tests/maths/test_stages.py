@@ -61,3 +61,32 @@ def test_scores_say_both_peaks():
     found = stages.scores(replace(judged, tau=said))
     assert found["nmse"]["line_peak"] == pytest.approx(0.25) and found["nmse"]["peak"] == pytest.approx(6.25)
     assert found["stages"]["moving"]["samples_below"] == {"0.1": None, "0.01": None}
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_what_is_not_finite_has_no_score(wrong):
+    """One sample that is no number, in one of three repetitions: its stage and the whole have an infinite mean and
+    peaks and are never below a level; the other stage, and the other joint, keep their scores. A stage that is longer
+    in one repetition than in the others is no such thing."""
+    judged = staged([(200, 200), (200, 200), (400, 200)], lambda stage, k: 0.2)
+    said = judged.tau.copy()
+    said[250, 0] = wrong
+    found = stages.scores(replace(judged, tau=said))
+    never = {"mean": np.inf, "peak": np.inf, "line_peak": np.inf, "samples_below": {"0.1": None, "0.01": None}}
+    assert found["stages"]["moving"] == never
+    assert [found["nmse"][name] for name in ("mean", "peak", "line_peak")] == [np.inf] * 3
+    still = found["stages"]["still"]
+    assert [still[name] for name in ("mean", "peak", "line_peak")] == pytest.approx([0.04] * 3)
+    assert still["samples_below"] == {"0.1": 0, "0.01": None}
+    assert list(found["nmse"]["joint"].values()) == [np.inf, pytest.approx(0.04)]
+
+
+@pytest.mark.filterwarnings("error")
+def test_torques_that_never_change_have_no_score():
+    """Neither an error nor a warning: NaN, and never below a level."""
+    judged = staged([(200, 200)], lambda stage, k: 0.2)
+    (x,) = judged.data.trajectories
+    data = Dataset((replace(x, tau=np.ones_like(x.tau)),), judged.data.joints, judged.data.robot)
+    found = stages.scores(Prediction(data, judged.tau))
+    assert np.isnan([found["nmse"][name] for name in ("mean", "peak", "line_peak")]).all()
+    assert found["stages"]["still"]["samples_below"] == {"0.1": None, "0.01": None}

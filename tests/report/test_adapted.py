@@ -1,5 +1,6 @@
 """A run that adapted: its scores by stage, its figure, and both from run.h5."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,27 @@ def test_stages_are_stored(record, tmp_path):
     store.write_run(record, tmp_path / "run.h5")
     again = store.load_run(tmp_path / "run.h5")
     assert store.metrics(again)["adaptation_scores"] == store.metrics(record)["adaptation_scores"]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("rows", [slice(500, None), slice(None)], ids=["from 500 on", "all"])
+def test_what_diverged_is_drawn_as_far_as_it_goes(record, rows, tmp_path):
+    """Predictions that are no numbers: null in metrics.json, and a figure without them, and no warning."""
+    followed = record.predictions["test_adapted"]
+    said = followed.tau.copy()
+    said[rows] = np.nan
+    made = replace(record, predictions={**record.predictions, "test_adapted": replace(followed, tau=said)})
+    store.write_metrics(made, tmp_path / "metrics.json")
+    found = json.loads((tmp_path / "metrics.json").read_text())["adaptation_scores"]
+    assert [found["nmse"][name] for name in ("mean", "peak", "line_peak")] == [None] * 3
+    assert set(found["nmse"]["joint"].values()) == {None}
+    never = {"mean": None, "peak": None, "line_peak": None, "samples_below": {"0.1": None, "0.01": None}}
+    assert found["stages"] == {"still": never, "moving": never}
+    assert found["as_learned"]["nmse"]["mean"] > 0
+    figure = adaptation(made)
+    figure.savefig(tmp_path / "adaptation.png")
+    lines = {str(line.get_label()): np.asarray(line.get_ydata()) for line in figure.axes[0].lines}
+    assert np.isfinite(lines["as it was learned"]).all() and not np.isfinite(lines["adapted"]).all()
 
 
 def test_the_figure_shows_both_and_the_stages(record):

@@ -26,12 +26,19 @@ def record(learned: float, adapted: float) -> ControlRecord:
     [
         (1.0, 0.5, ("5.0 times closer", "10.0 times closer, 2.0 times closer than as learned")),
         (1.0, 1.0, ("no closer than as learned",)),
+        (0.820, 0.787, ("6.4 times closer, 4 % closer than as learned",)),
+        (0.787, 0.820, ("6.1 times closer, 4 % farther off than as learned",)),
+        (1.0, 0.995, ("no closer than as learned",)),
+        (1.0, 1.005, ("no closer than as learned",)),
+        (1.0, 0.840, ("16 % closer than as learned",)),
+        (1.0, 0.830, ("1.2 times closer than as learned",)),
+        (4.5, 5.5, ("as learned it is 10 % closer", "adapted 10 % farther off, 1.2 times farther off than")),
         (0.5, 2.0, ("4.0 times farther off than as learned",)),
         (10.0, np.nan, ("2.0 times farther off", "adapted: it fell")),
     ],
 )
 def test_sentences_follow_from_the_runs(learned, adapted, words):
-    """Ratios are those of the errors, the right way round; who fell is told."""
+    """Ratios are those of the errors, the right way round, in per cent where they are small; who fell is told."""
     said = " ".join(controlled.sentences(record(learned, adapted)))
     assert all(word in said for word in words), said
     assert "nan" not in said and "closer closer" not in said

@@ -48,6 +48,17 @@ def test_a_line_is_the_median_of_repetitions_and_seeds():
     assert "nowhere" not in lines and {x.get_text() for x in axes.texts} == {"still", "moving"}
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_seed_that_diverged_is_no_gap_in_the_others():
+    """One of three runs is no number: the line is that of the runs in the middle, the upper half of the band is not
+    drawn, and no warning comes."""
+    runs = [({"name": "A", "seed": str(k)}, curves.course(run(x))) for k, x in enumerate((0.1, 0.2, np.nan))]
+    figure = curves.draw(SPEC, runs)
+    figure.canvas.draw()
+    lines = {str(line.get_label()): line for line in figure.axes[0].lines}
+    np.testing.assert_allclose(lines["going on"].get_ydata(), 0.04)
+
+
 def test_the_mass_is_shown_where_one_is_believed_in():
     """The lower panel has the estimated mass in the second stage alone, beside the true one."""
     spec = {**SPEC, "mass": {"each": {"name": "A"}, "kg": 1.9}}

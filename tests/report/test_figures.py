@@ -95,6 +95,14 @@ def test_log_axes_survive(tmp_path, nmse, rmse):
     assert {path.stem for path in written} == ALL
 
 
+def test_no_variance_is_not_said_of_what_diverged():
+    """Without an NMSE is a torque that never changes, and a prediction that is not finite: each has its word."""
+    record = with_scores(make_record(3, samples=60, epochs=3), [np.nan, np.nan, 0.1], [np.nan, 1.0, 1.0])
+    upper, lower = figures.errors(record).axes
+    words = [[text.get_text() for text in axes.texts] for axes in (upper, lower)]
+    assert words == [["NaN", "no variance"] * len(record.scores), ["NaN"] * len(record.scores)]
+
+
 @pytest.mark.filterwarnings("error")
 def test_degenerate_curves_survive(tmp_path):
     """Losses of zero and NaN, a joint at rest, a constant torque, a prediction of NaN: drawn without a warning."""

@@ -159,3 +159,18 @@ def test_remarks_tell_what_is_missing():
     score = Score(record.fit.joints, np.array([0.1, np.nan, np.nan]), np.array([1.0, 0.0, np.nan]))
     first, second = remarks(replace(record, scores={"test": score}))
     assert "joint2 never changes" in first and "joint3 is not finite" in second
+
+
+def test_predictions_that_are_no_numbers_are_told():
+    """A joint that diverged on the test set: no mean over the others, no worst among them, and not as if its torque
+    never changed; a joint whose torque never changes still leaves a mean."""
+    made = make_record(2)
+    for nmse, rmse, words in (
+        ([np.nan, 0.25], [np.nan, 1.0], "not finite, so that"),
+        ([np.nan, 0.25], [1.0, 1.0], "mean NMSE on the test set is 0.250"),
+    ):
+        scores = {"test": Score(made.fit.joints, np.array(nmse), np.array(rmse))}
+        text = page(replace(made, scores=scores, member_scores={}), [])
+        assert words in summary(replace(made, scores=scores))
+        assert ('<tr class="mean"><td>mean</td><td>-</td><td>-</td>' in text) == np.isnan(rmse[0])
+        assert ('class="worst">0.250' in text) == np.isfinite(rmse[0])

@@ -1,5 +1,7 @@
 """The arm tick by tick is the arm of `simulate`: same physics, same sensors, whoever closes the loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -65,4 +67,14 @@ def test_who_is_lost_is_named(arm):
     assert loop.lost(np.array([0.1, -0.9, 0.0]), 1.0) == ""
     for error in ([0.1, -1.5, 0.0], [0.1, np.nan, 0.0]):
         said = loop.lost(np.array(error), 1.0)
-        assert arm.joints[1] in said and "0.00 s" in said and "allowed: 1" in said
+        assert arm.joints[1] in said and "0.00 s" in said and said.endswith("allowed: 1 rad")
+
+
+@pytest.mark.parametrize(("error", "said"), [(-2.0137, "2.01"), (2.0003, "2.0003"), (31.41, "31.4")])
+def test_how_far_is_more_than_is_allowed(arm, error, said):
+    """The number that is told has as many digits as it takes to differ from what is allowed, and its unit."""
+    told = ClosedLoop(arm, samples=10).lost(np.array([0.0, error, 0.0]), 2.0)
+    assert told.endswith(f"is {said} rad from its reference; allowed: 2 rad")
+    slides = replace(arm, prismatic=(False, True, False))
+    told = ClosedLoop(slides, samples=10).lost(np.array([0.0, error, 0.0]), 2.0)
+    assert told.endswith(f"is {said} m from its reference; allowed: 2 m")

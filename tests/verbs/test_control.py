@@ -64,7 +64,7 @@ def test_adaptations_are_slower_in_a_loop_unless_asked_for(command):
         (("data.decimate=5",), "data.decimate=5"),
         (("adaptation=null",), "adaptation=null; allowed"),
         (("seed=-1",), "seed=-1"),
-        (("model=pest", "adaptation=incremental", *TINY[:-1]), "model=ffnn"),
+        (("model=pest", "adaptation=incremental", *TINY[:-1]), "ffnn_deep"),
     ],
 )
 def test_misuse_is_one_line(command, overrides, word):

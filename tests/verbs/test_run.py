@@ -80,6 +80,40 @@ def test_records_where_it_came_from(finished):
     assert record.split["test_Hz"] == [0.5, 0.6]
 
 
+ADAPTS = ("data=pick_place", "data.repetitions=1", "data.watched=0", "data.decimate=10", "robot.dofs=2", *NETS)
+
+
+@pytest.mark.parametrize(
+    ("adaptation", "option"),
+    [("incremental", "adaptation.learning_rate"), ("error_model", "adaptation.incremental.learning_rate")],
+)
+def test_learning_that_diverges_ends_well(adaptation, option, command):
+    """Steps far too large: exit code 0, all files, one warning with the option that this adaptation has, on the
+    terminal and the page; the adapted scores are null and as learned they are not."""
+    said = command("run", *ADAPTS, f"adaptation={adaptation}", f"{option}=1000")
+    assert (said.code, said.err) == (0, [])
+    text = " ".join(said.out)
+    assert text.count("diverged") == 1 and "s of loaded_1: its torques are no numbers from there on" in text
+    assert f"; a lower {option} may help" in text
+    folder = Path(said.out[-1])
+    assert (folder / "figures" / "adaptation.png").is_file()
+    assert f"a lower {option} may help" in (folder / "report.html").read_text()
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["test_adapted"]["nmse"]["mean"] is None and metrics["test"]["nmse"]["mean"] > 0
+    assert metrics["adaptation_scores"]["nmse"]["mean"] is None
+
+
+@pytest.mark.parametrize("adaptation", ["incremental", "payload"])
+def test_a_rate_beyond_the_test_set(adaptation, command):
+    """No whole block: nothing is learned in one, no update is timed, and the run is whole."""
+    said = command("run", *ADAPTS, f"adaptation={adaptation}", "adaptation.rate=100000")
+    assert (said.code, said.err) == (0, [])
+    metrics = json.loads(Path(said.out[-1], "metrics.json").read_text())
+    assert metrics["test_adapted"]["nmse"]["mean"] > 0
+    assert metrics["adaptation_scores"]["updates"] == 0
+    assert metrics["adaptation_scores"]["seconds_per_update"] == {"p50": None, "p99": None}
+
+
 def test_can_be_repeated(finished, command):
     """The same command gives the same scores in another process; another seed gives others."""
     scores = {}
