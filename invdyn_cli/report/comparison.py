@@ -219,6 +219,7 @@ def _verdict(values: Sequence[float], low: float, high: float) -> str:
     if math.isinf(over):
         return f"{'differs' if not inside else f'holds for {inside} of {len(values)}'}: never"
     misses = [f"below by up to {under:.3g} x"] * (under > 1) + [f"above by up to {over:.3g} x"] * (over > 1)
+    misses += ["no number"] * any(map(math.isnan, values))
     return f"{'differs' if not inside else f'holds for {inside} of {len(values)}'}: {', '.join(misses)}"
 
 
