@@ -16,6 +16,7 @@ The threshold is a multiple of what motions without a load reach. What friction 
 says is a disturbance beside: an observer follows it (Ohnishi 1996), so that predictions do not wait for a verdict.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -25,7 +26,7 @@ import numpy as np
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
 from invdyn_cli.maths import rigid_body, statistics
-from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot, Trajectory
 
 PARAMETERS = len(rigid_body.PARAMETERS)
 
@@ -85,7 +86,8 @@ class Payload(AbstractAdapter):
         validation: Dataset | None = None,
         progress: Progress = silent,
     ) -> Fit:
-        """The model's own fit; then motions without a load are watched, the validation's where there is one.
+        """The model's own fit; then motions without a load are watched that were not learned from: the validation's
+        where these are recordings of their own, else every recording, by a fit without it and some others (`FOLDS`).
 
         details: load_variance (n,) [(N m)^2] of residuals in motion and load_samples (n,), how many of them are worth
         one; load_hidden (n,) [N m; N], friction at rest; load_threshold [nats].
@@ -96,19 +98,24 @@ class Payload(AbstractAdapter):
         if dataset.robot is None:
             got = "adaptation=payload needs the robot's kinematics, and these data bring no URDF"
             raise UsageError(got, advice="robot=urdf robot.path=arm.urdf, or adaptation=error_model")
-        fit = model.fit(dataset, key, validation=validation, progress=lambda done, note: progress(0.9 * done, note))
-        watched = dataset if validation is None else validation
-        variance, samples = self._noise(model, fit, watched)
+        fit = model.fit(dataset, key, validation=validation, progress=lambda done, note: progress(0.5 * done, note))
+        watched = [(fit, x) for x in (dataset if validation is None else validation).trajectories]
+        if (validation is None or not _apart(validation, dataset)) and len(dataset.trajectories) > 1:
+            watched = _left_out(model, dataset, key)
+        variance, samples = self._noise(model, watched)
         known = {
             "load_variance": variance,
             "load_samples": samples,
-            "load_hidden": self._hidden(model, fit, watched.motion),
+            "load_hidden": self._hidden(model, fit, dataset.motion),
             "load_threshold": np.inf,
         }
-        fit = replace(fit, robot=dataset.robot, details={**fit.details, **known})
-        highest = max(self._highest(model, fit, x.motion, x.tau) for x in watched.trajectories)
-        threshold = max(self.surety, self.margin * highest)
-        return replace(fit, details={**fit.details, "load_threshold": threshold})
+        details = {**fit.details, **known}
+        highest = [
+            self._highest(model, replace(own, robot=dataset.robot, details=details), x.motion, x.tau)
+            for own, x in watched
+        ]
+        threshold = max(self.surety, self.margin * max(highest))
+        return replace(fit, robot=dataset.robot, details={**details, "load_threshold": threshold})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
         """No load, and nothing seen yet."""
@@ -207,14 +214,14 @@ class Payload(AbstractAdapter):
         squares = [1.0, *[self.size**2] * 3, *[self.size**4 / 4] * 6]
         return jnp.diag(1 / (self.mass**2 * jnp.array(squares)))
 
-    def _noise(self, model: AbstractModel, fit: Fit, watched: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    def _noise(self, model: AbstractModel, watched: Sequence[tuple[Fit, Trajectory]]) -> tuple[np.ndarray, np.ndarray]:
         """(n,) variance of residuals of joints that move, from their median, and their correlation time [samples]."""
-        moving = [np.asarray(_resting(x.motion.qd, self.rest_speed)) < MOVING for x in watched.trajectories]
-        left = [x.tau - model.predict(fit, x.motion) for x in watched.trajectories]
+        moving = [np.asarray(_resting(x.motion.qd, self.rest_speed)) < MOVING for _, x in watched]
+        left = [x.tau - model.predict(fit, x.motion) for fit, x in watched]
         sizes = np.where(np.concatenate(moving), np.abs(np.concatenate(left)), np.nan)
         still = np.isnan(sizes).all(axis=0)
         spread = 1.4826 * np.nanmedian(np.where(still, np.abs(np.concatenate(left)), sizes), axis=0)
-        spread = np.maximum(spread, 1e-6 * np.abs(watched.tau).max())
+        spread = np.maximum(spread, 1e-6 * max(np.abs(x.tau).max() for _, x in watched))
         kept = [np.clip(r * m, -3 * spread, 3 * spread) for r, m in zip(left, moving, strict=True)]
         times = np.mean([[statistics.autocorrelation_time(x) for x in r.T] for r in kept], axis=0)
         return spread**2, times
@@ -238,6 +245,9 @@ class Payload(AbstractAdapter):
         return float(jax.jit(lambda s, x: jax.lax.scan(step, s, x)[1].max())(self.init(model, fit), (motion, tau)))
 
 
+FOLDS = 4
+"""Fits, each without some recordings, where no others are there to be watched."""
+
 WATCHED = ("variance", "samples", "hidden", "threshold")
 """What a fit says about motions without a load, behind "load_"."""
 
@@ -251,6 +261,23 @@ def columns(robot: Robot, motion: Motion) -> Array:
         return rigid_body.inverse_dynamics(robot, nothing.at[-1].set(row), motion.q, motion.qd, motion.qdd)
 
     return jax.vmap(torque, out_axes=1)(jnp.eye(PARAMETERS))
+
+
+def _apart(validation: Dataset, dataset: Dataset) -> bool:
+    """Whether no recording is in both, not even in parts (name[t0:t1])."""
+    return not {x.name.split("[")[0] for x in validation.trajectories} & {
+        x.name.split("[")[0] for x in dataset.trajectories
+    }
+
+
+def _left_out(model: AbstractModel, dataset: Dataset, key: jax.Array) -> list[tuple[Fit, Trajectory]]:
+    """Every recording with a fit that did not see it."""
+    every, found = np.arange(len(dataset.trajectories)), []
+    for out in np.array_split(every, min(FOLDS, len(every))):
+        kept = tuple(dataset.trajectories[k] for k in np.setdiff1d(every, out))
+        fit = model.fit(replace(dataset, trajectories=kept), key)
+        found += [(fit, dataset.trajectories[k]) for k in out]
+    return found
 
 
 def _believed(state: PyTree) -> Array:

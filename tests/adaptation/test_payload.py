@@ -11,12 +11,13 @@ from invdyn_cli import experiment
 from invdyn_cli.adaptation.payload import Payload, columns
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.simulation.references import Manipulation
 from invdyn_cli.testing import check_adapter
-from invdyn_cli.types import Dataset, Motion
+from invdyn_cli.types import Dataset, Fit, Motion
 from tests.records import make_dataset, make_robot
 
 KEY = jax.random.key(0)
@@ -121,6 +122,34 @@ def test_what_no_load_does_is_followed():
     missing = (pushed.tau - said) / push
     np.testing.assert_allclose(missing[20], np.exp(-1), atol=0.02)
     assert np.abs(missing[99]).max() < 0.01
+
+
+class ByHeart(AbstractModel):
+    """Knows every recording that it has seen, and says zero of others."""
+
+    def init(self, dataset, key):
+        return {}
+
+    def apply(self, params, motion, robot):
+        return 0.0 * motion.q
+
+    def fit(self, dataset, key, *, validation=None, progress=None):
+        seen = {x.motion.q.tobytes(): x.tau for x in dataset.trajectories}
+        return Fit({}, dataset.robot, dataset.joints, 0, details={"seen": seen})
+
+    def predict(self, fit, motion):
+        q = np.asarray(motion.q)
+        return fit.details["seen"].get(q.tobytes(), 0 * q)
+
+
+@pytest.mark.parametrize("watched", [None, "a part of what was learned"])
+def test_what_was_learned_by_heart_is_no_measure(watched):
+    """A model that knows its recordings by heart is judged by what it says of those that it does not know, whether
+    there is no validation or one from the same recordings."""
+    data = make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=150, trajectories=5)
+    parts = tuple(replace(x, name=f"{x.name}[0:1]") for x in data.trajectories)
+    fit = Payload().fit(ByHeart(), data, KEY, validation=watched and replace(data, trajectories=parts))
+    assert np.all(fit.details["load_variance"] > 0.1 * data.tau.var(axis=0))
 
 
 @pytest.mark.parametrize("options", [{"mass": 0}, {"window": 1}, {"margin": 0.5}, {"observer": 0}, {"rate": 0}])
