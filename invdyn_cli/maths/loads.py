@@ -18,8 +18,8 @@ class Load:
         came, went: [s] of its clock; went: None where it was believed in until the end.
         came_in, went_in: the stages of that, "" without stages.
         came_after, went_after: [s] since these began.
-        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; as of the last sample that said nothing
-            against the load.
+        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; where they were known best while
+            nothing spoke against the load (on its way out what is left of it is taken for another one).
     """
 
     trajectory: str
@@ -48,8 +48,8 @@ def believed(data: Dataset, trace: Mapping[str, np.ndarray]) -> list[Load]:
 
 def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) -> Load:
     """The load of rows `first` to `end`."""
-    stands = np.flatnonzero(trace["evidence"][first:end] <= 0)
-    last = first + int(stands[-1]) if len(stands) else end - 1
+    stands = first + np.flatnonzero(trace["evidence"][first:end] <= 0)
+    best = min(stands if len(stands) else range(first, end), key=lambda row: trace["mass_std"][row])
     came_in, came_after = _stage(x, first)
     went_in, went_after = _stage(x, end) if end < len(x.t) else ("", None)
     return Load(
@@ -60,10 +60,10 @@ def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) 
         went_in=went_in,
         came_after=came_after,
         went_after=went_after,
-        mass=float(trace["mass"][last]),
-        mass_std=float(trace["mass_std"][last]),
-        com=tuple(trace["com"][last].tolist()),
-        com_std=tuple(trace["com_std"][last].tolist()),
+        mass=float(trace["mass"][best]),
+        mass_std=float(trace["mass_std"][best]),
+        com=tuple(trace["com"][best].tolist()),
+        com_std=tuple(trace["com_std"][best].tolist()),
     )
 
 
