@@ -150,7 +150,8 @@ class Payload(AbstractAdapter):
 
     def trace(self, state: PyTree) -> dict[str, Array]:
         """loaded (0 or 1), mass [kg] and com (3,) [m, last joint's frame] of the load and their standard deviations
-        (NaN: none), and how near the next change is: its evidence over the threshold."""
+        (NaN: none); since, from how many samples in motion these are; and evidence, over the threshold, of the next
+        change."""
         loaded, phi = state["loaded"], jnp.where(state["loaded"], state["phi"], jnp.nan)
         covariance, com = jnp.linalg.inv(state["load"]["L"] + self._prior())[:4, :4], phi[1:4] / phi[0]
         slope = jnp.concatenate([-com[:, None], jnp.eye(3)], axis=1) / phi[0]  # of com over mass and mass times com
@@ -161,6 +162,7 @@ class Payload(AbstractAdapter):
             "mass_std": jnp.where(loaded, covariance[0, 0] ** 0.5, jnp.nan),
             "com": com,
             "com_std": jnp.sqrt(jnp.diag(slope @ covariance @ slope.T)),
+            "since": jnp.where(loaded, state["since"], jnp.nan),
             "evidence": evidence / state["threshold"],
         }
 

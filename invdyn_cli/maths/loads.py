@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,8 +19,9 @@ class Load:
         came, went: [s] of its clock; went: None where it was believed in until the end.
         came_in, went_in: the stages of that, "" without stages.
         came_after, went_after: [s] since these began.
-        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; where they were known best while
-            nothing spoke against the load (on its way out what is left of it is taken for another one).
+        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; of the load that was believed in longest
+            (on its way out what is left of it is taken for another one), when nothing spoke against it for the last
+            time.
     """
 
     trajectory: str
@@ -48,8 +50,10 @@ def believed(data: Dataset, trace: Mapping[str, np.ndarray]) -> list[Load]:
 
 def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) -> Load:
     """The load of rows `first` to `end`."""
-    stands = first + np.flatnonzero(trace["evidence"][first:end] <= 0)
-    best = min(stands if len(stands) else range(first, end), key=lambda row: trace["mass_std"][row])
+    edges = [first, *(first + 1 + np.flatnonzero(np.diff(trace["since"][first:end]) < 0)), end]
+    begin, over = max(pairwise(edges), key=lambda rows: rows[1] - rows[0])
+    stands = np.flatnonzero(trace["evidence"][begin:over] <= 0)
+    last = begin + stands[-1] if len(stands) else over - 1
     came_in, came_after = _stage(x, first)
     went_in, went_after = _stage(x, end) if end < len(x.t) else ("", None)
     return Load(
@@ -60,10 +64,10 @@ def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) 
         went_in=went_in,
         came_after=came_after,
         went_after=went_after,
-        mass=float(trace["mass"][best]),
-        mass_std=float(trace["mass_std"][best]),
-        com=tuple(trace["com"][best].tolist()),
-        com_std=tuple(trace["com_std"][best].tolist()),
+        mass=float(trace["mass"][last]),
+        mass_std=float(trace["mass_std"][last]),
+        com=tuple(trace["com"][last].tolist()),
+        com_std=tuple(trace["com_std"][last].tolist()),
     )
 
 

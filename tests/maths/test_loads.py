@@ -16,8 +16,7 @@ def recording(name: str, stage: list[str] | None = None) -> Trajectory:
 
 
 def trace(believed: np.ndarray) -> dict[str, np.ndarray]:
-    """A mass that grows with the row and is known ever better, and evidence against it in the last ten rows of each
-    stretch."""
+    """A mass that grows with the row, and evidence against it in the last ten rows of each stretch."""
     rows = np.arange(len(believed), dtype=float)
     left = believed & ~np.roll(believed, -10)
     mass = np.where(believed, rows, np.nan)
@@ -26,7 +25,8 @@ def trace(believed: np.ndarray) -> dict[str, np.ndarray]:
         "loaded": 1.0 * believed,
         "evidence": 0.5 * left,
         "mass": mass,
-        "mass_std": 10 / (1 + mass),
+        "mass_std": 0.1 * mass,
+        "since": mass,
         "com": com,
         "com_std": com,
     }
@@ -41,15 +41,15 @@ def test_a_load_has_its_times_stages_and_the_last_mass_that_stood():
     (found,) = loads.believed(data, trace(believed))
     assert (found.trajectory, found.came_in, found.went_in) == ("y", "b", "c")
     assert (found.came, found.came_after, found.went, found.went_after) == pytest.approx((8, 1, 12, 1))
-    assert (found.mass, found.mass_std, *found.com) == pytest.approx((T + 59, 10 / (T + 60), *(T + 59,) * 3))
+    assert (found.mass, found.mass_std, *found.com) == pytest.approx((T + 59, 0.1 * (T + 59), *(T + 59,) * 3))
 
 
 def test_what_is_left_on_the_way_out_is_not_the_load():
-    """A light load that is known worse, before the end of a stretch, is not what was carried."""
+    """A light load that takes the place of another one shortly before the end of a stretch is not what was carried."""
     data = Dataset((recording("x"),), ("j",))
     made = trace(np.arange(T) >= 50)
     made["evidence"][:] = 0
-    made["mass"][90:], made["mass_std"][90:] = 0.01, 5.0
+    made["mass"][90:], made["since"][90:] = 0.01, np.arange(10)
     assert loads.believed(data, made)[0].mass == 89
 
 

@@ -50,6 +50,7 @@ def test_loads_are_told(record):
     mass = np.where(loaded, 2.0, np.nan)
     com = np.repeat([[0.0, 0.01, 0.08]], 800, axis=0)
     trace = {"loaded": 1.0 * loaded, "evidence": 0.0 * mass, "mass": mass, "mass_std": 0.1 * mass, "com": com}
+    trace["since"] = np.arange(800.0)
     weighed = replace(record, trace={**trace, "com_std": 0 * com + 0.001})
     (found,) = store.metrics(weighed)["adaptation_scores"]["loads"]
     second = record.predictions["test"].data.trajectories[1]
