@@ -163,7 +163,7 @@ def _loads(record: RunRecord) -> str:
     rows = load_rows(record)
     head = "".join(f"<th>{escape(x)}</th>" for x in LOAD_HEADS)
     body = "".join(f"<tr>{''.join(f'<td>{escape(x)}</td>' for x in row)}</tr>" for row in rows)
-    note = "What was believed in along the test set: when nothing spoke against it for the last time, ± standard error."
+    note = "What was believed in along the test set, as it was when nothing spoke against it yet, ± its standard error."
     return f'<div class="wide"><table>{head}{body}</table></div><p class="note">{note}</p>' if rows else ""
 
 

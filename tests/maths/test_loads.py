@@ -47,20 +47,22 @@ def test_a_load_has_its_times_stages_and_the_last_mass_that_stood():
 def test_what_is_left_on_the_way_out_is_not_the_load():
     """A light load that takes the place of another one shortly before the end of a stretch is not what was carried."""
     data = Dataset((recording("x"),), ("j",))
-    made = trace(np.arange(T) >= 50)
+    made = trace((np.arange(T) >= 50) & (np.arange(T) < 99))
     made["evidence"][:] = 0
     made["mass"][90:], made["since"][90:] = 0.01, np.arange(10)
     assert loads.believed(data, made)[0].mass == 89
 
 
 def test_what_lasts_into_the_next_recording_is_two_loads():
-    """A load that is never put down is there until the first recording's end, and from the second one's beginning."""
+    """A load that is never put down is there until the first recording's end, as it is known then, and from the second
+    one's beginning."""
     data = Dataset((recording("x"), recording("y")), ("j",))
     found = loads.believed(data, trace(np.arange(2 * T) >= 50))
     assert [(x.trajectory, x.came, x.went, x.came_in, x.went_after) for x in found] == [
         ("x", 10.0, None, "", None),
         ("y", 5.0, None, "", None),
     ]
+    assert [x.mass for x in found] == [T - 1, 2 * T - 1]
 
 
 def test_what_weighs_nothing_has_none():
