@@ -19,9 +19,9 @@ class Load:
         came, went: [s] of its clock; went: None where it was believed in until the end.
         came_in, went_in: the stages of that, "" without stages.
         came_after, went_after: [s] since these began.
-        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; of the load that was believed in longest
-            (on its way out what is left of it is taken for another one), when nothing spoke against it for the last
-            time, or at the recording's end.
+        mass, mass_std: [kg]; com, com_std: (3,) [m] in the last joint's frame; at the recording's end where it is still
+            there, else when nothing spoke against it for the last time (of the one believed in longest: on its way out
+            what is left of a load is taken for another one).
     """
 
     trajectory: str
@@ -50,10 +50,12 @@ def believed(data: Dataset, trace: Mapping[str, np.ndarray]) -> list[Load]:
 
 def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) -> Load:
     """The load of rows `first` to `end`."""
-    edges = [first, *(first + 1 + np.flatnonzero(np.diff(trace["since"][first:end]) < 0)), end]
-    begin, over = max(pairwise(edges), key=lambda rows: rows[1] - rows[0])
-    stands = np.flatnonzero(trace["evidence"][begin:over] <= 0)
-    last = begin + stands[-1] if len(stands) and end < len(x.t) else over - 1
+    last = end - 1
+    if end < len(x.t):
+        edges = [first, *(first + 1 + np.flatnonzero(np.diff(trace["since"][first:end]) < 0)), end]
+        begin, over = max(pairwise(edges), key=lambda rows: rows[1] - rows[0])
+        stands = np.flatnonzero(trace["evidence"][begin:over] <= 0)
+        last = begin + stands[-1] if len(stands) else over - 1
     came_in, came_after = _stage(x, first)
     went_in, went_after = _stage(x, end) if end < len(x.t) else ("", None)
     return Load(
