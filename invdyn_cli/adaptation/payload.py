@@ -18,6 +18,7 @@ says is a disturbance beside: an observer follows it (Ohnishi 1996), so that pre
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -87,7 +88,7 @@ class Payload(AbstractAdapter):
         progress: Progress = silent,
     ) -> Fit:
         """The model's own fit; then motions without a load are watched that were not learned from: the validation's
-        where these are recordings of their own, else every recording, by a fit without it and some others (`FOLDS`).
+        where these are recordings of their own, else every recording (of few: parts of each), by a fit without it.
 
         details: load_variance (n,) [(N m)^2] of residuals in motion and load_samples (n,), how many of them are worth
         one; load_hidden (n,) [N m; N], friction at rest; load_threshold [nats].
@@ -99,8 +100,9 @@ class Payload(AbstractAdapter):
             got = "adaptation=payload needs the robot's kinematics, and these data bring no URDF"
             raise UsageError(got, advice="robot=urdf robot.path=arm.urdf, or adaptation=error_model")
         fit = model.fit(dataset, key, validation=validation, progress=lambda done, note: progress(0.5 * done, note))
-        watched = [(fit, x) for x in (dataset if validation is None else validation).trajectories]
-        if (validation is None or not _apart(validation, dataset)) and len(dataset.trajectories) > 1:
+        if validation is not None and _apart(validation, dataset):
+            watched = [(fit, x) for x in validation.trajectories]
+        else:
             watched = _left_out(model, dataset, key)
         variance, samples = self._noise(model, watched)
         known = {
@@ -248,7 +250,7 @@ class Payload(AbstractAdapter):
 
 
 FOLDS = 4
-"""Fits, each without some recordings, where no others are there to be watched."""
+"""Fits, each without some of what was learned, where nothing else is there to be watched."""
 
 WATCHED = ("variance", "samples", "hidden", "threshold")
 """What a fit says about motions without a load, behind "load_"."""
@@ -273,13 +275,20 @@ def _apart(validation: Dataset, dataset: Dataset) -> bool:
 
 
 def _left_out(model: AbstractModel, dataset: Dataset, key: jax.Array) -> list[tuple[Fit, Trajectory]]:
-    """Every recording with a fit that did not see it."""
-    every, found = np.arange(len(dataset.trajectories)), []
-    for out in np.array_split(every, min(FOLDS, len(every))):
-        kept = tuple(dataset.trajectories[k] for k in np.setdiff1d(every, out))
+    """Every recording with a fit that did not see it; of few recordings, every part of each."""
+    parts = [part for x in dataset.trajectories for part in _cut(x, -(-FOLDS // len(dataset.trajectories)))]
+    every, found = np.arange(len(parts)), []
+    for out in np.array_split(every, FOLDS):
+        kept = tuple(parts[k] for k in np.setdiff1d(every, out))
         fit = model.fit(replace(dataset, trajectories=kept), key)
-        found += [(fit, dataset.trajectories[k]) for k in out]
+        found += [(fit, parts[k]) for k in out]
     return found
+
+
+def _cut(x: Trajectory, count: int) -> list[Trajectory]:
+    """A recording in so many parts in time."""
+    rows = [slice(a, b) for a, b in pairwise(np.linspace(0, len(x.t), count + 1).astype(int).tolist()) if b > a]
+    return [replace(x, t=x.t[r], motion=x.motion[r], tau=x.tau[r], stage=None) for r in rows]
 
 
 def _believed(state: PyTree) -> Array:

@@ -142,11 +142,12 @@ class ByHeart(AbstractModel):
         return fit.details["seen"].get(q.tobytes(), 0 * q)
 
 
+@pytest.mark.parametrize("recordings", [1, 5])
 @pytest.mark.parametrize("watched", [None, "a part of what was learned"])
-def test_what_was_learned_by_heart_is_no_measure(watched):
-    """A model that knows its recordings by heart is judged by what it says of those that it does not know, whether
+def test_what_was_learned_by_heart_is_no_measure(watched, recordings):
+    """A model that knows its recordings by heart is judged by what it says of what it does not know, whether
     there is no validation or one from the same recordings."""
-    data = make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=150, trajectories=5)
+    data = make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=400, trajectories=recordings)
     parts = tuple(replace(x, name=f"{x.name}[0:1]") for x in data.trajectories)
     fit = Payload().fit(ByHeart(), data, KEY, validation=watched and replace(data, trajectories=parts))
     assert np.all(fit.details["load_variance"] > 0.1 * data.tau.var(axis=0))
