@@ -16,7 +16,7 @@ import itertools
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -133,8 +133,7 @@ def cut(x: Trajectory, size: int) -> list[Trajectory]:
     assert x.stage is not None
     put_down = int(np.flatnonzero(x.stage == "place")[-1]) // size * size
     whole = len(x.t) // size * size
-    rows = slice(0, put_down), slice(put_down, whole)
-    return [replace(x, t=x.t[r], motion=x.motion[r], tau=x.tau[r], stage=x.stage[r]) for r in rows]
+    return [x[:put_down], x[put_down:whole]]
 
 
 def torques(adapter: Incremental, model: Ffnn, state: PyTree, motion) -> Array:

@@ -106,6 +106,10 @@ class Trajectory:
     tau: Array
     stage: Array | None = None
 
+    def __getitem__(self, rows: slice) -> "Trajectory":
+        stage = None if self.stage is None else self.stage[rows]
+        return Trajectory(self.name, self.t[rows], self.motion[rows], self.tau[rows], stage)
+
 
 @dataclass(frozen=True)
 class Dataset:

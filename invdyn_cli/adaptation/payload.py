@@ -18,6 +18,7 @@ says is a disturbance beside: an observer follows it (Ohnishi 1996), so that pre
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import jax
@@ -112,11 +113,11 @@ class Payload(AbstractAdapter):
             "load_threshold": np.inf,
         }
         details = {**fit.details, **known}
-        highest = [
-            self._highest(model, replace(own, robot=dataset.robot, details=details), x.motion, x.tau)
-            for own, x in watched
-        ]
-        threshold = max(self.surety, self.margin * max(highest))
+        states = (self.init(model, replace(own, robot=dataset.robot, details=details)) for own, _ in watched)
+        highest = max(
+            float(self._highest(model, state, x.motion, x.tau)) for state, (_, x) in zip(states, watched, strict=True)
+        )
+        threshold = max(self.surety, self.margin * highest)
         return replace(fit, robot=dataset.robot, details={**details, "load_threshold": threshold})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
@@ -239,14 +240,15 @@ class Payload(AbstractAdapter):
         own = ((forth - back) / 2).reshape(STATES, n, n)[:, np.arange(n), np.arange(n)]
         return np.abs(np.median(own, axis=0))
 
-    def _highest(self, model: AbstractModel, fit: Fit, motion: Motion, tau: Array) -> float:
+    @partial(jax.jit, static_argnums=(0, 1))
+    def _highest(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> Array:
         """The highest evidence for a load along a motion without one."""
 
         def step(state: PyTree, sample: tuple[Motion, Array]) -> tuple[PyTree, Array]:
             state = self.update(model, state, *sample)
             return state, state["came"]
 
-        return float(jax.jit(lambda s, x: jax.lax.scan(step, s, x)[1].max())(self.init(model, fit), (motion, tau)))
+        return jax.lax.scan(step, state, (motion, tau))[1].max()
 
 
 FOLDS = 4
@@ -269,9 +271,8 @@ def columns(robot: Robot, motion: Motion) -> Array:
 
 def _apart(validation: Dataset, dataset: Dataset) -> bool:
     """Whether no recording is in both, not even in parts (name[t0:t1])."""
-    return not {x.name.split("[")[0] for x in validation.trajectories} & {
-        x.name.split("[")[0] for x in dataset.trajectories
-    }
+    watched, learned = ({x.name.split("[")[0] for x in data.trajectories} for data in (validation, dataset))
+    return watched.isdisjoint(learned)
 
 
 def _left_out(model: AbstractModel, dataset: Dataset, key: jax.Array) -> list[tuple[Fit, Trajectory]]:
@@ -287,8 +288,8 @@ def _left_out(model: AbstractModel, dataset: Dataset, key: jax.Array) -> list[tu
 
 def _cut(x: Trajectory, count: int) -> list[Trajectory]:
     """A recording in so many parts in time."""
-    rows = [slice(a, b) for a, b in pairwise(np.linspace(0, len(x.t), count + 1).astype(int).tolist()) if b > a]
-    return [replace(x, t=x.t[r], motion=x.motion[r], tau=x.tau[r], stage=None) for r in rows]
+    edges = np.linspace(0, len(x.t), count + 1).astype(int).tolist()
+    return [x[a:b] for a, b in pairwise(edges) if b > a]
 
 
 def _believed(state: PyTree) -> Array:

@@ -129,8 +129,7 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
                 break
-            fine = ripple.around(float(grid[best]), q)
-            sharp = ripple.power(noise.residual[used, j], q, fine, **passed)
-            made.append(torque_candidate(evidence, effect, j, {"cycles": float(fine[np.argmax(sharp)])}))
+            cycles, _ = ripple.sharpened(noise.residual[used, j], q, float(grid[best]), **passed)
+            made.append(torque_candidate(evidence, effect, j, {"cycles": cycles}))
             power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
     return made

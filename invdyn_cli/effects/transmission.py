@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.maths import ripple
 from invdyn_cli.types import Array
 
 
@@ -17,7 +18,7 @@ class TorqueRipple(AbstractTorqueEffect):
     the joint's range up to `most`.
     """
 
-    most: float = 400.0
+    most: float = ripple.MOST
 
     name = "torque_ripple"
     title = "torque ripple"

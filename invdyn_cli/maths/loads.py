@@ -50,18 +50,18 @@ def believed(data: Dataset, trace: Mapping[str, np.ndarray]) -> list[Load]:
 
 def _load(x: Trajectory, trace: Mapping[str, np.ndarray], first: int, end: int) -> Load:
     """The load of rows `first` to `end`."""
-    last = end - 1
-    if end < len(x.t):
+    last, gone = end - 1, end < len(x.t)
+    if gone:
         edges = [first, *(first + 1 + np.flatnonzero(np.diff(trace["since"][first:end]) < 0)), end]
         begin, over = max(pairwise(edges), key=lambda rows: rows[1] - rows[0])
         stands = np.flatnonzero(trace["evidence"][begin:over] <= 0)
         last = begin + stands[-1] if len(stands) else over - 1
     came_in, came_after = _stage(x, first)
-    went_in, went_after = _stage(x, end) if end < len(x.t) else ("", None)
+    went_in, went_after = _stage(x, end) if gone else ("", None)
     return Load(
         trajectory=x.name,
         came=float(x.t[first]),
-        went=float(x.t[end]) if end < len(x.t) else None,
+        went=float(x.t[end]) if gone else None,
         came_in=came_in,
         went_in=went_in,
         came_after=came_after,

@@ -27,9 +27,13 @@ def power(
     return out
 
 
-def around(cycles: float, q: np.ndarray) -> np.ndarray:
-    """Cycles (21,) between the neighbours of one on the grid."""
-    return cycles + np.linspace(-1, 1, 21) * 0.5 * np.pi / float(np.ptp(q))
+def sharpened(
+    residual: np.ndarray, q: np.ndarray, cycles: float, qd: np.ndarray | float = 0.0, cutoff: float = np.inf
+) -> tuple[float, float]:
+    """The best cycles between the neighbours of one on the grid, and their power."""
+    fine = cycles + np.linspace(-1, 1, 21) * 0.5 * np.pi / float(np.ptp(q))
+    found = power(residual, q, fine, qd, cutoff)
+    return float(fine[np.argmax(found)]), float(found.max())
 
 
 def strongest(residual: np.ndarray, q: np.ndarray) -> tuple[float, float]:
@@ -38,6 +42,5 @@ def strongest(residual: np.ndarray, q: np.ndarray) -> tuple[float, float]:
     asked = grid(q) if len(q) else np.zeros(0)
     if not len(asked):
         return 0.0, 0.0
-    fine = around(float(asked[np.argmax(power(residual, q, asked))]), q)
-    found = power(residual, q, fine)
-    return float(fine[np.argmax(found)]), float(found.max() / max(np.sum(residual**2), 1e-300))
+    cycles, squares = sharpened(residual, q, float(asked[np.argmax(power(residual, q, asked))]))
+    return cycles, squares / max(float(np.sum(residual**2)), 1e-300)

@@ -262,11 +262,7 @@ def _groups(dataset: Dataset) -> list[Dataset]:
 
 def _stretch(dataset: Dataset, k: int) -> tuple:
     """The k-th of FOLDS stretches of every trajectory."""
-    parts = []
-    for x in dataset.trajectories:
-        rows = slice(len(x.t) * k // FOLDS, len(x.t) * (k + 1) // FOLDS)
-        parts.append(replace(x, t=x.t[rows], motion=x.motion[rows], tau=x.tau[rows]))
-    return tuple(parts)
+    return tuple(x[len(x.t) * k // FOLDS : len(x.t) * (k + 1) // FOLDS] for x in dataset.trajectories)
 
 
 def _refuse_sliding(dataset: Dataset) -> None:

@@ -150,14 +150,15 @@ class Pest(AbstractModel):
 
     def _solved(self, robot: Robot, dataset: Dataset, progress: Progress) -> tuple[Design, Solution]:
         """The least squares; every ripple is sought in what those before it leave."""
-        n, cycles = robot.dofs, np.zeros((0, robot.dofs))
         if self.ripples:
             before = replace(self, ripples=self.ripples - 1)
             design, solution = before._solved(robot, dataset, progress)
             line = before._line(robot, dataset, _params(solution.psi, design))
-            cycles = np.concatenate([design.cycles, line[None]])
-        weights = 1 / regression.torque_spread(dataset) if self.weighting == "torque_spread" else np.ones(n)
-        design = Design(robot, self.extras, weights, self.rest_speed, self.least_speed, cycles)
+            design = replace(design, extras=self.extras, cycles=np.concatenate([design.cycles, line[None]]))
+        else:
+            n, spread = robot.dofs, self.weighting == "torque_spread"
+            weights = 1 / regression.torque_spread(dataset) if spread else np.ones(n)
+            design = Design(robot, self.extras, weights, self.rest_speed, self.least_speed, np.zeros((0, n)))
         return design, regression.solve(design, dataset, self.threshold, self.relative, progress)
 
     def _line(self, robot: Robot, dataset: Dataset, params: PyTree) -> np.ndarray:
