@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib
 from matplotlib.figure import Figure
 
 from experiments.marked import ROOT, put
@@ -27,7 +26,7 @@ def write(limits: Sequence["Limit"], head: str, folder: Path) -> str:
     """detection.md and detection.png into the folder; the table."""
     text = table(limits)
     (folder / "detection.md").write_text(f"<!-- {head} -->\n{text}\n")
-    with matplotlib.rc_context(canvas.STYLE):
+    with canvas.house_style():
         figure(limits).savefig(folder / "detection.png", dpi=130)
     return text
 

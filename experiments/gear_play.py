@@ -18,7 +18,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import draw_effect, draw_scene, felt, inverse_dynamics, play
 from experiments.options import options_of
-from invdyn_cli.report.canvas import BLUE, STYLE, VERMILLION
+from invdyn_cli.report.canvas import BLUE, VERMILLION, house_style
 
 ARMS, JOINTS = 3, (3, 5, 7)
 SHOWN = 6.0
@@ -83,9 +83,8 @@ def shown(seed: int, joints: int) -> Shown:
 
 def drawn(arms: Sequence[Shown]) -> Figure:
     """Residual and zeros of the load, a panel an arm."""
-    import matplotlib as mpl
 
-    with mpl.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(9, 2.3 * len(arms)), layout="constrained")
         for axes, arm in zip(np.atleast_1d(figure.subplots(len(arms), 1)), arms, strict=True):
             middle = arm.zeros[len(arm.zeros) // 2]

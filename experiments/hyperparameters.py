@@ -22,7 +22,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -32,7 +31,7 @@ from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.models.ffnn import Ffnn
-from invdyn_cli.report.canvas import BLACK, BLUE, GREEN, ORANGE, STYLE, VERMILLION
+from invdyn_cli.report.canvas import BLACK, BLUE, GREEN, ORANGE, VERMILLION, house_style
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Array, Dataset, Fit, PyTree, Trajectory
 
@@ -153,7 +152,7 @@ def as_learned(model: Ffnn, fit: Fit, loaded: Sequence[Trajectory], unloaded: Tr
 def draw(tried: Sequence[Tried], before: tuple[float, float]) -> Figure:
     """Forgetting over adapting: a panel per adaptation rate, colours for learning rates, shapes for epochs, sizes for
     batches."""
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(11, 4.2), layout="constrained")
         figure.suptitle(
             "Adapting and forgetting: the delta rule while an object is held", x=0.01, ha="left", fontweight="bold"

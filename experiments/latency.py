@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -28,7 +27,7 @@ from invdyn_cli.logfile import RawTrajectory
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.online import online
-from invdyn_cli.report.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE
+from invdyn_cli.report.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, house_style
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Dataset, Motion
 
@@ -94,7 +93,7 @@ def ticks(
 
 def draw(took: Mapping[str, np.ndarray]) -> Figure:
     """Shares of ticks that take longer than a time: tails are what a loop stumbles over."""
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(8, 4.2), layout="constrained")
         axes = figure.add_subplot()
         axes.set_title("A tick: filter, predict, learn, feedforward of seven joints", loc="left", fontweight="bold")

@@ -1,8 +1,11 @@
 """The command `invdyn`: argv -> verb. Imports nothing heavy, so that --help answers at once."""
 
+import io
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+
+from invdyn_cli import interruption
 
 VERBS = {
     "run": "one experiment, or a sweep with -m: data, model, adaptation",
@@ -31,8 +34,28 @@ usage: invdyn VERB [option=value ...]
   invdyn run --help                                   all options of a verb
   invdyn --version
 
-Exit code: 0; 1 where a check failed under strict=true; 2 for wrong use or where a job of a sweep failed.
+Exit code: 0; 1 where a check failed under strict=true; 2 for wrong use or where a job of a sweep failed; 3 for an error
+of invdyn's own; 130 where Ctrl-C stopped it.
 """
+
+
+def entry() -> None:
+    """The installed command: `main` on sys.argv, and an end without a crash whatever became of stdout."""
+    interruption.watch()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that knows ASCII only shows "?" for what it lacks
+    try:
+        code = main()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        code = interruption.closed_pipe()
+    except KeyboardInterrupt:
+        code = interruption.STOPPED
+    if code == interruption.STOPPED:
+        interruption.end()
+    sys.exit(code)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -4,8 +4,12 @@ Failures of use are exceptions of this family; the command line prints them as o
 Failures of numerics are not exceptions but sentences in a result (`Fit.warnings`).
 """
 
+import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+LONGEST = 700
+"""Characters of what a message says was got, and of what it advises: names in it may come from anybody's file."""
 
 
 class InvdynError(Exception):
@@ -17,8 +21,8 @@ class InvdynError(Exception):
         self.advice = advice
 
     def __str__(self) -> str:
-        line = f"{self.got}. Try: {self.advice}" if self.advice else self.got
-        return " ".join(line.split())
+        got = shortened(" ".join(self.got.split()), LONGEST)
+        return f"{got}. Try: {shortened(' '.join(self.advice.split()), LONGEST)}" if self.advice else got
 
     def __reduce__(self):
         return _rebuild, (type(self), self.got, self.advice)
@@ -42,6 +46,12 @@ class RunFileError(InvdynError):
 
 def _rebuild(kind: type[InvdynError], got: str, advice: str) -> InvdynError:
     return kind(got, advice=advice)
+
+
+def shortened(text: object, most: int = 80) -> str:
+    """A text of anybody's as a message may hold it: what cannot be printed as "?", the end cut to `most` characters."""
+    shown = "".join("?" if unicodedata.category(c).startswith("C") else c for c in str(text)[: most + 1])
+    return shown if len(shown) <= most else shown[: most - 1] + "…"
 
 
 def listed(names: Iterable[str], *, most: int = 12) -> str:

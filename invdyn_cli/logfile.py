@@ -4,17 +4,18 @@ A log stays as it was recorded, with its jitter, gaps and defects. `read_log` re
 (unless `check=False`) one whose numbers cannot be computed with, which is what `refuse_defects` decides.
 """
 
+import math
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
-from invdyn_cli.errors import LogError, closest, listed
+from invdyn_cli import hdf5
+from invdyn_cli.errors import LogError, closest, listed, shortened
+from invdyn_cli.hdf5 import Group, Stored
 
 FORMAT, VERSION = "invdyn-log", 1
 TORQUE_UNITS = ("N m", "A")
@@ -22,6 +23,8 @@ TORQUE_SIDES = ("link", "motor", "command", "unknown")
 POSITION_SIDES = ("motor", "link", "unknown")
 CHANNELS = ("q", "tau", "qd", "qdd", "q_ref", "q_link")
 CONVERT = "docs/logs.md shows how a log is written"
+LONGEST_NAME, LONGEST_TEXT = 200, 10_000
+"""Characters of a name and of a note; what is longer is cut."""
 
 
 @dataclass(frozen=True)
@@ -74,20 +77,34 @@ class Log:
     compensated: tuple[str, ...] = ()
 
 
-def read_log(path: str | Path, names: Iterable[str] | None = None, *, check: bool = True) -> Log:
+def read_log(
+    path: str | Path, names: Iterable[str] | None = None, *, check: bool = True, limit: float = hdf5.LIMIT
+) -> Log:
     """The log at `path` with the trajectories called `names`, in that order; None: all, (): the header alone.
 
     Raises:
-        LogError: if there is no readable log, a trajectory of that name, or (with `check`) if it has a defect.
+        LogError: if there is no readable log, a trajectory of that name, more than `limit` [bytes] to read, or (with
+            `check`) if it has a defect.
     """
     path = Path(path)
-    with _opened(path) as file:
-        groups = _groups(path, file)
-        chosen = list(groups) if names is None else list(names)
-        for name in chosen:
-            if name not in groups:
-                raise LogError(f"{path}: no trajectory {name!r}{closest(name, groups)}; it has {listed(groups)}")
-        log = _header(path, file, tuple(_trajectory(path, name, groups[name]) for name in chosen))
+    root, groups = _opened(path)
+    chosen = list(groups) if names is None else list(names)
+    for name in chosen:
+        if name not in groups:
+            raise LogError(f"{path}: no trajectory {name!r}{closest(name, groups)}; it has {listed(groups)}")
+    log = _header(path, root)
+    channels = {name: _channels(path, name, groups[name]) for name in chosen}
+    if check:
+        _refuse_header(log, str(path))
+        for name, stored in channels.items():
+            _refuse_shapes(len(log.joints), stored, f"{path}: trajectory {name!r}")
+    wanted = [f"trajectories/{name}/{channel}" for name, stored in channels.items() for channel in stored]
+    values = hdf5.read(path, wanted, LogError, limit)
+    trajectories = tuple(
+        _trajectory(path, name, groups[name], {c: values[f"trajectories/{name}/{c}"] for c in stored})
+        for name, stored in channels.items()
+    )
+    log = replace(log, trajectories=trajectories)
     if check:
         refuse_defects(log, str(path))
     return log
@@ -95,37 +112,43 @@ def read_log(path: str | Path, names: Iterable[str] | None = None, *, check: boo
 
 def trajectory_names(path: str | Path) -> tuple[str, ...]:
     """The names of all trajectories in a log, without reading them; LogError as `read_log` gives."""
-    with _opened(Path(path)) as file:
-        return tuple(_groups(Path(path), file))
+    return tuple(_opened(Path(path))[1])
 
 
 def write_log(log: Log, path: str | Path) -> None:
-    """Write a log, defects and all; written aside and renamed, so that `path` never holds half a log.
+    """Write a log, defects and all, whole or not at all.
 
     Raises:
-        LogError: if the file cannot be written.
+        LogError: if the file cannot be written, or the names of its trajectories cannot stand in one.
     """
     path = Path(path)
-    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    names = [one.name for one in log.trajectories]
+    for name in names:
+        if not name or "/" in name or name in (".", "..") or names.count(name) > 1:
+            raise LogError(f"cannot write {path}: trajectory {name!r}; allowed: a name each, each once, without /")
+    groups = {
+        one.name: Group(
+            {"payload_mass": one.payload_mass, "notes": one.notes},
+            {c: _as_stored(getattr(one, c)) for c in ("t", *CHANNELS, "stage") if getattr(one, c) is not None},
+        )
+        for one in log.trajectories
+    }
     try:
-        with h5py.File(aside, "w") as file:
-            file.attrs.update(_attributes(log, path.parent))
-            for trajectory in log.trajectories:
-                group = file.create_group(f"trajectories/{trajectory.name}")
-                group.attrs.update(payload_mass=trajectory.payload_mass, notes=trajectory.notes)
-                for channel in ("t", *CHANNELS, "stage"):
-                    values = getattr(trajectory, channel)
-                    if values is not None:
-                        _store(group, channel, np.asarray(values))
-        aside.replace(path)
-    except (OSError, ValueError) as error:
-        raise LogError(f"cannot write {path}: {error}", advice="a folder that exists and can be written") from error
-    finally:
-        aside.unlink(missing_ok=True)
+        hdf5.write(path, Group(_attributes(log, path.parent), {"trajectories": groups}))
+    except OSError as error:
+        got = f"cannot write {path}: {error.strerror or error}"
+        raise LogError(got, advice="a folder that can be written, on a disk with room") from error
 
 
 def refuse_defects(log: Log, where: str = "the log") -> None:
     """Raise a LogError on the first thing in a log that cannot be computed with; `where` names the log in it."""
+    _refuse_header(log, where)
+    for trajectory in log.trajectories:
+        _refuse_shapes(len(log.joints), vars(trajectory), f"{where}: trajectory {trajectory.name!r}")
+        _refuse_values(log, trajectory, f"{where}: trajectory {trajectory.name!r}")
+
+
+def _refuse_header(log: Log, where: str) -> None:
     n = len(log.joints)
     twice = [name for name in log.joints if log.joints.count(name) > 1]
     if twice or not n:
@@ -148,19 +171,18 @@ def refuse_defects(log: Log, where: str = "the log") -> None:
         )
     if gain is not None and (np.shape(gain) != (n,) or not np.all(np.isfinite(gain)) or np.any(np.equal(gain, 0))):
         raise LogError(f"{where}: drive gains {np.asarray(gain).tolist()}; allowed: {n} numbers [N m/A], none 0")
-    for trajectory in log.trajectories:
-        _refuse_shapes(log, trajectory, f"{where}: trajectory {trajectory.name!r}")
-        _refuse_values(log, trajectory, f"{where}: trajectory {trajectory.name!r}")
 
 
-def _refuse_shapes(log: Log, trajectory: RawTrajectory, where: str) -> None:
-    if np.ndim(trajectory.t) != 1 or not np.size(trajectory.t):
-        raise LogError(f"{where}: t has shape {np.shape(trajectory.t)}; allowed: (T,) with at least one sample")
-    samples, n = len(trajectory.t), len(log.joints)
+def _refuse_shapes(n: int, channels: Mapping[str, Any], where: str) -> None:
+    """Compare the shapes of the channels (arrays, or what a file declares) with t and the number of joints."""
+    shape = np.shape(channels["t"])
+    if len(shape) != 1 or not shape[0]:
+        raise LogError(f"{where}: t has shape {shape}; allowed: (T,) with at least one sample")
+    samples = shape[0]
     for channel in (*CHANNELS, "stage"):
-        shape = np.shape(getattr(trajectory, channel))
-        if getattr(trajectory, channel) is None:
+        if channels.get(channel) is None:
             continue
+        shape = np.shape(channels[channel])
         if shape[:1] != (samples,):
             raise LogError(f"{where}: {channel} has shape {shape}, t has {samples} rows; allowed: as many")
         if channel != "stage" and shape[1:] != (n,):
@@ -190,99 +212,135 @@ def _refuse_values(log: Log, trajectory: RawTrajectory, where: str) -> None:
         )
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
-    """An open HDF5 file; whatever h5py finds wrong on opening or reading becomes a LogError."""
+def _opened(path: Path) -> tuple[Group, dict[str, Group]]:
+    """The tree of a log and the groups of its trajectories, as the file declares them."""
     folder = path if path.is_dir() else path.parent
     logs = sorted(p.name for p in folder.glob("*.h5"))
     if path.is_dir():
         raise LogError(f"{path} is a folder, not an invdyn log; logs in it: {listed(logs)}", advice=CONVERT)
     if not path.exists():
         raise LogError(f"no log {path}{closest(path.name, logs)}; logs in that folder: {listed(logs)}")
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except (OSError, RuntimeError, KeyError) as error:
-        if os.access(path, os.R_OK) and not h5py.is_hdf5(path):
-            raise LogError(f"{path} is not an HDF5 file", advice=CONVERT) from error
-        raise LogError(f"{path} is cut off or corrupt, HDF5 says: {error}", advice="a new copy of it") from error
-
-
-def _groups(path: Path, file: h5py.File) -> dict[str, h5py.Group]:
-    kind, version = (_text(file.attrs.get(name, "(none)")) for name in ("format", "version"))
+    if not path.is_file() or not _is_hdf5(path):
+        raise LogError(f"{path} is not an HDF5 file", advice=CONVERT)
+    root = hdf5.outline(path, LogError)
+    kind, version = (_text(root.attributes.get(name)) or "(none)" for name in ("format", "version"))
     if kind != FORMAT:
         raise LogError(f"{path}: attribute format is {kind}; allowed: {FORMAT}", advice=CONVERT)
     if version.removesuffix(".0") != str(VERSION):
         raise LogError(f"{path}: {FORMAT} version is {version}; allowed: {VERSION}", advice="a newer invdyn")
-    root = file.get("trajectories")
-    groups = {k: v for k, v in root.items() if isinstance(v, h5py.Group)} if isinstance(root, h5py.Group) else {}
+    place = root.members.get("trajectories")
+    groups = {k: v for k, v in place.members.items() if isinstance(v, Group)} if isinstance(place, Group) else {}
     if not groups:
         raise LogError(f"{path} has no trajectories; a log holds each as a group /trajectories/NAME with t, q, tau")
-    return groups
+    for name in groups:
+        if name != shortened(name, LONGEST_NAME):
+            got = f"{path}: a trajectory is called {shortened(name)!r}"
+            raise LogError(f"{got}; allowed: names of at most {LONGEST_NAME} characters that can be printed")
+    return root, groups
 
 
-def _header(path: Path, file: h5py.File, trajectories: tuple[RawTrajectory, ...]) -> Log:
+def _is_hdf5(path: Path) -> bool:
+    """Whether the signature stands where it may: at 0, 512, 1024, 2048, … bytes. An unreadable file may be one."""
+    try:
+        with path.open("rb") as file:
+            size, place = path.stat().st_size, 0
+            while place < size:
+                file.seek(place)
+                if file.read(8) == b"\x89HDF\r\n\x1a\n":
+                    return True
+                place = 2 * place or 512
+    except OSError as error:
+        raise LogError(f"{path} cannot be read: {error.strerror or error}") from error
+    return False
+
+
+def _header(path: Path, root: Group) -> Log:
+    """The log without its trajectories."""
     needed = ("robot", "joint_names", "torque_side", "torque_unit", "rate")
+    attributes = root.attributes
     for name in needed:
-        if name not in file.attrs:
+        if name not in attributes:
             raise LogError(f"{path} lacks the attribute {name}; a log needs {', '.join(needed)}")
-    words = ("robot", "urdf", "torque_side", "torque_unit", "source", "licence")
-    text = {name: _text(file.attrs.get(name, "")) for name in words}
-    gain = file.attrs.get("drive_gain_N_m_per_A")
+    words = ("robot", "urdf", "torque_side", "torque_unit")
+    text = {name: _text(attributes.get(name)) for name in words}
+    text |= {name: _text(attributes.get(name), LONGEST_TEXT) for name in ("source", "licence")}
+    gain = attributes.get("drive_gain_N_m_per_A")
     return Log(
         **text | {"urdf": str(path.parent / text["urdf"]) if text["urdf"] else ""},
-        joints=_texts(file.attrs["joint_names"]),
-        rate=float(_numbers(f"{path}: rate", file.attrs["rate"]).reshape(-1)[0]),
+        joints=_texts(attributes["joint_names"]),
+        rate=_number(f"{path}: rate", attributes["rate"], math.nan),
         drive_gain=None if gain is None else _numbers(f"{path}: drive_gain_N_m_per_A", gain),
-        position_side=_text(file.attrs.get("position_side", "unknown")) or "unknown",
-        compensated=_texts(file.attrs.get("compensated", ())),
-        trajectories=trajectories,
+        position_side=_text(attributes.get("position_side")) or "unknown",
+        compensated=_texts(attributes.get("compensated")),
+        trajectories=(),
     )
 
 
-def _trajectory(path: Path, name: str, group: Any) -> RawTrajectory:
+def _channels(path: Path, name: str, group: Group) -> dict[str, Stored]:
+    """The channels of a trajectory as the file declares them, without those that hold nothing."""
     where = f"{path}: trajectory {name!r}"
-    for channel in ("t", "q", "tau"):
-        if not isinstance(group.get(channel), h5py.Dataset):
-            raise LogError(f"{where} lacks the dataset {channel}; it needs t, q, tau, and has {listed(group)}")
-    numbers = {c: _numbers(f"{where}: {c}", group[c][()]) for c in ("t", *CHANNELS) if c in group}
-    stage = group.get("stage")
-    if stage is not None:
-        stage = stage.asstr()[()] if h5py.check_string_dtype(stage.dtype) else stage[()]
-    mass = _numbers(f"{where}: payload_mass", group.attrs.get("payload_mass", np.nan)).reshape(-1)[0]
-    notes = _text(group.attrs.get("notes", ""))
-    return RawTrajectory(name=name, stage=stage, payload_mass=float(mass), notes=notes, **numbers)
+    found = {}
+    for channel in ("t", *CHANNELS, "stage"):
+        one = group.members.get(channel)
+        allowed = ("number", "text") if channel == "stage" else ("number",)
+        if isinstance(one, Group) or (one is not None and one.kind not in (*allowed, "empty")):
+            got = "is a group" if isinstance(one, Group) else f"holds {one.kind}"
+            raise LogError(f"{where}: {channel} {got}; allowed: {' or '.join(allowed).replace('number', 'numbers')}")
+        if one is not None and one.kind != "empty":
+            found[channel] = one
+        elif channel in ("t", "q", "tau"):
+            got = f"{where} lacks the dataset {channel}"
+            raise LogError(f"{got}; it needs t, q, tau, and has {listed(group.members)}")
+    return found
 
 
-def _attributes(log: Log, folder: Path) -> dict:
+def _trajectory(path: Path, name: str, group: Group, values: Mapping[str, Any]) -> RawTrajectory:
+    """A trajectory from its channels' values."""
+    numbers = {c: np.asarray(x, float) for c, x in values.items() if c != "stage"}
+    stage = None if (given := values.get("stage")) is None else np.asarray(given)
+    if stage is not None and stage.dtype.kind == "U":
+        stage = np.array([shortened(x, LONGEST_NAME) for x in stage.ravel()], object).reshape(stage.shape)
+    mass = _number(f"{path}: trajectory {name!r}: payload_mass", group.attributes.get("payload_mass"), math.nan)
+    notes = _text(group.attributes.get("notes"), LONGEST_TEXT)
+    return RawTrajectory(name=name, stage=stage, payload_mass=mass, notes=notes, **numbers)
+
+
+def _attributes(log: Log, folder: Path) -> dict[str, Any]:
     words = ("robot", "torque_side", "torque_unit", "rate", "source", "licence", "position_side")
     attributes = {"format": FORMAT, "version": VERSION} | {name: getattr(log, name) for name in words}
     attributes["urdf"] = os.path.relpath(log.urdf, folder) if log.urdf else ""
-    attributes["joint_names"] = np.array(log.joints, h5py.string_dtype())
-    attributes["compensated"] = np.array(log.compensated, h5py.string_dtype())
+    attributes["joint_names"] = list(log.joints)
+    attributes["compensated"] = list(log.compensated)
     if log.drive_gain is not None:
         attributes["drive_gain_N_m_per_A"] = np.asarray(log.drive_gain, float)
     return attributes
 
 
-def _store(group: h5py.Group, name: str, values: np.ndarray) -> None:
-    """A number column, compressed without loss; or names, as variable-length text."""
-    if values.dtype.kind in "UO":
-        values = values.astype(h5py.string_dtype())
-    group.create_dataset(name, data=values, **({"compression": "gzip", "shuffle": True} if values.size else {}))
+def _as_stored(values: Any) -> Any:
+    """An array of numbers as it is, names as a list of texts."""
+    values = np.asarray(values)
+    return [str(x) for x in values] if values.dtype.kind in "UO" else values
 
 
-def _text(value: Any) -> str:
-    value = np.asarray(value).reshape(-1)[0] if np.size(value) else ""
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+def _text(stored: Stored | None, longest: int = LONGEST_NAME) -> str:
+    """The first value of an attribute as text that can be printed; "" where there is none."""
+    values = None if stored is None else stored.values
+    return shortened(values[0], longest) if values else ""
 
 
-def _texts(values: Any) -> tuple[str, ...]:
-    return tuple(_text(value) for value in np.atleast_1d(np.asarray(values)) if _text(value))
+def _texts(stored: Stored | None) -> tuple[str, ...]:
+    values = None if stored is None else stored.values
+    return tuple(shortened(x, LONGEST_NAME) for x in values or () if str(x))
 
 
-def _numbers(what: str, values: Any) -> np.ndarray:
-    try:
-        return np.asarray(values, float)
-    except (TypeError, ValueError) as error:
-        raise LogError(f"{what} holds {np.asarray(values).dtype} values; allowed: numbers") from error
+def _numbers(what: str, stored: Stored) -> np.ndarray:
+    if stored.kind != "number":
+        raise LogError(f"{what} holds {stored.kind} values; allowed: numbers")
+    return np.reshape(np.asarray(stored.values, float), stored.shape or ())
+
+
+def _number(what: str, stored: Stored | None, missing: float) -> float:
+    """The first value of an attribute, or what stands for none."""
+    if stored is None or not stored.values:
+        return missing
+    return float(_numbers(what, stored).reshape(-1)[0])

@@ -39,6 +39,7 @@ def load_urdf(
     base_rpy: Sequence[float] | None = None,
     payload: Mapping[str, Any] | None = None,
     dynamics_tags: str = "ignore",
+    xacro: bool = True,
 ) -> Robot:
     """A robot from a URDF or xacro file.
 
@@ -55,13 +56,14 @@ def load_urdf(
         payload: a body on the link behind the last moving joint, in that joint's frame: "mass" [kg], "com" (3,) [m],
             and, if it is no point mass, "inertia" about its com [kg m^2], (3, 3) or (6,) as in URDF: xx xy xz yy yz zz.
         dynamics_tags: "use" fills `Robot.damping` and `Robot.friction` from `<dynamics>`, "ignore" leaves them zero.
+        xacro: whether a xacro file will do; it runs Python of its own.
 
     Raises:
         RobotError: if the file cannot be read, or cannot be the robot that is asked for.
     """
     if dynamics_tags not in ("ignore", "use"):
         raise RobotError(f"robot.dynamics_tags={dynamics_tags!r}; allowed: ignore, use")
-    text = urdf.read(path)
+    text = urdf.read(path, xacro=xacro)
     root = urdf.parse(text, path)
     tags = {x.get("name", ""): x for x in root.findall("joint")}
     whole, notes = _model(root, path)

@@ -2,39 +2,28 @@
 extended_model.json. No pickle.
 
 A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects
-(models, adaptations) are stored as the import path of their class and their fields, and built again by calling it.
+(models, adaptations) are stored by name and fields; `registry` says which names there are. Whoever wrote a file,
+reading it runs no code but the package's own and that of modules which the reader trusts by name.
 """
 
 import json
 import math
-import os
-from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
-from importlib import import_module
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
+from invdyn_cli import hdf5, untrusted
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
-from invdyn_cli.interfaces import FittedModel
+from invdyn_cli.files import write_file
+from invdyn_cli.hdf5 import Group
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, FittedModel
 from invdyn_cli.maths import loads, stages
 from invdyn_cli.models import extended
-from invdyn_cli.types import (
-    Dataset,
-    Diagnosis,
-    Examination,
-    Finding,
-    Fit,
-    Motion,
-    Prediction,
-    Robot,
-    RunRecord,
-    Score,
-    Trajectory,
-)
+from invdyn_cli.registry import decode, encode
+from invdyn_cli.types import Diagnosis, Examination, Finding, Prediction, RunRecord
 
 RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
@@ -45,7 +34,7 @@ RUN, METRICS = "run.h5", "metrics.json"
 
 
 def write_run(record: RunRecord, path: Path) -> None:
-    """Write run.h5: aside first, then renamed, so that the file is whole or not there."""
+    """Write run.h5, whole or not at all."""
     tree = {
         "choices": json.dumps(dict(record.choices)),
         "model": json.dumps(encode(record.model)),
@@ -68,77 +57,124 @@ def write_run(record: RunRecord, path: Path) -> None:
         "trace": dict(record.trace),
     }
 
-    def write(part: Path) -> None:
-        with h5py.File(part, "w") as file:
-            file.attrs["schema"] = RUN_SCHEMA
-            for name, value in tree.items():
-                _put(file, name, value)
-
-    write_aside(path, write)
+    hdf5.write(path, Group({"schema": RUN_SCHEMA}, tree))
 
 
-def load_run(path: str | Path) -> RunRecord:
+def load_run(path: str | Path, trust: Sequence[str] = (), *, limit: float = hdf5.LIMIT) -> RunRecord:
     """Read a run.h5 back.
 
+    Args:
+        path: the file.
+        trust: modules of your own whose models and adaptations the run may name; their code is run.
+        limit: [bytes] what may be read.
+
     Raises:
-        RunFileError: if there is no such file, or it is not a whole run.h5 of this schema.
+        RunFileError: if there is no such file, it is not a whole run.h5 of this schema, is larger than allowed, or
+            names a class that is neither the package's nor of a module in `trust`.
     """
     path = Path(path)
-    if not path.is_file():
-        raise RunFileError(f"no run at {path}", advice="the run.h5 in the folder that `invdyn run` printed last")
+    tree = _read(path, None, limit)
     try:
-        with h5py.File(path) as file:
-            schema = file.attrs.get("schema")
-            if schema != RUN_SCHEMA:
-                raise RunFileError(f"{path} has schema {schema!r}; allowed: {RUN_SCHEMA!r}")
-            tree = _get(file)
-    except RunFileError:
-        raise
-    except Exception as error:  # h5py raises nearly anything on a damaged file
-        raise RunFileError(f"{path} cannot be read as HDF5 ({error})", advice="running it again") from error
-    try:
-        return _record(tree)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return _record(tree, trust)
+    except RunFileError as error:
+        raise RunFileError(f"{path}: {error.got}", advice=error.advice) from None
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         got = f"{path} is no whole run ({type(error).__name__}: {error})"
         raise RunFileError(got, advice="running it again") from error
 
 
-def _record(tree: dict[str, Any]) -> RunRecord:
-    robot = None if tree["robot"] is None else _build(Robot, tree["robot"])
-    joints = tuple(tree["fit"]["joints"])
-    members = tree["member_scores"]
+def load_origin(path: str | Path) -> tuple[str, dict[str, Any]]:
+    """The resolved config of a run.h5, and its provenance: plain values, no object is built.
+
+    Raises:
+        RunFileError: as `load_run`.
+    """
+    path = Path(path)
+    tree = _read(path, ("config", "provenance"), hdf5.LIMIT)
+    provenance = untrusted.parsed(str(tree["provenance"]), f"{path}: provenance", RunFileError)
+    return str(tree["config"]), provenance if isinstance(provenance, dict) else {}
+
+
+def _read(path: Path, members: Sequence[str] | None, limit: float) -> dict[str, Any]:
+    """The tree of a run.h5, or some of its members, with all values."""
+    if not path.is_file():
+        raise RunFileError(f"no run at {path}", advice="the run.h5 in the folder that `invdyn run` printed last")
+    root = hdf5.outline(path, RunFileError)
+    schema = root.attributes.get("schema")
+    told = schema.values[0] if schema is not None and schema.values else None
+    if told != RUN_SCHEMA:
+        raise RunFileError(f"{path} has schema {told!r}; allowed: {RUN_SCHEMA!r}")
+    if missing := [name for name in members or () if name not in root.members]:
+        raise RunFileError(f"{path} is no whole run (it lacks {missing[0]})", advice="running it again")
+    wanted = root.members if members is None else {name: root.members[name] for name in members}
+    values = hdf5.read(path, list(_leaves(wanted)), RunFileError, limit)
+    return _filled(wanted, values)
+
+
+def _leaves(members: Mapping[str, Any], above: str = "") -> list[str]:
+    out: list[str] = []
+    for name, node in members.items():
+        out += _leaves(node.members, f"{above}{name}/") if isinstance(node, Group) else [above + name]
+    return out
+
+
+def _filled(members: Mapping[str, Any], values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """The tree with its values; numbers of shape () as Python's."""
+    out = {}
+    for name, node in members.items():
+        if isinstance(node, Group):
+            out[name] = _filled(node.members, values, f"{above}{name}/")
+        else:
+            value = values[above + name]
+            out[name] = value.item() if isinstance(value, np.ndarray) and value.shape == () else value
+    return out
+
+
+def _record(tree: dict[str, Any], trust: Sequence[str]) -> RunRecord:
+    def values(name: str) -> Any:
+        return untrusted.parsed(untrusted.text(tree[name], name), name, RunFileError)
+
+    robot = None if tree["robot"] is None else untrusted.robot(tree["robot"])
+    fit = untrusted.fit(tree["fit"], robot)
+    joints = fit.joints
+    split = untrusted.mapping(values("split"), "split")
+    if "notes" in split:
+        split["notes"] = list(untrusted.names(split["notes"], "notes"))
     return RunRecord(
-        choices=json.loads(tree["choices"]),
-        model=decode(json.loads(tree["model"])),
-        adaptation=decode(json.loads(tree["adaptation"])),
-        fit=_build(Fit, {**tree["fit"], "robot": robot}),
-        predictions={name: _prediction(p, joints, robot) for name, p in tree["predictions"].items()},
-        scores={name: Score(joints, **s) for name, s in tree["scores"].items()},
+        choices=untrusted.mapping(values("choices"), "choices"),
+        model=decode(values("model"), AbstractModel, trust),
+        adaptation=decode(values("adaptation"), AbstractAdapter, trust),
+        fit=fit,
+        predictions={name: untrusted.prediction(p, joints, robot) for name, p in tree["predictions"].items()},
+        scores={name: untrusted.score(s, joints) for name, s in tree["scores"].items()},
         member_scores={
-            name: tuple(Score(joints, *x) for x in zip(s["nmse"], s["rmse"], strict=True))
-            for name, s in members.items()
+            name: tuple(
+                untrusted.score({"nmse": nmse, "rmse": rmse}, joints)
+                for nmse, rmse in zip(s["nmse"], s["rmse"], strict=True)
+            )
+            for name, s in tree["member_scores"].items()
         },
-        samples={name: int(x) for name, x in tree["samples"].items()},
-        seconds={name: float(x) for name, x in tree["seconds"].items()},
-        split=json.loads(tree["split"]),
-        digest=tree["digest"],
-        trace=tree["trace"],
-        config=tree["config"],
-        overrides=tuple(tree["overrides"]),
-        provenance=json.loads(tree["provenance"]),
+        samples={name: int(untrusted.number(x, name)) for name, x in tree["samples"].items()},
+        seconds={name: untrusted.number(x, name) for name, x in tree["seconds"].items()},
+        split=split,
+        digest=untrusted.text(tree["digest"], "digest"),
+        trace=untrusted.mapping(tree["trace"], "trace"),
+        config=untrusted.text(tree["config"], "config"),
+        overrides=untrusted.names(tree["overrides"], "overrides"),
+        provenance=untrusted.mapping(values("provenance"), "provenance"),
     )
 
 
-def load_model(path: str | Path) -> FittedModel | ExtendedModel:
+def load_model(path: str | Path, trust: Sequence[str] = ()) -> FittedModel | ExtendedModel:
     """The fitted model of a run.h5, or the extended model of an extended_model.json, ready to `predict(q, qd, qdd)`.
 
     Raises:
-        RunFileError: as `load_run`; also if the model's class cannot be imported.
+        RunFileError: as `load_run`, which says what `trust` is.
         UsageError: for a .json that is no extended model.
     """
     if Path(path).suffix == ".json":
         return extended.load_model(path)
-    record = load_run(path)
+    record = load_run(path, trust)
     return FittedModel(record.model, record.fit)
 
 
@@ -177,13 +213,13 @@ def _adaptation_scores(record: RunRecord) -> dict[str, Any]:
 
 
 def write_metrics(record: RunRecord, path: Path) -> None:
-    """Write metrics.json, aside and renamed; numbers that do not exist (NaN, infinity) as null."""
+    """Write metrics.json, whole or not at all; numbers that do not exist (NaN, infinity) as null."""
     text = json.dumps(plain(metrics(record)), indent=1)
-    write_aside(path, lambda part: part.write_text(text + "\n"))
+    write_file(path, text + "\n")
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) -> None:
-    """Write diagnosis.json, aside and renamed; `files` names what lies beside it (model, urdf, mjcf, report).
+    """Write diagnosis.json, whole or not at all; `files` names what lies beside it (model, urdf, mjcf, report).
 
     "summary", "replay", "notes" and "details" are additions to the schema of the design.
     """
@@ -203,18 +239,13 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "details": diagnosis.details,
     }
     text = json.dumps(plain(tree), indent=1, ensure_ascii=False, allow_nan=False)
-    write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
+    write_file(path, text + "\n")
 
 
 def write_model(model: ExtendedModel, path: Path) -> None:
-    """Write extended_model.json (schema invdyn-model/1), aside and renamed."""
+    """Write extended_model.json (schema invdyn-model/1), whole or not at all."""
     text = json.dumps(plain(as_dict(model)), indent=1, ensure_ascii=False, allow_nan=False)
-    write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
-
-
-def write_text(text: str, path: Path) -> None:
-    """Write a text, aside and renamed, its line ends as they are."""
-    write_aside(path, lambda part: part.write_bytes(text.encode()))
+    write_file(path, text + "\n")
 
 
 def examination_as_dict(examination: Examination) -> dict[str, Any]:
@@ -247,58 +278,10 @@ def _finding_tree(finding: Finding) -> dict[str, Any]:
 
 
 def write_check(examination: Examination, path: Path) -> None:
-    """Write check.json (schema invdyn-check/1), aside and renamed; numbers that do not exist as null."""
+    """Write check.json (schema invdyn-check/1), whole or not at all; numbers that do not exist as null."""
     tree = {"schema": CHECK_SCHEMA, **examination_as_dict(examination)}
     text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
-    write_aside(path, lambda part: part.write_text(text + "\n", encoding="utf-8"))
-
-
-def write_aside(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let `write` fill a file beside `path`, then rename it: readers see the old or the new one, nothing between."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        write(part)
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def encode(value: Any) -> Any:
-    """A frozen dataclass as {"class": "module:Name", "fields": {...}}, its fields likewise; plain values stay."""
-    if is_dataclass(value) and not isinstance(value, type):
-        kind = type(value)
-        entries = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.init}
-        return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": entries}
-    if isinstance(value, Mapping):
-        return {str(k): encode(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [encode(v) for v in value]
-    return value
-
-
-def decode(value: Any) -> Any:
-    """What `encode` stored, built again.
-
-    Raises:
-        RunFileError: if a class cannot be imported (a third party's model whose file is not on the path).
-    """
-    if isinstance(value, Mapping) and set(value) == {"class", "fields"}:
-        module, _, name = value["class"].partition(":")
-        try:
-            kind = getattr(import_module(module), name)
-        except (ImportError, AttributeError):
-            raise RunFileError(
-                f"the run's {value['class']} cannot be imported",
-                advice="the folder that holds its file as working directory, or on PYTHONPATH",
-            ) from None
-        return kind(**{k: decode(v) for k, v in value["fields"].items()})
-    if isinstance(value, Mapping):
-        return {k: decode(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return tuple(decode(v) for v in value)
-    return value
+    write_file(path, text + "\n")
 
 
 def _prediction_tree(prediction: Prediction) -> dict[str, Any]:
@@ -315,60 +298,3 @@ def _prediction_tree(prediction: Prediction) -> dict[str, Any]:
         "prediction": prediction.tau,
         "stage": None if (stage := prediction.data.stage) is None else list(map(str, stage)),
     }
-
-
-def _prediction(tree: dict[str, Any], joints: tuple[str, ...], robot: Robot | None) -> Prediction:
-    ends = np.cumsum(tree["lengths"])
-    parts = [slice(end - length, end) for end, length in zip(ends, tree["lengths"], strict=True)]
-    stage = None if tree["stage"] is None else np.array(tree["stage"])
-    trajectories = tuple(
-        Trajectory(
-            name,
-            tree["t"][rows],
-            Motion(*(tree[k][rows] for k in ("q", "qd", "qdd"))),
-            tree["tau"][rows],
-            None if stage is None else stage[rows],
-        )
-        for name, rows in zip(tree["trajectories"], parts, strict=True)
-    )
-    return Prediction(Dataset(trajectories, joints, robot), tree["prediction"])
-
-
-def _put(group: h5py.Group, name: str, value: Any) -> None:
-    if value is None:
-        group[name] = h5py.Empty("f8")
-    elif isinstance(value, Mapping):
-        child = group.create_group(name)
-        for key, entry in value.items():
-            _put(child, str(key), entry)
-    elif isinstance(value, str):
-        group.create_dataset(name, data=value, dtype=h5py.string_dtype())
-    elif isinstance(value, list | tuple) and all(isinstance(x, str) for x in value):
-        group.create_dataset(name, data=list(value), shape=(len(value),), dtype=h5py.string_dtype())
-    else:
-        array = np.asarray(value)
-        squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if array.size > 4096 else {}
-        group.create_dataset(name, data=array, **squeeze)
-
-
-def _get(node: Any) -> Any:
-    if isinstance(node, h5py.Group):
-        return {name: _get(node[name]) for name in node}
-    if node.shape is None:
-        return None
-    if h5py.check_string_dtype(node.dtype):
-        return node.asstr()[()] if node.shape == () else [str(x) for x in node.asstr()[()]]
-    value = node[()]
-    return value.item() if node.shape == () else value
-
-
-def _build(kind: type, tree: Mapping[str, Any]) -> Any:
-    """A Robot or Fit from its tree: lists become the tuples that they were."""
-    plain = {
-        name: x.tolist() if isinstance(x, np.ndarray) and _was_tuple(kind, name) else x for name, x in tree.items()
-    }
-    return kind(**{name: tuple(x) if _was_tuple(kind, name) else x for name, x in plain.items()})
-
-
-def _was_tuple(kind: type, name: str) -> bool:
-    return str(kind.__annotations__[name]).startswith("tuple")

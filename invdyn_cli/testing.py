@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli import experiment, store
+from invdyn_cli import experiment, registry, store
+from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.errors import InvdynError
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
 from invdyn_cli.types import Array, Dataset, Fit, Header, Motion, PyTree, Robot, RunRecord, Splits
@@ -300,14 +301,14 @@ def _size(leaf: Any) -> float:
 
 def _round_trip(who: str, model: AbstractModel, fit: Fit, samples: Motion, said: np.ndarray) -> None:
     try:
-        again = store.decode(store.encode(model))
+        again = registry.decode(registry.encode(model), AbstractModel, [type(model).__module__])
     except InvdynError as error:
         raise AssertionError(f"{who} cannot be stored and built again: {error}") from error
     _claim(again == model, f"{who} is not the same once stored and built again from its fields")
-    record = RunRecord({"seed": 0}, model, None, fit, {}, {}, {}, {}, {}, {}, "")
+    record = RunRecord({"seed": 0}, model, Batch(), fit, {}, {}, {}, {}, {}, {}, "")
     with tempfile.TemporaryDirectory() as folder:
         store.write_run(record, Path(folder) / "run.h5")
-        loaded = store.load_model(Path(folder) / "run.h5")
+        loaded = store.load_model(Path(folder) / "run.h5", [type(model).__module__])
     told = loaded.predict(samples.q, samples.qd, samples.qdd)
     _claim(np.array_equal(told, said), f"{who} predicts other torques once written to run.h5 and read back")
 

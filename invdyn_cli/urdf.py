@@ -23,8 +23,8 @@ MOVING = ("revolute", "continuous", "prismatic")
 """Joint types that can move; "fixed" ones are merged, "floating" and "planar" ones can be locked."""
 
 
-def read(path: str | Path | None) -> str:
-    """The URDF text of a built-in robot, a URDF or a xacro file."""
+def read(path: str | Path | None, *, xacro: bool = True) -> str:
+    """The URDF text of a built-in robot, a URDF or (with `xacro`, which runs Python of the file's) a xacro file."""
     built_in = f"a .urdf or .xacro file, or a built-in robot: {listed(BUILT_IN)}"
     if path is None:
         raise RobotError(
@@ -33,6 +33,9 @@ def read(path: str | Path | None) -> str:
     file = BUILT_IN.get(str(path), Path(path).expanduser())
     if not file.is_file():
         raise RobotError(f"no robot description at {str(path)!r}{closest(str(path), BUILT_IN)}; allowed: {built_in}")
+    if file.suffix == ".xacro" and not xacro:
+        got = f"a log names the robot description {file}; allowed there: .urdf, because a xacro file runs code"
+        raise RobotError(got, advice="robot=urdf robot.path=…, if you trust that file")
     if file.suffix == ".xacro":
         return _expanded(file)
     try:

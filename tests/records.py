@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.maths.metrics import nmse, rmse
+from invdyn_cli.models.pest import Pest
 from invdyn_cli.types import Dataset, Fit, Motion, Prediction, Robot, RunRecord, Score, Trajectory
 
 CONFIG = "model:\n  rate: 0.001\n  layers: [64, 64]\nseed: 0\n"
@@ -105,8 +107,8 @@ def make_record(
     }
     return RunRecord(
         choices=choices or {"model": "pest", "data": "sim_noisy", "adaptation": "batch", "seed": 0},
-        model=None,
-        adaptation=None,
+        model=Pest(),
+        adaptation=Batch(),
         fit=Fit(
             params={"weights": rng.normal(size=(members, n))},
             robot=robot,

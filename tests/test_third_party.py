@@ -56,7 +56,7 @@ def test_a_model_of_ones_own(folder, finished):
     code = (
         "import numpy as np\n"
         "from invdyn_cli import load_run\n"
-        f"stored = load_run({str(finished / 'run.h5')!r}).predictions['test']\n"
+        f"stored = load_run({str(finished / 'run.h5')!r}, trust=['mine']).predictions['test']\n"
         "q, qd, qdd = (getattr(stored.data.motion, name) for name in ('q', 'qd', 'qdd'))\n"
         + SNIPPETS[0].replace("run.h5", str(finished / "run.h5"))
         + "print(type(model.model).__name__, np.abs(tau - stored.tau).max() < 1e-9)\n"
@@ -74,10 +74,17 @@ def test_its_config_in_a_conf_folder(folder, tmp_path):
 
 
 def test_a_run_of_a_model_that_is_not_here(finished, tmp_path):
-    """Elsewhere the run of a third party's model cannot be loaded, and one line says which file is missing."""
-    code = f"from invdyn_cli import load_model; load_model({str(finished / 'run.h5')!r})"
+    """Elsewhere the run of a third party's model cannot be loaded, and one line says which module is missing."""
+    code = f"from invdyn_cli import load_model; load_model({str(finished / 'run.h5')!r}, trust=['mine'])"
     said = python("-c", code, cwd=tmp_path)
-    assert "RunFileError: the run's mine:Ridge cannot be imported" in said.stderr
+    assert "the trusted module mine cannot be imported" in said.stderr
+
+
+def test_a_third_partys_run_is_drawn_anew(folder, finished):
+    """`invdyn report` draws the run of a trusted module anew; without that trust one line says what to say."""
+    said = invdyn("report", str(finished), cwd=folder)
+    assert said.returncode == 2 and "trust=[mine], if you know that module" in said.stderr
+    assert invdyn("report", str(finished), "trust=[mine]", cwd=folder).returncode == 0
 
 
 def test_all_three_together(folder):

@@ -133,7 +133,6 @@ class PickPlace(AbstractSource):
             position_side="motor",
         )
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
             write_log(made, path)
         return made
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli import untrusted
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import (
     Acting,
@@ -136,10 +137,10 @@ def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
         got = stored.get("schema") if isinstance(stored, Mapping) else type(stored).__name__
         raise UsageError(f"{where}: schema is {got!r}; allowed: {SCHEMA}", advice="an extended_model.json of diagnose")
     try:
-        values = {k: _numbers(v) for k, v in stored["robot"].items()}
-        for name in ("joints", "parents", "prismatic", "notes"):
-            values[name] = tuple(stored["robot"][name])
-        robot = Robot(**values, urdf=stored.get("urdf", ""))
+        tree = untrusted.mapping(stored["robot"], "robot")
+        texts = {name: tree[name] for name in ("name", "joints", "notes")}
+        numbers = {name: _numbers(x) for name, x in tree.items() if name not in texts}
+        robot = untrusted.robot({**numbers, **texts, "urdf": stored.get("urdf", "")})
         acting, intervals = [], []
         for number, row in enumerate(stored["effects"]):
             name = row["effect"]
@@ -154,8 +155,11 @@ def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
             acting.append(Acting(EFFECTS[name], joint, parameters, when))
             ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
             intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})
-    except (KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
         raise UsageError(f"{where} lacks {error}", advice="the file as invdyn diagnose wrote it") from error
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        got = f"{where} is no whole model ({error})"
+        raise UsageError(got, advice="the file as invdyn diagnose wrote it") from error
     return ExtendedModel(robot, tuple(acting), tuple(intervals), stored.get("filter", {}), stored.get("provenance", {}))
 
 

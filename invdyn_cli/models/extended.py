@@ -3,7 +3,6 @@
 The text of the file is a field of the model, so that a run.h5 stays whole when the file is gone.
 """
 
-import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli import untrusted
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.description import ExtendedModel, from_dict
 from invdyn_cli.errors import UsageError, listed
@@ -95,13 +95,7 @@ def read(path: str) -> Extended:
         UsageError: if there is no such file, or it holds no such model.
     """
     where = Path(str(path)).expanduser()
-    try:
-        text = where.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"model.path={path}: {error.strerror or error}", advice=HINT) from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"model.path={path} is no text", advice=HINT) from error
-    return Extended(text, str(where))
+    return Extended(untrusted.read_text(where, UsageError, HINT), str(where))
 
 
 def load_model(path: str | Path) -> ExtendedModel:
@@ -111,11 +105,7 @@ def load_model(path: str | Path) -> ExtendedModel:
 
 @lru_cache(maxsize=16)
 def _parsed(text: str, where: str) -> ExtendedModel:
-    try:
-        stored = json.loads(text)
-    except ValueError as error:
-        raise UsageError(f"{where} is no JSON ({error})", advice=HINT) from error
-    return from_dict(stored, where)
+    return from_dict(untrusted.parsed(text, where, UsageError, HINT), where)
 
 
 def _name(index: int, one: Acting) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,10 +21,10 @@ from invdyn_cli.report.canvas import (
     ORANGE,
     PURPLE,
     SKY,
-    STYLE,
     VERMILLION,
     WIDTH,
     add_legend,
+    house_style,
     limit_bars,
     plain,
 )
@@ -56,7 +55,7 @@ def draw(spec: Mapping[str, Any], statements: Sequence[Mapping[str, Any]], jobs:
     ]
     sets = list(dict.fromkeys(bar.get("set", "test") for bar in spec["bars"].values()))
     everything = np.array([x for name in sets for _, metrics in jobs for x in _shown(spec, metrics, name)])
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(WIDTH, 0.9 + 2.9 * len(panels)), layout="constrained")
         figure.suptitle(plain(spec["title"]), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
         every = figure.subplots(len(panels), 1, squeeze=False, sharex=True, sharey=True)[:, 0]

@@ -4,13 +4,19 @@ Colours are those of Okabe and Ito, which colour-blind readers can tell apart; a
 Pure black is for data alone, text is dark grey.
 """
 
+import io
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from invdyn_cli.files import write_file
 from invdyn_cli.report.tables import choice
 from invdyn_cli.types import RunRecord
 
@@ -44,6 +50,22 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.0,
     **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
 }
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Meanwhile figures look alike everywhere: no matplotlibrc counts, of a user's or of the working directory."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(STYLE)
+        yield
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure, whole or not at all, in the format that the path ends with."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=110, format=path.suffix[1:])
+    return write_file(path, drawn.getvalue())
 
 
 def plain(name: str) -> str:

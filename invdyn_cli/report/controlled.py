@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from invdyn_cli.control import ADAPTED, ALONE, LEARNED, Case, ControlRecord
-from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, STYLE, WIDTH, add_legend, log_axis, plain
+from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, WIDTH, add_legend, house_style, log_axis, plain, save
 from invdyn_cli.report.tables import significant
 
 SCHEMA = "invdyn-control/1"
@@ -36,10 +35,10 @@ IN_TIMES, SEEN = 1.2, 1.0
 
 def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
     """The figure, in the formats that the paths end with."""
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         figure = _figure(record, named)
         for path in paths:
-            figure.savefig(path, dpi=110)
+            save(figure, path)
 
 
 def _figure(record: ControlRecord, named: str) -> Figure:

@@ -4,14 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from invdyn_cli.maths import stages
 from invdyn_cli.maths.metrics import ACCURATE, BLOCK
-from invdyn_cli.report.canvas import BLACK, COLOURS, INK, PREDICTED, STYLE, WIDTH, add_legend, log_axis, plain
+from invdyn_cli.report.canvas import BLACK, COLOURS, INK, PREDICTED, WIDTH, add_legend, house_style, log_axis, plain
 from invdyn_cli.report.comparison import matches
 from invdyn_cli.types import RunRecord
 
@@ -56,7 +55,7 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
     load is taken for.
     """
     weighed = spec.get("mass")
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(WIDTH, 5.6 if weighed else 3.9), layout="constrained")
         figure.suptitle(plain(spec["title"]), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
         panels = figure.subplots(2 if weighed else 1, 1, squeeze=False, sharex=True,

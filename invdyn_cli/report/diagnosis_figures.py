@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,11 +21,12 @@ from invdyn_cli.report.canvas import (
     ORANGE,
     PREDICTED,
     SAMPLES,
-    STYLE,
     WIDTH,
     add_legend,
+    house_style,
     label_below,
     plain,
+    save,
     shape_of,
     thinned,
 )
@@ -71,16 +71,15 @@ def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = 
     The paths come back. Nothing is drawn without signals: a log that is unusable has nothing to show.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         drawn = [(OVERVIEW, overview(diagnosis))] if diagnosis.signals is not None else []
         drawn += [(REPLAY, replay_figure(diagnosis))] if diagnosis.replay is not None else []
         drawn += [(picture(x.number, x.finding), draw(x)) for x in exhibits(diagnosis)]
         for name, figure in drawn:
             for suffix in formats:
                 written.append(folder / f"{name}.{suffix}")
-                figure.savefig(written[-1], dpi=110)
+                save(figure, written[-1])
     return written
 
 

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from invdyn_cli.diagnosis.design import Design
-from invdyn_cli.report.canvas import BLUE, GREY, LINE_POINTS, STYLE, VERMILLION, WIDTH, plain
+from invdyn_cli.report.canvas import BLUE, GREY, LINE_POINTS, VERMILLION, WIDTH, house_style, plain, save
 
 ROW = 1.1
 """[in] of a joint's row of panels."""
@@ -15,11 +14,9 @@ ROW = 1.1
 
 def draw(design: Design, path: Path) -> Path:
     """Write the picture as png."""
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         figure = picture(design)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    return path
+        return save(figure, path)
 
 
 def picture(design: Design) -> Figure:

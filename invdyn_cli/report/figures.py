@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
@@ -30,15 +29,16 @@ from invdyn_cli.report.canvas import (
     RESIDUAL,
     SAMPLES,
     SET_COLOURS,
-    STYLE,
     add_legend,
     binned,
+    house_style,
     label_below,
     limit_around,
     limit_bars,
     limit_zero,
     log_axis,
     plain,
+    save,
     shape_of,
     thinned,
     titled_figure,
@@ -50,16 +50,15 @@ from invdyn_cli.types import Prediction, RunRecord
 def draw_all(record: RunRecord, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Draw every figure that the record has data for into `folder`, once per format (png, svg, pdf): their paths."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     written = []
-    with matplotlib.rc_context(STYLE):
+    with house_style():
         for name, drawing in DRAWINGS.items():
             figure = drawing(record)
             if figure is None:
                 continue
             for suffix in formats:
                 written.append(folder / f"{name}.{suffix}")
-                figure.savefig(written[-1], dpi=110)
+                save(figure, written[-1])
     return written
 
 

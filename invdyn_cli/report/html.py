@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli.files import write_file
+
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
   --worst: #b84e00; }
@@ -42,13 +44,7 @@ summary { cursor: pointer; margin-bottom: .4rem; }
 
 def write_whole(path: Path, text: str) -> Path:
     """Write a page to `path`, whole or not at all."""
-    aside = path.with_name(f".{path.name}.tmp")
-    try:
-        aside.write_text(text, encoding="utf-8")
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
-    return path
+    return write_file(path, text)
 
 
 def document(title: str, body: str, style: str = "") -> str:

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from invdyn_cli import untrusted
 from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.files import write_file
 from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.types import Motion, Robot
 
@@ -61,11 +63,8 @@ def read_csv(path: str | Path, joints: tuple[str, ...]) -> tuple[np.ndarray, np.
     Raises:
         UsageError: for anything that is no such file.
     """
-    try:
-        lines = [x for x in Path(path).read_text(encoding="utf-8").splitlines() if x.strip() and not x.startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "no text"
-        raise UsageError(f"{path}: {why}", advice="the trajectory.csv of `invdyn excite`") from error
+    text = untrusted.read_text(Path(path), UsageError, "the trajectory.csv of `invdyn excite`")
+    lines = [x for x in text.splitlines() if x.strip() and not x.startswith("#")]
     rows = list(csv.reader(lines))
     names = [x.strip() for x in rows[0]] if rows else []
     for name in ("t", *joints):
@@ -89,5 +88,4 @@ def write_csv(path: Path, t: np.ndarray, q: np.ndarray, joints: tuple[str, ...])
     """Times (T,) [s] and positions (T, n) [rad; m] as `read_csv` reads them."""
     head = "# t [s]; joint positions [rad; m]\n" + ",".join(("t", *joints))
     rows = (",".join([f"{time:.6f}", *(f"{x:.9f}" for x in row)]) for time, row in zip(t, q, strict=True))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    write_file(path, "\n".join([head, *rows]) + "\n")

@@ -51,7 +51,6 @@ def task(config: DictConfig) -> None:
         examination = doctor.examine(log, robot)
         _, mended = doctor.mend(log, examination, robot)
         report(1.0, "done")
-    folder.mkdir(parents=True, exist_ok=True)
     store.write_check(examination, folder / "check.json")
     for note in notes:
         console.print(f"[dim]{escape(note)}[/]", highlight=False)

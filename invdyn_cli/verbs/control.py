@@ -12,6 +12,7 @@ from invdyn_cli import control
 from invdyn_cli.control import ControlRecord, Sweep
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.errors import UsageError
+from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.report import controlled
 from invdyn_cli.verbs import screen
@@ -61,8 +62,7 @@ def execute(config: DictConfig, folder: Path, console: Console) -> ControlRecord
 
 def write(record: ControlRecord, choices: dict, folder: Path, formats: Sequence[str] = ()) -> None:
     """control.csv, figures/control.png and, last, control.json."""
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
-    (folder / "control.csv").write_text(controlled.as_csv(record))
+    write_file(folder / "control.csv", controlled.as_csv(record))
     named = f"{choices['model']}, {choices['adaptation']}"
     controlled.draw(record, named, [folder / "figures" / f"control.{x}" for x in sorted({"png", *formats})])
-    (folder / "control.json").write_text(controlled.as_json(record, choices))
+    write_file(folder / "control.json", controlled.as_json(record, choices))

@@ -17,6 +17,7 @@ from invdyn_cli.diagnosis.extension import Export, exported
 from invdyn_cli.diagnosis.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
+from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -134,7 +135,7 @@ def _write_simulations(export: Export, folder: Path) -> tuple[dict[str, str], di
         ("mjcf", MJCF, export.mjcf, export.mjcf_lacks),
     ):
         if text:
-            store.write_text(text, folder / name)
+            write_file(folder / name, text)
             files[kind], lacks[name] = name, said
     return files, lacks
 

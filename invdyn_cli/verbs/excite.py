@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from invdyn_cli import store
+from invdyn_cli import store, untrusted
 from invdyn_cli.diagnosis.causes import Cause
 from invdyn_cli.diagnosis.contest import Side
 from invdyn_cli.diagnosis.design import APART, Design, Told, design
@@ -19,6 +19,7 @@ from invdyn_cli.diagnosis.next_motion import all_open, cause_of, words
 from invdyn_cli.diagnosis.sizes import left_out, refused, unplayable
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.files import write_file
 from invdyn_cli.report import excitation
 from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Finding, Quantity, Robot
@@ -125,13 +126,11 @@ def findings_of(path: Path) -> list[Finding]:
     Raises:
         UsageError: for a file that is none.
     """
+    tree = untrusted.read_json(path, UsageError, "the diagnosis.json of `invdyn diagnose`")
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
         if tree.get("schema") != store.DIAGNOSIS_SCHEMA:
             raise ValueError(f"schema {tree.get('schema')!r}")
         return [_finding(one) for one in tree["findings"] if one["status"] in ("named", "ambiguous")]
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}", advice="the diagnosis.json of `invdyn diagnose`") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{path}: {error}; allowed: a file of schema {store.DIAGNOSIS_SCHEMA}") from error
 
@@ -173,7 +172,7 @@ def write(made: Design, folder: Path) -> None:
     write_csv(folder / TRAJECTORY, made.t, np.asarray(made.motion.q), made.robot.joints)
     excitation.draw(made, folder / FIGURE)
     text = json.dumps(store.plain(as_dict(made)), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / DESIGN).write_text(text + "\n", encoding="utf-8")
+    write_file(folder / DESIGN, text + "\n")
 
 
 def as_dict(made: Design) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,13 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig
 from rich.console import Console
 
-from invdyn_cli import store
 from invdyn_cli.errors import LogError
 from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
+from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
 from invdyn_cli.verbs import published, tables
-from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
 
@@ -39,11 +38,12 @@ def task(config: DictConfig) -> None:
     refuse_formats("formats", config.formats)
     console, real_data, own = Console(), Path(config.real_data).resolve(), Path(config.tables)
     exhibits: list[Exhibit] = []
+    trust = trusted(config)
     nets: Grid | None = None
     sets: Grid | None = None
     for name in config.shown:
         try:
-            done = published.run_all(name, own, real_data, fresh=config.fresh)
+            done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust)
         except LogError as error:
             spec = published.read(name)
             console.print(f"[yellow]{name} is left out: {error}[/]", highlight=False, soft_wrap=True)
@@ -56,7 +56,6 @@ def task(config: DictConfig) -> None:
         exhibits.append(_exhibit(done, drawn))
         if picked := done.spec.get("paper_tables"):
             nets, sets = _paper_tables(done, picked)
-    Path(config.page).parent.mkdir(parents=True, exist_ok=True)
     written = html.write_whole(Path(config.page), paper.page(exhibits, nets, sets))
     console.print(str(written), highlight=False, soft_wrap=True)
 
@@ -71,10 +70,9 @@ def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Drawn]:
     drawn = []
     for name, spec in specs:
         figure = _figure(done, spec, courses)
-        folder.mkdir(parents=True, exist_ok=True)
         paths = [folder / f"{name}.{suffix}" for suffix in formats]
         for path in paths:
-            store.write_aside(path, partial(figure.savefig, dpi=110, format=path.suffix[1:]))
+            save(figure, path)
         drawn.append(Drawn(paths, spec.get("caption", paper.CAPTION)))
     return drawn
 

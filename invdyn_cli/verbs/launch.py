@@ -1,15 +1,18 @@
 """The door to Hydra: where configs lie, how a config becomes objects, how failures of use are told in one line."""
 
+import contextlib
 import difflib
 import functools
+import importlib.util
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+import tempfile
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
@@ -26,10 +29,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from invdyn_cli.errors import InvdynError, UsageError, closest, listed
+from invdyn_cli.errors import LONGEST, InvdynError, UsageError, closest, listed, shortened
+from invdyn_cli.fields import in_words, suits
+from invdyn_cli.files import write_file
+from invdyn_cli.interruption import STOPPED, closed_pipe
 
-WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", NoneType: "null"}
-"""Plain types, and how they are called before a user."""
+TRACEBACK = "traceback.txt"
 
 
 def config_folder() -> Path:
@@ -45,12 +50,13 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     """Compose the verb's config with the overrides in argv, run the task (once, or for every job of a sweep).
 
     Returns:
-        The exit code: 0; 2 for wrong use, told on stderr in one line, or where a job of a sweep failed; 130: stopped.
+        The exit code: 0; 2 for wrong use, told on stderr in one line, or where a job of a sweep failed; 3 for an error
+        of ours, whose traceback is in a file; 130: stopped.
     """
     argv = list(argv)
     cwd = Path.cwd()
-    sys.path.insert(0, str(cwd))
-    # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml.
+    # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml. The package's own
+    # configs come first, so that a folder of somebody else's changes none of them.
     if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
         places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
         argv.append("hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]")
@@ -58,13 +64,17 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
     overrides = [a for a in argv if "=" in a and not a.startswith("-")]
     sys.argv = [f"invdyn {verb}", *overrides, *(a for a in argv if a not in overrides)]  # argparse wants them together
+    before = _existing(overrides)
     failures: list[Exception] = []
+    folders: list[Path] = []
 
     @functools.wraps(task)
     def guarded(config: DictConfig) -> None:
+        if not in_sweep():
+            folders.append(Path(job().runtime.output_dir))
         try:
             task(config)
-        except (InvdynError, OSError, MemoryError, OmegaConfBaseException) as error:
+        except Exception as error:
             failures.append(error)  # raised outside of Hydra, which would print a line of its own
 
     try:
@@ -72,23 +82,70 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=verb)(guarded)()
         if failures:
             raise failures[0]
-    except InvdynError as error:
-        return complain(str(error))
-    except (HydraException, OmegaConfBaseException) as error:
-        return complain(_told(verb, error, argv))
-    except MemoryError as error:
-        return complain(f"out of memory: {error}")
-    except BrokenPipeError:  # the reader of our output (head, less) has gone
-        sys.stdout = None
-    except OSError as error:
-        where = error.filename or "a file"
-        return complain(f"{where}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)")
-    except SystemExit as end:  # what a callback at the end of a sweep decides; Hydra itself swallows its exceptions
+        return 0
+    except SystemExit as end:  # what a verb decides, or a callback at the end of a sweep
         return end.code if isinstance(end.code, int) else 2
     except KeyboardInterrupt:
-        complain("stopped")
-        return 130
-    return 0
+        code = complain("stopped", STOPPED)
+    except BrokenPipeError:
+        code = closed_pipe()
+    except Exception as error:
+        line = _line(verb, error, argv)
+        code = complain(line) if line else _own_error(error, folders[0] if folders else None)
+    for folder in folders:
+        _remove_empty(folder, before)
+    return code
+
+
+def _line(verb: str, error: Exception, argv: list[str]) -> str:
+    """What a failure of use is told as; "" for an error of ours."""
+    if isinstance(error, InvdynError):
+        return str(error)
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        return _told(verb, error, argv)
+    if isinstance(error, MemoryError):
+        return f"out of memory: {error}"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)"
+    return ""
+
+
+def _own_error(error: Exception, folder: Path | None) -> int:
+    """Keep the traceback of an error of ours, in the run's folder if it can be written, and say where."""
+    text = "".join(traceback.format_exception(error))
+    kept = "no place to write its traceback to"
+    for place in (folder or Path.cwd(), Path(tempfile.gettempdir())):
+        with contextlib.suppress(OSError):
+            kept = str(write_file(place / TRACEBACK, text))
+            break
+    what = shortened(" ".join(f"{type(error).__name__}: {error}".split()), 200)
+    return complain(f"an error of invdyn's own ({what}). Please report it, with {kept}", 3)
+
+
+def _existing(overrides: Sequence[str]) -> set[Path]:
+    """The folder that the overrides name, the working directory, and those above them, as far as they exist already."""
+    given = [a.partition("=")[2].strip("'\"") for a in overrides if a.startswith(("hydra.run.dir=", "folder="))]
+    named = [Path(x).absolute() for x in given if x]
+    return {place for one in (*named, Path.cwd()) for place in (one, *one.parents) if place.is_dir()}
+
+
+def _remove_empty(folder: Path, before: set[Path]) -> None:
+    """Remove the folder of a command that was refused, if nothing but Hydra's own notes came into it, and the empty
+    ones above it; what was there before stays."""
+    with contextlib.suppress(OSError):
+        notes = folder / ".hydra"
+        if {path for path in folder.iterdir() if path != notes}:
+            return
+        for path in notes.glob("*.yaml"):
+            path.unlink()
+        notes.rmdir() if notes.is_dir() else None
+    for place in (folder, *folder.parents):
+        if place.absolute() in before:
+            return
+        try:
+            place.rmdir()
+        except OSError:
+            return
 
 
 def _refuse_no_choice(overrides: Sequence[str]) -> None:
@@ -106,10 +163,37 @@ def _refuse_no_choice(overrides: Sequence[str]) -> None:
             raise UsageError(f"{text}; allowed: {listed(choices)}")
 
 
-def complain(line: str) -> int:
-    """Say on stderr what was wrong, in one line; the exit code for wrong use."""
-    print(f"invdyn: {' '.join(line.split())}", file=sys.stderr)
-    return 2
+def complain(line: str, code: int = 2) -> int:
+    """Say on stderr what was wrong, in one line; the exit code, that of wrong use unless another is given."""
+    with contextlib.suppress(OSError):
+        print(f"invdyn: {shortened(' '.join(line.split()), 2 * LONGEST)}", file=sys.stderr)
+    return code
+
+
+def admit_modules(names: Iterable[str]) -> None:
+    """Let the working directory be imported from, if one of these modules is there and nowhere else.
+
+    It stands last on the path, and only where a config that was chosen, or the user, names a module of it: a file that
+    happens to lie there is never imported in the place of an installed one.
+    """
+    cwd = Path.cwd()
+    for top in {name.partition(".")[0] for name in names if name}:
+        here = (cwd / top).is_dir() or (cwd / f"{top}.py").is_file()
+        if here and str(cwd) not in sys.path and importlib.util.find_spec(top) is None:
+            sys.path.append(str(cwd))
+
+
+def trusted(config: DictConfig) -> list[str]:
+    """The modules that the option `trust` names, which may lie in the working directory.
+
+    Raises:
+        UsageError: if it is no list of names.
+    """
+    names = list(config.trust) if isinstance(config.trust, ListConfig) else None
+    if names is None or not all(isinstance(name, str) and name for name in names):
+        raise UsageError(f"trust={config.trust}; allowed: a list of modules", advice="trust=[mine]")
+    admit_modules(names)
+    return names
 
 
 def instantiate(node: DictConfig, **more: Any) -> Any:
@@ -120,6 +204,7 @@ def instantiate(node: DictConfig, **more: Any) -> Any:
             imported.
         InvdynError: whatever the object itself refuses.
     """
+    admit_modules(_targets(node))
     _refuse_wrong_types(node)
     try:
         return hydra.utils.instantiate(node, **more, _convert_="all")
@@ -138,37 +223,26 @@ def _refuse_wrong_types(node: DictConfig) -> None:
     except Exception:  # what cannot be found or has unreadable annotations is told by the instantiation itself
         return
     for name, hint in hints.items():
-        if name in node and not OmegaConf.is_missing(node, name) and not _fits(node[name], hint):
-            raise UsageError(
-                f"{node._get_full_key(name)}={'null' if node[name] is None else node[name]}; allowed: {_in_words(hint)}"
-            )
+        if name not in node or OmegaConf.is_missing(node, name):
+            continue
+        value = node[name]
+        plain = OmegaConf.to_container(value, resolve=True) if isinstance(value, DictConfig | ListConfig) else value
+        if not suits(plain, hint):
+            got = "null" if value is None else value
+            raise UsageError(f"{node._get_full_key(name)}={got}; allowed: {in_words(hint)}")
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a plain value suits an annotation of plain types; annotations of anything else suit everything."""
-    if get_origin(hint) is Literal:
-        return value in get_args(hint)
-    if get_origin(hint) in (Union, UnionType):
-        return any(_fits(value, one) for one in get_args(hint))
-    if _is_list(hint):
-        return isinstance(value, ListConfig) and all(_fits(one, get_args(hint)[0]) for one in value)
-    if hint is float:
-        return type(value) in (int, float)
-    return hint not in WORDS or type(value) is hint
-
-
-def _is_list(hint: Any) -> bool:
-    """Whether an annotation is tuple[X, ...] or Sequence[X] with a plain X."""
-    return get_origin(hint) in (tuple, Sequence) and get_args(hint)[0] in WORDS
-
-
-def _in_words(hint: Any) -> str:
-    """An annotation of plain types as a user would say it."""
-    if get_origin(hint) is Literal:
-        return listed(map(str, get_args(hint)))
-    if get_origin(hint) in (Union, UnionType):
-        return " or ".join(map(_in_words, get_args(hint)))
-    return f"a list, each {_in_words(get_args(hint)[0])}" if _is_list(hint) else WORDS.get(hint, str(hint))
+def _targets(node: Any) -> Iterator[str]:
+    """All classes and functions that a config names."""
+    if isinstance(node, DictConfig):
+        if isinstance(target := node.get("_target_"), str):
+            yield target
+        for name in node:
+            if not OmegaConf.is_missing(node, name):
+                yield from _targets(node[name])
+    elif isinstance(node, ListConfig):
+        for one in node:
+            yield from _targets(one)
 
 
 def job() -> Any:

@@ -1,7 +1,6 @@
 """The experiments of experiments/*.yaml: what each asks for, run where it is not complete, and its table."""
 
 import itertools
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +9,9 @@ from typing import Any
 import hydra
 from omegaconf import OmegaConf, open_dict
 
-from invdyn_cli import store
+from invdyn_cli import store, untrusted
 from invdyn_cli.data.recorded import RealLog
-from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.errors import LogError, RunFileError, UsageError, closest, listed
 from invdyn_cli.maths import metrics
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid, Job
@@ -32,6 +31,7 @@ class Published:
     folders: tuple[Path, ...]
     table: Grid
     verdicts: Grid | None
+    trust: tuple[str, ...] = ()
 
     def records(
         self, wanted: Callable[[Mapping[str, str]], bool] = lambda _: True
@@ -39,11 +39,13 @@ class Published:
         """The labels and the run of every wanted job, read one after the other."""
         for (labels, _), folder in zip(self.jobs, self.folders, strict=True):
             if wanted(labels):
-                yield labels, store.load_run(folder / store.RUN)
+                yield labels, store.load_run(folder / store.RUN, self.trust)
 
 
-def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False) -> Published:
+def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False, trust: Sequence[str] = ()) -> Published:
     """Run what is not complete (all of it, if `fresh`), a folder per job in `folder`/`name`.
+
+    `trust` names modules whose models may be read back.
 
     Raises:
         LogError: if there is a log that the experiment needs and `real_data` does not hold.
@@ -64,16 +66,16 @@ def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False) ->
             report(i / len(jobs), " ".join(labels.values()))
             done.append((labels, _metrics_of(overrides, own, fresh=fresh)))
     verdicts = comparison.judge(spec["statements"], done) if spec.get("statements") else None
-    return Published(name, spec, tuple(done), tuple(folders), _grid(spec, done, real_data), verdicts)
+    return Published(name, spec, tuple(done), tuple(folders), _grid(spec, done, real_data), verdicts, tuple(trust))
 
 
 def read(name: str) -> dict[str, Any]:
-    """The experiment of that name: experiments/NAME.yaml beside the user, in the package, or in the checkout.
+    """The experiment of that name: experiments/NAME.yaml in the package or the checkout, or else beside the user.
 
     Raises:
         UsageError: if there is none, naming those that there are.
     """
-    places = [Path.cwd() / "experiments", config_folder().with_name("experiments")]
+    places = [config_folder().with_name("experiments"), Path.cwd() / "experiments"]  # nobody's folder changes ours
     for place in places:
         if (place / f"{name}.yaml").is_file():
             return OmegaConf.to_container(OmegaConf.load(place / f"{name}.yaml"), resolve=False)  # type: ignore[return-value]
@@ -103,7 +105,7 @@ def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[
         del composed["hydra"]
     if fresh or not sweep.is_complete(composed, folder):
         run.execute(composed, folder, view=view)
-    return json.loads((folder / store.METRICS).read_text())
+    return untrusted.read_json(folder / store.METRICS, RunFileError)
 
 
 def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:

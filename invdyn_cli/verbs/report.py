@@ -8,20 +8,22 @@ from rich.console import Console
 
 from invdyn_cli import store
 from invdyn_cli.report import figures, page
-from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.launch import launch, trusted
+from invdyn_cli.verbs.run import refuse_formats, size_limit
 
 
 def main(argv: Sequence[str]) -> int:
     """Run with the overrides in argv, a bare path meaning run=PATH; the exit code."""
-    known = ("run=", "formats=", "hydra", "-")
+    known = ("run=", "formats=", "trust=", "max_size=", "hydra", "-")
     return launch("report", [a if a.startswith(known) else "run='" + a.replace("'", r"\'") + "'" for a in argv], task)
 
 
 def task(config: DictConfig) -> None:
     """Read, draw, say where."""
-    path = Path(config.run)
+    refuse_formats("formats", config.formats)
+    path = Path(str(config.run)).expanduser()
     path = path / store.RUN if path.is_dir() else path
-    record = store.load_run(path)
+    record = store.load_run(path, trusted(config), limit=size_limit(config))
     drawn = figures.draw_all(record, path.parent / "figures", ("png", *config.formats))
     page.write_page(record, [x for x in drawn if x.suffix == ".png"], path.parent / "report.html")
     Console().print(str(path.parent / "report.html"), highlight=False, soft_wrap=True)

@@ -12,8 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.markup import escape
 
-from invdyn_cli import experiment, store
+from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import InvdynError, RobotError, UsageError, listed
+from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
@@ -43,7 +44,7 @@ def task(config: DictConfig) -> None:
             status, message = "failed", str(error)
             if not isinstance(error, InvdynError):
                 message = f"{type(error).__name__}: {message}"
-                (folder / "traceback.txt").write_text(traceback.format_exc())
+                write_file(folder / "traceback.txt", traceback.format_exc())
     sweep.keep_status(folder, status, message)
     screen.tell(f"job {job().job.num} {status}: {message or ' '.join(job().overrides.task)}")
 
@@ -80,7 +81,6 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
 
 def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), progress: Progress = silent) -> None:
     """All files of a run; metrics.json comes last: where it is, the run is complete."""
-    folder.mkdir(parents=True, exist_ok=True)
     (folder / store.METRICS).unlink(missing_ok=True)
     store.write_run(record, folder / store.RUN)
     progress(0.2, "figures")
@@ -110,7 +110,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     if joints is None and header is not None and node.tip is None:
         joints = list(header.joints)
     try:
-        return instantiate(node, path=str(path), joints=joints)()
+        return instantiate(node, path=str(path), joints=joints)(xacro=bool(node.path))  # a log's file runs no code
     except RobotError as error:
         if not optional or node.path:
             raise
@@ -128,6 +128,13 @@ def refuse_options(config: DictConfig) -> None:
     refuse_formats("figures.formats", config.figures.formats)
 
 
+def size_limit(config: DictConfig) -> float:
+    """[bytes] of the option max_size [GB]: what may be read of a file."""
+    if not isinstance(config.max_size, int | float) or not 0 < config.max_size < float("inf"):
+        raise UsageError(f"max_size={config.max_size}; allowed: a number of GB above 0")
+    return 1e9 * config.max_size
+
+
 def refuse_formats(option: str, formats: Any) -> None:
     """Formats of figures that there are not."""
     if not isinstance(formats, Sequence) or not set(formats) <= set(FORMATS):
@@ -140,7 +147,7 @@ def make_object(config: DictConfig, group: str, kind: type) -> Any:
     if not isinstance(made, kind):
         raise UsageError(f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}")
     try:
-        json.dumps(store.encode(made))
+        json.dumps(registry.encode(made))
     except TypeError:
         got = f"{group}: a {type(made).__name__} cannot be stored with its run"
         raise UsageError(f"{got}; allowed: a frozen dataclass whose fields are plain values or such objects") from None

@@ -1,6 +1,7 @@
 """What a verb shows while it works (progress on stderr), and the compilation cache that makes the second run quick."""
 
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +49,7 @@ def tell(line: str) -> None:
 
 def use_compilation_cache() -> None:
     """Keep compiled programs between runs, in $JAX_COMPILATION_CACHE_DIR or the user's cache folder."""
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")  # it only costs time
     if jax.config.values["jax_compilation_cache_dir"] is None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "invdyn" / "jax"))

@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from invdyn_cli import store
+from invdyn_cli import registry
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.errors import UsageError
+from invdyn_cli.files import write_file
 from invdyn_cli.logfile import Log, write_log
 from invdyn_cli.types import Robot
 from invdyn_cli.verbs import screen
@@ -60,11 +61,10 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Log:
 
 def write(log: Log, source: Plant, robot: Robot, folder: Path) -> None:
     """The three files."""
-    folder.mkdir(parents=True, exist_ok=True)
     if robot.urdf:
-        (folder / URDF).write_text(robot.urdf)
+        write_file(folder / URDF, robot.urdf)
     write_log(log, folder / LOG)
-    (folder / TRUTH).write_text(json.dumps(truth(source, robot), indent=2) + "\n")
+    write_file(folder / TRUTH, json.dumps(truth(source, robot), indent=2) + "\n")
 
 
 def truth(source: Plant, robot: Robot) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def truth(source: Plant, robot: Robot) -> dict[str, Any]:
         "robot": robot.name,
         "joints": list(robot.joints),
         "effects": effects,
-        "source": store.encode(source),
+        "source": registry.encode(source),
     }
 
 

@@ -11,7 +11,9 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from invdyn_cli import store
+from invdyn_cli import store, untrusted
+from invdyn_cli.errors import InvdynError, RunFileError
+from invdyn_cli.files import write_file
 from invdyn_cli.report import tables
 from invdyn_cli.verbs import origin
 
@@ -37,18 +39,15 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
     if any(file.is_file() and file.stat().st_mtime > done.stat().st_mtime for file in files):
         return False
     try:
-        kept = store.load_run(folder / store.RUN)
-        asked = OmegaConf.to_yaml(config, resolve=True)
-        return kept.config == asked and kept.provenance["code"] == origin.fingerprint()
-    except Exception:  # whatever is wrong with that file, the job has to run again
+        kept, provenance = store.load_origin(folder / store.RUN)
+    except InvdynError:  # whatever is wrong with that file, the job has to run again
         return False
+    return kept == OmegaConf.to_yaml(config, resolve=True) and provenance.get("code") == origin.fingerprint()
 
 
 def keep_status(folder: Path, status: str, message: str = "") -> None:
     """Leave in a job's folder how it went: started, ran, kept, failed."""
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"status": status, "message": message})
-    store.write_aside(folder / STATUS, lambda part: part.write_text(text))
+    write_file(folder / STATUS, json.dumps({"status": status, "message": message}))
 
 
 class Summary(Callback):
@@ -66,7 +65,7 @@ class Summary(Callback):
         """Read what the jobs left in their folders."""
         folder = Path(config.hydra.sweep.dir)
         rows = sorted((_row(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda row: row["job"])
-        store.write_aside(folder / "sweep.csv", lambda part: part.write_text(tables.sweep_csv(rows)))
+        write_file(folder / "sweep.csv", tables.sweep_csv(rows))
         shared = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
         console = Console()
         console.print(tables.sweep_table([{**row, "overrides": _without(row["overrides"], shared)} for row in rows]))
@@ -81,20 +80,24 @@ def _without(overrides: str, shared: set[str]) -> str:
 
 
 def _row(folder: Path) -> dict[str, Any]:
-    status = json.loads((folder / STATUS).read_text())
+    status = _read(folder / STATUS)
     overrides = folder / ".hydra" / "overrides.yaml"
     row = {
         "job": int(folder.name) if folder.name.isdigit() else 0,
         "overrides": " ".join(yaml.safe_load(overrides.read_text())) if overrides.is_file() else folder.name,
-        "status": "failed" if status["status"] == "started" else status["status"],
-        "message": "killed" if status["status"] == "started" else status["message"],
+        "status": "failed" if status.get("status") == "started" else str(status.get("status")),
+        "message": "killed" if status.get("status") == "started" else str(status.get("message")),
         "test_nmse": None,
         "test_rmse": None,
         "seconds": None,
     }
     if row["status"] != "failed":
-        found = json.loads((folder / store.METRICS).read_text())
+        found = _read(folder / store.METRICS)
         row["test_nmse"] = found["test"]["nmse"]["mean"]
         row["test_rmse"] = found["test"]["rmse"]["mean"]
         row["seconds"] = found["seconds"]["total"]
     return row
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return untrusted.mapping(untrusted.read_json(path, RunFileError), str(path))

@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from invdyn_cli import store
+from invdyn_cli.files import write_file
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.verbs import published
-from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.published import Published
 
 WIDTH = 150
@@ -30,7 +30,11 @@ def main(argv: Sequence[str]) -> int:
 def task(config: DictConfig) -> None:
     """Run what is not complete, then tell and write the table."""
     done = published.run_all(
-        str(config.experiment), Path(config.folder), Path(config.real_data).resolve(), fresh=config.fresh
+        str(config.experiment),
+        Path(config.folder),
+        Path(config.real_data).resolve(),
+        fresh=config.fresh,
+        trust=trusted(config),
     )
     path = write(done, Path(config.folder))
     console = Console(width=None if sys.stdout.isatty() else WIDTH)
@@ -47,9 +51,8 @@ def write(done: Published, folder: Path) -> Path:
         text += f"\n## Beside the paper's statements\n\n{comparison.markdown(done.verdicts)}"
     rows = io.StringIO()
     csv.writer(rows, lineterminator="\n").writerows([done.table.heads, *done.table.rows])
-    store.write_aside(folder / f"{done.name}.csv", lambda part: part.write_text(rows.getvalue()))
-    store.write_aside(folder / f"{done.name}.md", lambda part: part.write_text(text))
-    return folder / f"{done.name}.md"
+    write_file(folder / f"{done.name}.csv", rows.getvalue())
+    return write_file(folder / f"{done.name}.md", text)
 
 
 def _table(title: str, grid: Grid) -> Table:

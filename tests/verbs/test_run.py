@@ -263,10 +263,24 @@ def test_stopped(command, monkeypatch):
 
 
 def test_a_bug_keeps_its_traceback(command, monkeypatch):
-    """What is no misuse is not hidden behind one line: it is raised."""
+    """An error of ours is one line with exit code 3, which names the file that holds its traceback."""
     monkeypatch.setattr(verb.experiment, "run", lambda *args, **kwargs: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        command("run", *NETS, *TINY)
+    said = command("run", *NETS, *TINY)
+    assert (said.code, len(said.err)) == (3, 1)
+    assert "ZeroDivisionError: division by zero" in said.err[0] and "report it" in said.err[0]
+    assert "1 / 0" in Path(said.err[0].rsplit(" ", 1)[1]).read_text()
+
+
+def test_a_refused_command_leaves_no_folder(command, tmp_path):
+    """What is refused after Hydra made its folder leaves none; folders that were there before stay."""
+    assert command("run", "model=pest", "model.threshold=-1").code == 2
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "mine").mkdir()
+    assert command("run", "model=pest", "model.threshold=-1", "hydra.run.dir=mine").code == 2
+    assert [p.name for p in tmp_path.rglob("*")] == ["mine"]
+    assert command("tables", "experiment=nope").code == 2
+    assert command("report", "nowhere").code == 2
+    assert [p.name for p in tmp_path.rglob("*")] == ["mine"]
 
 
 def test_a_new_run_in_an_old_folder_starts_incomplete(command, monkeypatch):

@@ -1,0 +1,55 @@
+"""Whether plain values suit the annotations of the dataclass that is to take them: of configs, and of run files."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from invdyn_cli.errors import listed
+
+WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", NoneType: "null"}
+"""Plain types, and what they are called in a message."""
+
+
+def suits(value: Any, hint: Any, is_a: Callable[[Any, type], bool] | None = None) -> bool:
+    """Whether a value suits an annotation.
+
+    Args:
+        value: None, a number, a text, or a list or mapping of such.
+        hint: an annotation of a field.
+        is_a: whether a value stands for an object of a class. Without it annotations other than plain types, and lists
+            of them, suit everything: what takes them decides.
+    """
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return value in inner
+    if origin in (Union, UnionType):
+        return any(suits(value, one, is_a) for one in inner)
+    if origin is tuple and inner[-1:] != (...,):
+        return is_a is None or (
+            isinstance(value, list | tuple)
+            and len(value) == len(inner)
+            and all(suits(x, one, is_a) for x, one in zip(value, inner, strict=True))
+        )
+    if origin in (tuple, Sequence) and (is_a or inner[0] in WORDS):
+        return isinstance(value, list | tuple) and all(suits(x, inner[0], is_a) for x in value)
+    if hint is float:
+        return type(value) in (int, float)
+    if hint in WORDS:
+        return type(value) is hint
+    if is_a is None or hint in (Any, object):
+        return True
+    if origin is Mapping or hint is Mapping:
+        return isinstance(value, Mapping) and all(suits(x, (*inner, Any, Any)[1], is_a) for x in value.values())
+    return isinstance(hint, type) and is_a(value, hint)
+
+
+def in_words(hint: Any) -> str:
+    """An annotation as a user would say it."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return listed(map(str, inner))
+    if origin in (Union, UnionType):
+        return " or ".join(map(in_words, inner))
+    if origin in (tuple, Sequence) and (origin is Sequence or inner[-1:] == (...,)):
+        return f"a list, each {in_words(inner[0])}"
+    return WORDS.get(hint) or getattr(hint, "__name__", str(hint))

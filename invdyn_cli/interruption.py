@@ -1,0 +1,61 @@
+"""How the process ends when it is not let finish: by Ctrl-C, or because nobody reads its output any more.
+
+Ctrl-C stops it within GRACE seconds, wherever it is: in Python, in compiled code, in an import.
+
+Python hands Ctrl-C to its main thread, and only between two instructions: a compiled program of minutes delays it, and
+an import may lose it. So a thread of our own sees the signal too, and ends the process when the main thread has not.
+Files are written whole or not at all (`files`), so nothing is lost by that.
+"""
+
+import os
+import signal
+import sys
+import threading
+from contextlib import suppress
+
+GRACE = 2.0
+"""[s] that the main thread has to put things in order."""
+
+STOPPED = 130
+"""Exit code of a process that Ctrl-C stopped: 128 + SIGINT, as shells have it."""
+
+SHOW_CURSOR = "\x1b[?25h"
+
+_telling = threading.Lock()
+
+
+def watch() -> None:
+    """See to it that Ctrl-C ends this process; where the shell told it to ignore Ctrl-C (nohup, &), it goes on so."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=_wait, args=(reading,), daemon=True).start()
+
+
+def end() -> None:
+    """Say that the process was stopped, and end it now: threads of XLA do not survive Python's own way to end."""
+    _telling.acquire()  # for good: who comes second waits until the process is gone
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stdout.flush()
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write((SHOW_CURSOR if sys.stderr.isatty() else "") + "invdyn: stopped\n")
+        sys.stderr.flush()
+    os._exit(STOPPED)
+
+
+def closed_pipe() -> int:
+    """Say that the reader of stdout (head, less) has gone; the exit code."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python flushes stdout once more at its end
+    with suppress(OSError):
+        print("invdyn: the reader of its output has gone; files that were written stay", file=sys.stderr)
+    return 2
+
+
+def _wait(reading: int) -> None:
+    while os.read(reading, 1) != bytes([signal.SIGINT]):
+        pass
+    threading.Event().wait(GRACE)
+    end()
