@@ -42,6 +42,7 @@ of invdyn's own; 130 where Ctrl-C stopped it.
 def entry() -> None:
     """The installed command: `main` on sys.argv, and an end without a crash whatever became of stdout."""
     interruption.watch()
+    code = 0
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows ASCII only shows "?" for what it lacks
@@ -51,10 +52,12 @@ def entry() -> None:
             sys.stdout.flush()
     except BrokenPipeError:
         code = interruption.closed_pipe()
-    except KeyboardInterrupt:
-        code = interruption.STOPPED
-    if code == interruption.STOPPED:
+    except BaseException:  # Ctrl-C in the middle of an import or of a config ends in any exception
+        if not interruption.was_asked():
+            raise
+    if interruption.was_asked():
         interruption.end()
+    interruption.ignore()
     sys.exit(code)
 
 

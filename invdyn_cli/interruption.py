@@ -11,9 +11,10 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 
-GRACE = 2.0
+GRACE = 1.5
 """[s] that the main thread has to put things in order."""
 
 STOPPED = 130
@@ -22,17 +23,29 @@ STOPPED = 130
 SHOW_CURSOR = "\x1b[?25h"
 
 _telling = threading.Lock()
+_asked = threading.Event()
 
 
 def watch() -> None:
     """See to it that Ctrl-C ends this process; where the shell told it to ignore Ctrl-C (nohup, &), it goes on so."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
         return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _interrupt)
+    _report_others(sys.unraisablehook)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=_wait, args=(reading,), daemon=True).start()
+
+
+def ignore() -> None:
+    """What is done is done: from here on Ctrl-C does nothing."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def was_asked() -> bool:
+    """Whether Ctrl-C was pressed: whatever else a command ended in, it was that."""
+    return _asked.is_set()
 
 
 def end() -> None:
@@ -52,6 +65,21 @@ def closed_pipe() -> int:
     with suppress(OSError):
         print("invdyn: the reader of its output has gone; files that were written stay", file=sys.stderr)
     return 2
+
+
+def _interrupt(number: int, frame: object) -> None:
+    _asked.set()
+    raise KeyboardInterrupt
+
+
+def _report_others(report: Callable[..., object]) -> None:
+    """Say nothing of a Ctrl-C that came where nothing can be raised (in a callback of the garbage collector's)."""
+
+    def hook(unraisable: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            report(unraisable)
+
+    sys.unraisablehook = hook
 
 
 def _wait(reading: int) -> None:

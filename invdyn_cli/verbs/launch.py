@@ -29,10 +29,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from invdyn_cli import interruption
 from invdyn_cli.errors import LONGEST, InvdynError, UsageError, closest, listed, shortened
 from invdyn_cli.fields import in_words, suits
 from invdyn_cli.files import write_file
-from invdyn_cli.interruption import STOPPED, closed_pipe
+from invdyn_cli.interruption import closed_pipe
 
 TRACEBACK = "traceback.txt"
 
@@ -51,7 +52,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
 
     Returns:
         The exit code: 0; 2 for wrong use, told on stderr in one line, or where a job of a sweep failed; 3 for an error
-        of ours, whose traceback is in a file; 130: stopped.
+        of ours, whose traceback is in a file. Ctrl-C goes on as KeyboardInterrupt.
     """
     argv = list(argv)
     cwd = Path.cwd()
@@ -86,14 +87,17 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     except SystemExit as end:  # what a verb decides, or a callback at the end of a sweep
         return end.code if isinstance(end.code, int) else 2
     except KeyboardInterrupt:
-        code = complain("stopped", STOPPED)
+        _remove_empty(folders, before)
+        raise
     except BrokenPipeError:
         code = closed_pipe()
     except Exception as error:
+        if interruption.was_asked():  # which may come in an import and end as anything
+            _remove_empty(folders, before)
+            raise KeyboardInterrupt from error
         line = _line(verb, error, argv)
         code = complain(line) if line else _own_error(error, folders[0] if folders else None)
-    for folder in folders:
-        _remove_empty(folder, before)
+    _remove_empty(folders, before)
     return code
 
 
@@ -129,9 +133,14 @@ def _existing(overrides: Sequence[str]) -> set[Path]:
     return {place for one in (*named, Path.cwd()) for place in (one, *one.parents) if place.is_dir()}
 
 
-def _remove_empty(folder: Path, before: set[Path]) -> None:
+def _remove_empty(folders: Iterable[Path], before: set[Path]) -> None:
     """Remove the folder of a command that was refused, if nothing but Hydra's own notes came into it, and the empty
     ones above it; what was there before stays."""
+    for folder in folders:
+        _remove_one(folder, before)
+
+
+def _remove_one(folder: Path, before: set[Path]) -> None:
     with contextlib.suppress(OSError):
         notes = folder / ".hydra"
         if {path for path in folder.iterdir() if path != notes}:
