@@ -13,6 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered, started
 from invdyn_cli.diagnosis.recording import Recording
 from invdyn_cli.effects.composition import (
+    LEAST_INERTIA,
     Acting,
     When,
     chunked,
@@ -76,6 +77,8 @@ def gather(
                     evidence.candidates.append(channel_candidate(evidence, effect, joint, shape))
             elif isinstance(effect, AbstractGearEffect):
                 load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
+                if inertia.min() <= LEAST_INERTIA:  # links without inertia follow any gear: nothing of it shows
+                    continue
                 for shape in effect.shapes(load, inertia, recording.filter.rate):
                     evidence.candidates.append(gear_candidate(evidence, effect, joint, shape))
     return evidence

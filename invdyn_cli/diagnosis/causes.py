@@ -14,6 +14,7 @@ import numpy as np
 from invdyn_cli.diagnosis.candidates import body_columns, gravity_columns
 from invdyn_cli.diagnosis.evidence import DRY, STICK_TIME
 from invdyn_cli.effects.composition import (
+    LEAST_INERTIA,
     Acting,
     changed,
     chunked,
@@ -39,9 +40,6 @@ OFFSET_STEP = 1e-3
 
 ANGLE_STEP = 1e-3
 """[rad; m] Step of the slope of a torque over a joint's angle."""
-
-LEAST_INERTIA = 1e-6
-"""[kg m^2; kg] that a joint is taken to carry at least: behind a gear a link without mass would be nowhere."""
 
 CYCLES = (6.0, 12.0, 24.0, 48.0)
 """[1/rev] Ripples to try where none was found."""

@@ -8,7 +8,7 @@ import numpy as np
 from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Evidence, shared_out
 from invdyn_cli.diagnosis.exact import Refined, refine
-from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.recording import ROLES
@@ -97,8 +97,7 @@ def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int, after: np.ndarray) 
         return gain, "most of what it would explain is something else that this catalogue does not know"
     name = hypothesis[i].effect.name
     if name in LATE:
-        late = LATE[name][0]
-        value = next(a.parameters[late] for a in inquiry.chosen.acting if (a.effect.name, a.joint) == hypothesis[i].key)
+        value = acting_of(inquiry.judge, inquiry.always, hypothesis)[i].parameters[LATE[name][0]]
         if value < evidence.recording.period:
             return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
     sure, share = _exactly(inquiry, hypothesis, i)

@@ -28,6 +28,9 @@ from invdyn_cli.interfaces import (
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.types import Array, Motion, Robot
 
+LEAST_INERTIA = 1e-6
+"""[kg m^2; kg] that a joint is taken to carry at least: behind a gear a link without mass would be nowhere."""
+
 
 class When(NamedTuple):
     """The window of what comes and goes: trajectory, start and end [s] from its first sample; `number` tells several
@@ -148,7 +151,9 @@ def _moving(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Str
 def _behind(one: Acting, motion: Motion, torque: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
     """The motion (n, T) of the links behind a gear that yields to all that they carry, torque (n, T), inertia (T,)."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
-    inertia = np.maximum(inertia, LEAST * np.abs(inertia).max())  # on the way to other inertials there may be none
+    inertia = np.maximum(
+        inertia, max(LEAST * np.abs(inertia).max(), LEAST_INERTIA)
+    )  # on the way to other inertials there may be none
     b, b2 = one.effect.deflection(one.parameters, torque[one.joint], inertia, rate)
     b1 = np.gradient(b) * rate
     own = (np.arange(len(motion.q)) == one.joint)[:, None]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import doctor
-from invdyn_cli.diagnosis.checks.rows import taken
+from invdyn_cli.diagnosis.checks.rows import clock_pieces, taken
 from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.robots import load_urdf
 from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
@@ -75,6 +75,32 @@ def test_a_clock_that_stands_and_runs_backwards(log, arm):
     mended, _ = doctor.mend(bad, examination, arm)
     refuse_defects(mended)
     assert len(mended.trajectories[0].t) == len(t) - 4
+
+
+@pytest.mark.parametrize("bad", [[(3, 2.7e154)], [(0, 1e9)], [(700, 1e9), (2500, -1e9), (2501, 5.0), (4000, 1e300)]])
+def test_single_stamps_that_are_wrong(bad, log, arm):
+    """A stamp that is wrong by any amount costs its own row and no other."""
+    t = log.trajectories[0].t.copy()
+    for row, stamp in bad:
+        t[row] = stamp
+    wrong = changed(log, t=t)
+    examination = doctor.examine(wrong, arm)
+    (found,) = seen(examination, "duplicates")
+    assert found.value == len(bad) and examination.usable
+    mended, notes = doctor.mend(wrong, examination, arm)
+    refuse_defects(mended)
+    assert [len(x.t) for x in mended.trajectories] == [len(t) - len(bad)], notes
+
+
+def test_the_longest_sequence_is_the_longest():
+    """On short random clocks, no increasing sequence of rows is longer than the one that is kept (all were tried)."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        t = rng.integers(0, 8, 9).astype(float)
+        (rows,) = clock_pieces(t)
+        assert np.all(np.diff(t[rows]) > 0)
+        subsets = (np.flatnonzero([k >> i & 1 for i in range(9)]) for k in range(1, 2**9))
+        assert len(rows) == max(len(x) for x in subsets if np.all(np.diff(t[x]) > 0))
 
 
 def test_a_clock_that_starts_anew(log, arm):

@@ -9,7 +9,9 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.rows import (
     MAX_GAP,
+    clock_pieces,
     each,
+    forward_rows,
     is_series,
     median_step,
     parted,
@@ -27,26 +29,24 @@ class Duplicates(AbstractCheck):
 
     A row counts as repeated where q and tau of all joints are the very numbers of the row before, though a joint moves
     by more than `moving` in the `reach` rows around: two noisy samples of a moving arm do not agree by chance. A
-    clock that starts anew for at least `restart` rows is another trajectory, not a defect of single rows.
+    clock that starts anew is another trajectory, not a defect of single rows (`rows.clock_pieces`).
 
     Attributes:
         share: of repeated rows that is worth a warning (ours: at 1 % linear interpolation still restores them).
         moving: [rad; m] over `reach` rows (ours: ten times the resolution of a 16 bit encoder on a turn).
         reach: rows.
-        restart: rows (ours: a window of the shortest filter).
     """
 
     name: ClassVar[str] = "duplicates"
     share: float = 0.01
     moving: float = 1e-3
     reach: int = 11
-    restart: int = 20
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory."""
         found = []
         for raw in log.trajectories:
-            stuck = ~_forward(raw)
+            stuck = ~forward_rows(raw.t) & np.isfinite(raw.t)
             if stuck.any():
                 found.append(
                     Check(
@@ -88,13 +88,10 @@ class Duplicates(AbstractCheck):
         def change(raw: RawTrajectory) -> list[RawTrajectory]:
             if raw.name not in where:
                 return [raw]
-            drop, pieces, start = self._repeated(raw), [], 0
-            for end in [*self._restarts(raw), len(raw.t)]:
-                rows = np.arange(start, end)
-                pieces.append(rows[_increasing(raw.t[rows]) & ~drop[rows]])
-                start = end
+            drop = self._repeated(raw)
+            pieces = [rows[~drop[rows]] for rows in clock_pieces(raw.t)]
             gone = len(raw.t) - sum(map(len, pieces))
-            notes.append(f"{raw.name}: dropped {gone} rows whose stamps or values repeat")
+            notes.append(f"{raw.name}: dropped {gone} rows whose stamps are out of order or whose values repeat")
             if len(pieces) > 1:
                 notes[-1] += f"; parted into {len(pieces)} where the clock starts anew"
             return parted(raw, pieces)
@@ -112,23 +109,6 @@ class Duplicates(AbstractCheck):
         moves = np.abs(raw.q[high] - raw.q[low]).max(1, initial=0) > self.moving
         out[rows[moves]] = True
         return out
-
-    def _restarts(self, raw: RawTrajectory) -> list[int]:
-        """Rows at which the clock jumps back and then goes on for a while."""
-        back = np.flatnonzero(np.diff(raw.t) < 0) + 1
-        ends = {r: r + self.restart for r in back if r + self.restart <= len(raw.t)}
-        lasting = {r: end for r, end in ends.items() if np.all(np.diff(raw.t[r:end]) > 0)}
-        return [int(r) for r, end in lasting.items() if raw.t[end - 1] <= raw.t[:r].max()]
-
-
-def _increasing(t: np.ndarray) -> np.ndarray:
-    """(T,) bool: later than all rows before."""
-    return t > np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-
-
-def _forward(raw: RawTrajectory) -> np.ndarray:
-    """(T,) bool: rows whose stamp is later than all before."""
-    return _increasing(np.where(np.isfinite(raw.t), raw.t, -np.inf)) | ~np.isfinite(raw.t)
 
 
 @dataclass(frozen=True)

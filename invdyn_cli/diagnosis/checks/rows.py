@@ -1,5 +1,7 @@
 """Rows of a logged trajectory: which can be used, how they are kept, parted and thinned. Nothing here judges."""
 
+import bisect
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -10,6 +12,9 @@ from invdyn_cli.logfile import CHANNELS, Log, RawTrajectory
 
 MAX_GAP = 0.1
 """[s] a longer step parts a trajectory, as `data.max_gap` does on reading."""
+
+RESTART = 20
+"""Rows that a clock goes on for after it was set back: the window of the shortest filter. Less is a bad stamp."""
 
 MOST = 120_000
 """Rows of a log that the costly checks look at: two minutes at 1 kHz, windows of WINDOW spread evenly over it."""
@@ -57,11 +62,62 @@ def median_step(t: np.ndarray) -> float:
     return float(np.median(steps)) if len(steps) else float("nan")
 
 
+def clock_pieces(t: np.ndarray) -> list[np.ndarray]:
+    """Rows of t (T,) [s] that follow each other in time, apart where the clock starts anew for at least RESTART rows.
+
+    Of each piece these are the longest sequence of rows whose stamps increase: a stamp that is far too late costs its
+    own row, and not all rows after it.
+    """
+    back = np.flatnonzero(np.diff(t) < 0) + 1
+    starts = [int(row) for row in back if _starts_anew(t, int(row))]
+    return [
+        start + _longest_increasing(t[start:end])
+        for start, end in itertools.pairwise([0, *starts, len(t)])
+        if end > start
+    ]
+
+
+def forward_rows(t: np.ndarray) -> np.ndarray:
+    """(T,) bool: rows of t (T,) [s] in time order, and later than all of a clock that started anew."""
+    out, latest = np.zeros(len(t), bool), -np.inf
+    for rows in clock_pieces(t):
+        rows = rows[t[rows] > latest]
+        out[rows] = True
+        latest = float(t[rows[-1]]) if len(rows) else latest
+    return out
+
+
+def _starts_anew(t: np.ndarray, row: int) -> bool:
+    """Whether the clock is set back at a row: it goes on from there, and stays behind what most rows before had."""
+    before, after = t[max(0, row - RESTART) : row], t[row : row + RESTART]
+    if len(before) < RESTART or len(after) < RESTART or not np.all(np.diff(after) > 0):
+        return False
+    return bool(after[-1] <= np.nanmedian(before))
+
+
+def _longest_increasing(t: np.ndarray) -> np.ndarray:
+    """Indices of the longest sequence in t (T,) that strictly increases, numbers that are not finite left out."""
+    rows = np.flatnonzero(np.isfinite(t))
+    if np.all(np.diff(t[rows]) > 0):
+        return rows
+    values, ends, last, before = t[rows].tolist(), [], [], []
+    for i, value in enumerate(values):  # ends[k]: the least value in which a sequence of k + 1 rows can end
+        k = bisect.bisect_left(ends, value)
+        if k == len(ends):
+            ends.append(value)
+            last.append(i)
+        ends[k], last[k] = value, i
+        before.append(last[k - 1] if k else -1)
+    chosen, i = [], last[-1]
+    while i >= 0:
+        chosen.append(i)
+        i = before[i]
+    return rows[chosen[::-1]]
+
+
 def usable_rows(raw: RawTrajectory) -> np.ndarray:
-    """(T,) bool: finite in t, q and tau, and later than every row before."""
-    t = np.where(np.isfinite(raw.t), raw.t, -np.inf)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-    return (t > before) & np.isfinite(raw.q).all(1) & np.isfinite(raw.tau).all(1)
+    """(T,) bool: finite in t, q and tau, and in time order."""
+    return forward_rows(raw.t) & np.isfinite(raw.q).all(1) & np.isfinite(raw.tau).all(1)
 
 
 def uninterrupted(raw: RawTrajectory) -> list[np.ndarray]:
