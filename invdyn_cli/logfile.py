@@ -94,6 +94,10 @@ def read_log(
             raise LogError(f"{path}: no trajectory {name!r}{closest(name, groups)}; it has {listed(groups)}")
     log = _header(path, root)
     channels = {name: _channels(path, name, groups[name]) for name in chosen}
+    for name, stored in channels.items():
+        if len(shape := stored["t"].shape or ()) != 1 or not shape[0]:
+            got = f"{path}: trajectory {name!r}: t has shape {shape}"
+            raise LogError(f"{got}; allowed: (T,) with at least one sample")
     if check:
         _refuse_header(log, str(path))
         for name, stored in channels.items():

@@ -8,14 +8,15 @@ axes, limits as they are written, `<dynamics>` and mimic tags.
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports]: its wheel lies behind a .pth file
 
-from invdyn_cli import urdf
-from invdyn_cli.errors import RobotError, closest, listed
+from invdyn_cli import urdf, urdf_checks
+from invdyn_cli.errors import RobotError, closest, listed, shortened
 from invdyn_cli.types import Robot
 from invdyn_cli.urdf import MOVING
 
@@ -65,6 +66,8 @@ def load_urdf(
         raise RobotError(f"robot.dynamics_tags={dynamics_tags!r}; allowed: ignore, use")
     text = urdf.read(path, xacro=xacro)
     root = urdf.parse(text, path)
+    urdf_checks.refuse(root, path)
+    urdf_checks.renamed(root)
     tags = {x.get("name", ""): x for x in root.findall("joint")}
     whole, notes = _model(root, path)
     moving, why = _moving(whole, tags, joints, tip)
@@ -83,6 +86,7 @@ def load_urdf(
     if payload is not None:
         inertial[-1] += _payload(payload)
     limits = np.array([urdf.limits(x) for x in used])
+    notes += urdf_checks.doubts(root)
     dynamics = np.array([[urdf.number(x, "dynamics", key, 0.0) for key in ("damping", "friction")] for x in used])
     if locked:
         notes.append(f"locked ({why}): {', '.join(locked)}")
@@ -91,8 +95,8 @@ def load_urdf(
     if dynamics_tags == "ignore" and dynamics.any():
         notes.append("ignored: <dynamics> damping and friction")
         dynamics[:] = 0.0
-    return Robot(
-        name=root.get("name") or Path(str(path)).stem,
+    robot = Robot(
+        name=shortened(root.get("name") or Path(str(path)).stem, urdf_checks.LONGEST_NAME),
         joints=tuple(names),
         parents=tuple(parents[:dofs]),
         prismatic=tuple(x.get("type") == "prismatic" for x in used),
@@ -110,6 +114,22 @@ def load_urdf(
         urdf=text,
         notes=tuple(notes),
     )
+    return replace(robot, notes=(*robot.notes, *urdf_checks.inertialess(_inertias(robot, path))))
+
+
+def _inertias(robot: Robot, path: str | Path | None) -> dict[str, float]:
+    """Of each joint all that it moves at zero angles, about its axis [kg m^2; kg].
+
+    Raises:
+        RobotError: if a number of the robot is not finite.
+    """
+    arrays = (robot.rotation, robot.translation, robot.axis, robot.inertial, robot.gravity, robot.damping)
+    model = pinocchio_model(replace(robot, gravity=np.zeros(3)))
+    data, still = model.createData(), np.zeros(robot.dofs)
+    mass = np.array([pin.rnea(model, data, still, still, unit)[i] for i, unit in enumerate(np.eye(robot.dofs))])
+    if not all(np.isfinite(x).all() for x in (*arrays, mass)):
+        raise RobotError(f"{path} gives numbers that are not finite", advice="its origins, axes and inertials")
+    return dict(zip(robot.joints, mass.tolist(), strict=True))
 
 
 def pinocchio_model(robot: Robot) -> pin.Model:
@@ -173,6 +193,8 @@ def _moving(
 def _named(model: pin.Model, joints: Sequence[str]) -> list[int]:
     """The joints of these names."""
     allowed = list(model.names[1:])
+    if not isinstance(joints, str | Sequence):
+        raise RobotError(f"robot.joints={joints!r}; allowed: names of {listed(allowed)}")
     joints = [joints] if isinstance(joints, str) else list(joints)
     if not joints or len(set(joints)) < len(joints):
         raise RobotError(f"robot.joints is empty or names a joint twice: {listed(joints)}; allowed: {listed(allowed)}")
@@ -187,7 +209,7 @@ def _up_to(model: pin.Model, tip: str) -> list[int]:
     last = next((x.parentJoint for x in model.frames if x.name == tip), None)
     if last is None:
         links = [x.name for x in model.frames if x.type == pin.FrameType.BODY]
-        raise RobotError(f"robot.tip={tip!r} is no link or joint{closest(tip, links)}; links: {listed(links)}")
+        raise RobotError(f"robot.tip={tip!r} is no link or joint{closest(str(tip), links)}; links: {listed(links)}")
     if last == 0:
         raise RobotError(f"no joint moves between the base and robot.tip={tip}", advice="a link farther out")
     return list(model.supports[last])[1:]

@@ -14,13 +14,17 @@ from xml.parsers import expat
 
 import numpy as np
 
-from invdyn_cli.errors import RobotError, closest, listed
+from invdyn_cli.errors import RobotError, closest, listed, shortened
 
 BUILT_IN: Mapping[str, Path] = {"apollo_arm": Path(__file__).with_name("apollo_arm.urdf")}
 """Robots that ship with the package, by the name that stands for their path."""
 
 MOVING = ("revolute", "continuous", "prismatic")
 """Joint types that can move; "fixed" ones are merged, "floating" and "planar" ones can be locked."""
+
+
+LARGEST_FILE = 20_000_000
+"""[bytes] of a URDF; the largest that are published have one."""
 
 
 def read(path: str | Path | None, *, xacro: bool = True) -> str:
@@ -33,6 +37,8 @@ def read(path: str | Path | None, *, xacro: bool = True) -> str:
     file = BUILT_IN.get(str(path), Path(path).expanduser())
     if not file.is_file():
         raise RobotError(f"no robot description at {str(path)!r}{closest(str(path), BUILT_IN)}; allowed: {built_in}")
+    if (size := file.stat().st_size) > LARGEST_FILE:
+        raise RobotError(f"{path} holds {size / 1e6:.0f} MB; allowed: {LARGEST_FILE / 1e6:.0f} MB of URDF")
     if file.suffix == ".xacro" and not xacro:
         got = f"a log names the robot description {file}; allowed there: .urdf, because a xacro file runs code"
         raise RobotError(got, advice="robot=urdf robot.path=…, if you trust that file")
@@ -62,9 +68,11 @@ def _expanded(file: Path) -> str:
 
 def parse(text: str, path: str | Path | None) -> ET.Element:
     """The tree of links and joints without shapes, if it is a URDF with known joint types and masses that can be."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # text that may multiply when it is read
+        raise RobotError(f"{path} declares a DOCTYPE or an ENTITY; allowed: plain XML", advice="the URDF without them")
     try:
         root = ET.fromstring(text)
-    except ET.ParseError as error:
+    except (ET.ParseError, ValueError) as error:
         raise RobotError(f"{path} is not XML: {error}", advice="a .urdf file, whole and not compressed") from error
     if root.tag != "robot":
         raise RobotError(f"{path} has <{root.tag}> at its root; allowed: <robot>, a URDF", advice="convert it to URDF")
@@ -80,7 +88,7 @@ def parse(text: str, path: str | Path | None) -> ET.Element:
             for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
                 number(link, "inertial/inertia", key)
             for key in ("xyz", "rpy"):
-                _triple(link, "inertial/origin", key)
+                triple(link, "inertial/origin", key)
     return root
 
 
@@ -104,11 +112,11 @@ def number(element: ET.Element, tag: str, key: str, default: float = math.nan) -
         value = math.nan
     if not math.isfinite(value):
         where = f"{element.tag} {element.get('name')!r}"
-        raise RobotError(f"{where}: <{tag} {key}> is {text or 'missing'}; allowed: a finite number")
+        raise RobotError(f"{where}: <{tag} {key}> is {shortened(text or 'missing')}; allowed: a finite number")
     return value
 
 
-def _triple(element: ET.Element, tag: str, key: str, default: str = "0 0 0") -> np.ndarray:
+def triple(element: ET.Element, tag: str, key: str, default: str = "0 0 0") -> np.ndarray:
     """(3,) attribute `key` of the child `tag`."""
     child = element.find(tag)
     text = default if child is None else child.get(key, default)
@@ -136,7 +144,7 @@ def limits(joint: ET.Element) -> tuple[float, float, float, float]:
 
 def axis(joint: ET.Element) -> np.ndarray:
     """(3,) unit axis in the joint frame; x where the URDF names none."""
-    axis = _triple(joint, "axis", "xyz", "1 0 0")
+    axis = triple(joint, "axis", "xyz", "1 0 0")
     if not axis.any():
         raise RobotError(f"joint {joint.get('name')!r} has an axis of length zero; allowed: a direction")
     return axis / np.linalg.norm(axis)
@@ -188,8 +196,8 @@ def _inertial_of(link: ET.Element) -> np.ndarray:
     if link.find("inertial") is None:
         return np.zeros(10)
     mass = number(link, "inertial/mass", "value")
-    x, y, z = com = _triple(link, "inertial/origin", "xyz")
-    (sr, sp, sy), (cr, cp, cy) = (f(_triple(link, "inertial/origin", "rpy")) for f in (np.sin, np.cos))
+    x, y, z = com = triple(link, "inertial/origin", "xyz")
+    (sr, sp, sy), (cr, cp, cy) = (f(triple(link, "inertial/origin", "rpy")) for f in (np.sin, np.cos))
     turn = np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

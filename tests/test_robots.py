@@ -281,7 +281,7 @@ BALL = '<joint name="hip" type="ball"><parent link="base"/><child link="l1"/></j
 REFUSED = {
     "not XML": ("<robot name='x'><link", {}, "is not XML"),
     "other format": ("<mujoco/>", {}, "<mujoco> at its root; allowed: <robot>"),
-    "two roots": (urdf(BASE, link("other")), {}, "no valid URDF: .*root link"),
+    "two roots": (urdf(BASE, link("other")), {}, "2 links that hang on no joint: base, other"),
     "nothing moves": (urdf(BASE), {}, "no moving joint"),
     "ball": (urdf(BASE, link("l1"), BALL), {}, r"hip \(ball\); allowed: revolute"),
     "planar": (urdf(BASE, link("l1"), joint("deck", "planar", "base", "l1")), {}, r"deck \(planar\)"),
@@ -301,7 +301,49 @@ REFUSED = {
         {},
         "origin xyz> is",
     ),
-    "no axis": (urdf(BASE, link("l1"), joint("j1", "prismatic", "base", "l1", "0 0 0")), {}, "axis of length zero"),
+    "no axis": (urdf(BASE, link("l1"), joint("j1", "prismatic", "base", "l1", "0 0 0")), {}, "has the axis"),
+    "axis without a length": (
+        urdf(BASE, link("l1"), joint("j1", "revolute", "base", "l1", "0 1e-200 0")),
+        {},
+        "a direction",
+    ),
+    "a mass beyond reason": (urdf(BASE, link("l1", 1e300), joint("j1", "revolute", "base", "l1")), {}, "up to 1e.06"),
+    "a link twice": (
+        urdf(BASE, link("base"), joint("j1", "revolute", "base", "base")),
+        {},
+        "several links called base",
+    ),
+    "a joint's name twice": (
+        urdf(BASE, link("l1"), link("l2"), joint("j", "revolute", "base", "l1"), joint("j", "revolute", "l1", "l2")),
+        {},
+        "several joints called j",
+    ),
+    "a circle": (
+        urdf(BASE, link("a"), link("b"), joint("j1", "revolute", "b", "a"), joint("j2", "revolute", "a", "b")),
+        {},
+        "in a circle: a, b",
+    ),
+    "two parents": (
+        urdf(BASE, link("a"), joint("j1", "revolute", "base", "a"), joint("j2", "revolute", "base", "a")),
+        {},
+        "hangs on several joints",
+    ),
+    "no such link": (urdf(BASE, joint("j1", "revolute", "base", "a")), {}, "has the child 'a'"),
+    "no name": (urdf(BASE, link(""), joint("j1", "revolute", "base", "")), {}, "1 to 200 characters"),
+    "an escape sequence": (urdf(BASE, link("a\u009b2J"), joint("j1", "revolute", "base", "a")), {}, "can be printed"),
+    "101 joints": (
+        urdf(
+            BASE,
+            *(link(f"l{i}") + joint(f"j{i}", "revolute", f"l{i - 1}" if i else "base", f"l{i}") for i in range(101)),
+        ),
+        {},
+        "101 moving joints; allowed: 100",
+    ),
+    "an XML bomb": (
+        '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]><robot name="&b;"/>',
+        {},
+        "declares a DOCTYPE",
+    ),
     "only a gripper": (urdf(BASE, link("l1"), joint("jaw", "revolute", "base", "l1")), {}, "look like a gripper's"),
     "two arms": (DUAL, {}, "2 arms; allowed: one. Try: robot.tip= of a_j3, b_j3"),
     "unknown joint": (ARM, {"joints": ["j1", "j22"]}, "'j22', did you mean 'j2'.; allowed: j1, j2, j3, j4"),
@@ -325,6 +367,51 @@ REFUSED = {
     "payload's inertia": (ARM, {"payload": {"mass": 1, "com": [0, 0, 0], "inertia": [1, 2]}}, "inertia is"),
     "tags": (ARM, {"dynamics_tags": "yes"}, "allowed: ignore, use"),
 }
+
+
+def test_a_joint_called_like_a_link(write):
+    """A joint and the link that it moves may have one name: the robot is the same as with two, tip included."""
+    one, other = (
+        urdf(
+            BASE,
+            arm(length=2),
+            link(name),
+            joint("j3", "revolute", "l2", name),
+            link("l4"),
+            joint("j4", "revolute", name, "l4"),
+        )
+        for name in ("j3", "l3")
+    )
+    robots = [load_urdf(write(text), tip="j3") for text in (one, other)]
+    np.testing.assert_array_equal(robots[0].inertial, robots[1].inertial)
+    assert robots[0].joints == robots[1].joints == ("j1", "j2", "j3")
+
+
+def test_what_no_body_has_is_told(write):
+    """Inertias that break the laws of bodies are named in the notes, rounded ones and placeholders of zero are not."""
+    broken = link("l1").replace('izz="0.02"', 'izz="0.5"')
+    rounded = link("l2").replace('izz="0.02"', 'izz="0.0695"')
+    text = urdf(BASE, broken, joint("j1", "revolute", "base", "l1"), rounded, joint("j2", "revolute", "l1", "l2"))
+    notes = [x for x in load_urdf(write(text)).notes if "no body has" in x]
+    assert len(notes) == 1 and "l1" in notes[0] and "l2" not in notes[0]
+
+
+def test_joints_that_move_nothing_are_told(write):
+    """A last link without inertial loads, and a note says that its joint moves no inertia."""
+    text = urdf(BASE, arm(length=2), '<link name="tool"/>', joint("j9", "revolute", "l2", "tool"))
+    assert any("j9 moves no inertia" in x for x in load_urdf(write(text)).notes)
+
+
+def test_files_that_are_no_files(tmp_path):
+    """A pipe, a device and a file of 21 MB are refused at once; so is a xacro file that a log names."""
+    os.mkfifo(tmp_path / "pipe.urdf")
+    (tmp_path / "large.urdf").write_bytes(b" " * 21_000_000)
+    (tmp_path / "arm.xacro").write_text("<robot/>")
+    for name, words in (("pipe.urdf", "no robot description"), ("large.urdf", "holds 21 MB")):
+        with pytest.raises(RobotError, match=words):
+            load_urdf(tmp_path / name)
+    with pytest.raises(RobotError, match="a xacro file runs code"):
+        load_urdf(tmp_path / "arm.xacro", xacro=False)
 
 
 @pytest.mark.parametrize("case", REFUSED)

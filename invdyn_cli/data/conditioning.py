@@ -22,6 +22,10 @@ RATE_TOLERANCE = 0.2
 """How far the nominal rate may be from the median step's before the step is believed: a wrong rate is off by more."""
 
 
+MOST_ORDER = 20
+"""Of a Butterworth low-pass: an order of 20 needs 5 times as long to settle as one of 4, and nobody asks for more."""
+
+
 @dataclass(frozen=True)
 class Conditioning:
     """How trajectories are split and made ready; sources have its fields among their own (`Conditioning.of`).
@@ -72,7 +76,7 @@ class Conditioning:
             ("derivatives", self.derivatives in DERIVATIVES, ", ".join(DERIVATIVES)),
             ("train_share", 0 < self.train_share < 1, "between 0 and 1"),
             ("validation_share", 0 <= self.validation_share < 1, "0 to below 1"),
-            ("filter_order", _whole(self.filter_order, 1), "a whole number, 1 or more"),
+            ("filter_order", _whole(self.filter_order, 1) and self.filter_order <= MOST_ORDER, f"1 to {MOST_ORDER}"),
             ("causal", isinstance(self.causal, bool), "true or false"),
             ("torque_lag", _whole(self.torque_lag, 0), "a whole number of samples, 0 or more"),
             ("decimate", _whole(self.decimate, 1), "a whole number of samples, 1 or more"),

@@ -14,7 +14,7 @@ from invdyn_cli.interfaces import AbstractSource, Progress, silent
 from invdyn_cli.logfile import POSITION_SIDES, Log
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import Hidden, refuse
-from invdyn_cli.simulation.plant import SOURCE, record, refuse_clock, refuse_events, refuse_link_encoder
+from invdyn_cli.simulation.plant import MOST_SAMPLES, SOURCE, record, refuse_clock, refuse_events, refuse_link_encoder
 from invdyn_cli.simulation.references import AbstractReference, ConstantSpeed, Multisine, PickPlace
 from invdyn_cli.simulation.sensors import SIDES, Noise
 from invdyn_cli.types import Robot, Splits
@@ -99,6 +99,9 @@ class Plant(AbstractSource):
             if getattr(self, name) not in allowed:
                 raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {listed(allowed)}")
         refuse_clock(self.duration, self.rate, self.substeps)
+        if self.trajectories * self.duration * self.rate > MOST_SAMPLES:
+            got = f"data.trajectories={self.trajectories} of {self.duration:g} s at {self.rate:g} Hz"
+            raise UsageError(f"{got}; allowed: {MOST_SAMPLES:.0e} samples in all")
         refuse_link_encoder(self.link_encoder, self.position_side)
         refuse_events(self.hidden(), self.duration, [f"trajectory_{i + 1}" for i in range(self.trajectories)])
         self._control()

@@ -33,6 +33,13 @@ PHASES = (0.0, 1.9, 4.1, 0.8, 5.3, 2.7, 3.6)
 """Every joint's phase [rad], the same in all tasks."""
 
 
+DIGITS = 15
+"""Decimal digits that a float64 holds."""
+
+MOST_SAMPLES = 10_000_000
+"""Samples of a task: eight tasks of them are 13 GB for seven joints."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """What the paper leaves open: amplitudes [rad; m], joint after joint and over again, and the window-3 filter."""
@@ -89,8 +96,13 @@ class SineTasks(AbstractSource):
                 f"data.savgol_order={self.savgol_order} and data.savgol_window={self.savgol_window}; allowed: an order "
                 "from 1, a longer window, and no more samples than a task has"
             )
-        if not self.jitter >= 0:
-            raise UsageError(f"data.jitter={self.jitter}; allowed: a spread >= 0 [rad]")
+        if not 0 <= self.jitter <= np.pi:
+            raise UsageError(f"data.jitter={self.jitter}; allowed: a spread from 0 to pi [rad]")
+        if not 0 <= self.decimals <= DIGITS:
+            raise UsageError(f"data.decimals={self.decimals}; allowed: 0 to {DIGITS}, the digits of a float64")
+        if not 0 < self.duration * self.rate <= MOST_SAMPLES:
+            got = f"data.duration={self.duration} s at data.rate={self.rate} Hz"
+            raise UsageError(f"{got}; allowed: above 0, and at most {MOST_SAMPLES:.0e} samples a task")
         if self.trim < 0 or self.duration * self.rate - 2 * self.trim < 100:
             raise UsageError(
                 f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples "

@@ -1,5 +1,6 @@
 """model=ffnn: one feed-forward net per joint, from all joints' state to the torque of one (paper, III-B, Table I)."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
@@ -11,6 +12,9 @@ from invdyn_cli import training
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+MOST_WEIGHTS = 10_000_000
+"""Of a joint's nets behind their inputs: with Adam's two moments 120 MB a joint in float32; Table I's have 10,000."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,11 @@ class Ffnn(AbstractModel):
         for name in ("epochs", "batch_size", "seeds"):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
                 raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        for net in (common, *(net for _, net in self.joints)):
+            weights = self.seeds * sum(a * b for a, b in itertools.pairwise((1, *net.hidden, 1)))
+            if weights > MOST_WEIGHTS:
+                got = f"model.hidden={list(net.hidden)} with model.seeds={self.seeds}: {weights:.3g} weights a joint"
+                raise UsageError(f"{got}; allowed: {MOST_WEIGHTS:.0e}")
 
     def groups(self, n: int) -> tuple[training.Group, ...]:
         """The nets of n joints by shape, the deepest first."""

@@ -21,6 +21,10 @@ LINE = 0.1
 """Share of what is left of a joint's torque beyond which a line over the angle is a ripple."""
 
 
+MOST_RIPPLES = 50
+"""Lines that are sought over an angle: a wave generator and a motor have a dozen."""
+
+
 @dataclass(frozen=True)
 class Pest(AbstractModel):
     """Inertial parameters by least squares, the directions that the data do not excite left out.
@@ -60,8 +64,8 @@ class Pest(AbstractModel):
         ):
             if value not in allowed:
                 raise UsageError(f"model.{name}={value!r}; allowed: {', '.join(allowed)}")
-        if not (isinstance(self.ripples, int) and self.ripples >= 0):
-            raise UsageError(f"model.ripples={self.ripples}; allowed: a whole number >= 0")
+        if not (isinstance(self.ripples, int) and 0 <= self.ripples <= MOST_RIPPLES):
+            raise UsageError(f"model.ripples={self.ripples}; allowed: a whole number from 0 to {MOST_RIPPLES}")
         if not self.rest_speed > 0:
             raise UsageError(f"model.rest_speed={self.rest_speed}; allowed: a number > 0")
         for name in ("threshold", "least_speed"):

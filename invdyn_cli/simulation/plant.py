@@ -132,12 +132,18 @@ def record(
     )
 
 
+MOST_SAMPLES, MOST_SUBSTEPS = 20_000_000, 1000
+"""Samples of a log (five hours at 1 kHz; 6 GB for seven joints), and physics steps for each (0.1 us at 10 kHz)."""
+
+
 def refuse_clock(duration: float, rate: float, substeps: int) -> None:
     """Raise a UsageError for a recording that cannot be made."""
     if not (np.isfinite(rate) and rate > 0 and np.isfinite(duration) and duration * rate >= 2):
         raise UsageError(f"duration={duration} s at rate={rate} Hz; allowed: both above 0, two samples or more")
-    if not (isinstance(substeps, int) and substeps >= 1):
-        raise UsageError(f"substeps={substeps}; allowed: a whole number from 1")
+    if duration * rate > MOST_SAMPLES:
+        raise UsageError(f"{duration} s at {rate} Hz are {duration * rate:.3g} samples; allowed: {MOST_SAMPLES:.0e}")
+    if not (isinstance(substeps, int) and 1 <= substeps <= MOST_SUBSTEPS):
+        raise UsageError(f"substeps={substeps}; allowed: a whole number from 1 to {MOST_SUBSTEPS}")
 
 
 def refuse_link_encoder(link_encoder: bool, position_side: str) -> None:

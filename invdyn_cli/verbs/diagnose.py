@@ -35,7 +35,7 @@ from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import check, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.material import material_of
-from invdyn_cli.verbs.run import make_robot
+from invdyn_cli.verbs.run import make_robot, refuse_seed
 
 DIAGNOSIS, MODEL, REPORT = "diagnosis.json", "extended_model.json", "report.html"
 URDF, MJCF = "extended_model.urdf", "extended_model.mjcf.xml"
@@ -66,8 +66,7 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.diagnosis.design, bool):
         raise UsageError(f"diagnosis.design={config.diagnosis.design}; allowed: true or false")
-    if not isinstance(config.seed, int) or config.seed < 0:
-        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up, or null")
+    refuse_seed(config.seed)
     if config.data is None or "_target_" not in config.data:
         raise UsageError(f"data={config.data}; allowed: real_log, plant")
     brought = material_of(instantiate(config.data))

@@ -25,7 +25,7 @@ from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Finding, Quantity, Robot
 from invdyn_cli.verbs import check, screen
 from invdyn_cli.verbs.launch import job, launch
-from invdyn_cli.verbs.run import make_robot
+from invdyn_cli.verbs.run import make_robot, refuse_seed
 
 TRAJECTORY, DESIGN, FIGURE = "trajectory.csv", "design.json", "trajectory.png"
 """What the files are called; design.json is written last."""
@@ -52,8 +52,7 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Design | None
     screen.use_compilation_cache()
     for name, low, high in (("duration", 5.0, LONGEST), ("rate", 20.0, FASTEST)):
         _refuse_number(config, name, low, high)
-    if not isinstance(config.seed, int) or isinstance(config.seed, bool) or config.seed < 0:
-        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0")
+    refuse_seed(config.seed)
     robot = make_robot(config, None, optional=False, console=console)
     assert robot is not None  # make_robot refuses a config without a robot
     questions, said = questions_of(config, robot)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig
 from rich.console import Console
 
-from invdyn_cli.errors import LogError
+from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
 from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
@@ -37,6 +37,8 @@ def task(config: DictConfig) -> None:
     """Run what is not complete, draw, and write the page."""
     refuse_formats("formats", config.formats)
     console, real_data, own = Console(), Path(config.real_data).resolve(), Path(config.tables)
+    if not isinstance(config.shown, ListConfig) or not all(isinstance(name, str) for name in config.shown):
+        raise UsageError(f"shown={config.shown}; allowed: a list of experiments", advice="shown=[batch_simulated]")
     exhibits: list[Exhibit] = []
     trust = trusted(config)
     nets: Grid | None = None

@@ -107,11 +107,19 @@ def _line(verb: str, error: Exception, argv: list[str]) -> str:
         return str(error)
     if isinstance(error, HydraException | OmegaConfBaseException):
         return _told(verb, error, argv)
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return f"out of memory: {error}"
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)"
+    if _raised_by(error) in ("hydra", "omegaconf"):
+        return f"the config cannot be composed: {error}"
     return ""
+
+
+def _raised_by(error: Exception) -> str:
+    """The top-level package in which an exception was raised."""
+    frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return frames[-1].partition(".")[0] if frames else ""
 
 
 def _own_error(error: Exception, folder: Path | None) -> int:

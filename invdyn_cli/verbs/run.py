@@ -110,12 +110,15 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     if joints is None and header is not None and node.tip is None:
         joints = list(header.joints)
     try:
-        return instantiate(node, path=str(path), joints=joints)(xacro=bool(node.path))  # a log's file runs no code
+        robot = instantiate(node, path=str(path), joints=joints)(xacro=bool(node.path))  # a log's file runs no code
     except RobotError as error:
         if not optional or node.path:
             raise
         console.print(f"[yellow]no robot: {escape(str(error))}[/]", highlight=False)
         return None
+    if not isinstance(robot, Robot):
+        raise UsageError(f"robot: {node._target_} gives a {type(robot).__name__}; allowed: a Robot")
+    return robot
 
 
 def refuse_options(config: DictConfig) -> None:
@@ -123,8 +126,7 @@ def refuse_options(config: DictConfig) -> None:
     for group in ("robot", "data", "model", "adaptation"):
         if config[group] is None or "_target_" not in config[group]:
             raise UsageError(f"{group}={config[group]}; allowed: a choice of the group, see invdyn run --help")
-    if not isinstance(config.seed, int) or config.seed < 0:
-        raise UsageError(f"seed={config.seed}; allowed: a whole number from 0 up")
+    refuse_seed(config.seed)
     refuse_formats("figures.formats", config.figures.formats)
 
 
@@ -133,6 +135,12 @@ def size_limit(config: DictConfig) -> float:
     if not isinstance(config.max_size, int | float) or not 0 < config.max_size < float("inf"):
         raise UsageError(f"max_size={config.max_size}; allowed: a number of GB above 0")
     return 1e9 * config.max_size
+
+
+def refuse_seed(seed: Any) -> None:
+    """Seeds that JAX's random keys cannot be made from."""
+    if type(seed) is not int or not 0 <= seed < 2**63:
+        raise UsageError(f"seed={seed}; allowed: a whole number from 0 to 2^63 - 1")
 
 
 def refuse_formats(option: str, formats: Any) -> None:
