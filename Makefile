@@ -11,7 +11,7 @@ PUBLISHED = adaptation batch_simulated dbm seven_joints filters
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite hyperparameters latency bench wheel clean $(PUBLISHED:%=table-%)
+.PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite hyperparameters latency bench fuzz wheel clean $(PUBLISHED:%=table-%)
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
 OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most epochs repetitions seconds
@@ -87,6 +87,9 @@ latency: $(INSTALLED)  ## what a tick of a 1 kHz loop costs (seconds=, docs=true
 
 bench: $(INSTALLED)  ## times against PyTorch (pip install torch; left out with a word without it) and Pinocchio
 	$(BIN)/python experiments/bench.py
+
+fuzz: $(INSTALLED)  ## damaged logs, URDFs, runs and options, drawn anew (examples=)
+	$(ONE_THREAD) INVDYN_FUZZ_EXAMPLES=$(or $(examples),2000) $(BIN)/python -m pytest -q -n 2 tests/fuzz
 
 wheel: dist/.built  ## the wheel, into dist
 

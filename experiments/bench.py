@@ -2,6 +2,7 @@
 
     python experiments/bench.py            (make bench)
     python experiments/bench.py --json bench.json
+    python experiments/bench.py --tiny     (does every part run: a hundredth of the samples; its ratios mean nothing)
 
 Six comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
 
@@ -39,12 +40,18 @@ ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", 
 PART = "INVDYN_BENCH_PART"
 """Set in the subprocess that measures one part: threads must be counted before numpy and jax start."""
 
+TINY = "INVDYN_BENCH_TINY"
+"""Set beside it where a hundredth of the samples will do."""
+
 
 def main() -> None:
     """Measure each part in a process of its own, print the table, write the numbers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all times and ratios there, too")
+    parser.add_argument("--tiny", action="store_true", help="a hundredth of the samples, once each")
     options = parser.parse_args()
+    if options.tiny:
+        os.environ[TINY] = "1"
     from rich.console import Console
     from rich.table import Table
 
@@ -71,7 +78,13 @@ def main() -> None:
 def machine() -> str:
     """Cores and load, so that a reader can judge the numbers."""
     load = ", ".join(f"{x:.1f}" for x in os.getloadavg())
-    return f"median (min .. max); {len(os.sched_getaffinity(0))} cores, load {load} over 1, 5, 15 minutes"
+    tiny = "a hundredth of the samples: these ratios mean nothing; " if TINY in os.environ else ""
+    return f"{tiny}median (min .. max); {len(os.sched_getaffinity(0))} cores, load {load} over 1, 5, 15 minutes"
+
+
+def samples(usual: int) -> int:
+    """How many samples a part takes."""
+    return usual // 100 if TINY in os.environ else usual
 
 
 def spread(seconds: list[float]) -> str:
@@ -84,7 +97,7 @@ def measure(
     """Times of both, taking turns after one warm-up each; `per` divides invdyn's (epochs in one call)."""
     sides = {"invdyn": (invdyn, per), "by_hand": (by_hand, 1)}
     times: dict[str, list[float]] = {name: [] for name in sides}
-    for repetition in range(repetitions + 1):
+    for repetition in range((1 if TINY in os.environ else repetitions) + 1):
         for name, (call, share) in sides.items():
             started = time.perf_counter()
             call()
@@ -108,7 +121,8 @@ def train() -> dict:
     from invdyn_cli.models.ffnn import Ffnn
 
     rng = np.random.default_rng(0)
-    x, y = rng.normal(size=(24_300, 12)).astype("f4"), rng.normal(size=(24_300, 4)).astype("f4")
+    rows = samples(24_300)
+    x, y = rng.normal(size=(rows, 12)).astype("f4"), rng.normal(size=(rows, 4)).astype("f4")
     groups, keys = Ffnn().groups(4), jax.random.split(jax.random.key(0), 1)
     data, schedule = training.Data(jnp.asarray(x), jnp.asarray(y)), training.Schedule(epochs=10)
 
@@ -151,10 +165,10 @@ def arm():
     from invdyn_cli.robots import load_urdf, pinocchio_model
     from invdyn_cli.types import Dataset, Motion, Trajectory
 
-    robot = load_urdf("apollo_arm")
+    robot, rows = load_urdf("apollo_arm"), samples(100_000)
     rng = np.random.default_rng(0)
-    motion = Motion(*rng.normal(size=(3, 100_000, 7)))
-    trajectory = Trajectory("random", np.arange(100_000) / 500, motion, rng.normal(size=(100_000, 7)))
+    motion = Motion(*rng.normal(size=(3, rows, 7)))
+    trajectory = Trajectory("random", np.arange(rows) / 500, motion, rng.normal(size=(rows, 7)))
     return robot, pinocchio_model(robot), Dataset((trajectory,), robot.joints, robot)
 
 
@@ -184,6 +198,7 @@ def pest() -> dict:
 
 def rnea() -> dict:
     """Torques as a fitted PEST predicts them, against a loop of Pinocchio's rnea."""
+    import jax
     import numpy as np
     import pinocchio as pin
 
@@ -192,7 +207,8 @@ def rnea() -> dict:
 
     robot, model, dataset = arm()
     workspace, motion = model.createData(), dataset.motion
-    fit = Fit({"psi": robot.inertial, "extras": np.zeros((0, 7))}, robot, robot.joints, 70)
+    params = Pest().init(dataset, jax.random.key(0)) | {"psi": robot.inertial}
+    fit = Fit(params, robot, robot.joints, 70)
 
     def by_hand():
         samples = zip(motion.q, motion.qd, motion.qdd, strict=True)
@@ -212,10 +228,10 @@ def dbm() -> dict:
     from invdyn_cli.models.dbm import Dbm
     from invdyn_cli.types import Dataset, Motion, Trajectory
 
-    rng = np.random.default_rng(0)
+    rng, rows = np.random.default_rng(0), samples(4500)
     parts = tuple(
         Trajectory(
-            f"task{k}", np.arange(4500) / 500, Motion(*rng.normal(size=(3, 4500, 4))), rng.normal(size=(4500, 4))
+            f"task{k}", np.arange(rows) / 500, Motion(*rng.normal(size=(3, rows, 4))), rng.normal(size=(rows, 4))
         )
         for k in range(8)
     )
@@ -245,11 +261,10 @@ def adapt(deep: bool = False) -> dict:
     from invdyn_cli.models.ffnn import Ffnn
     from invdyn_cli.types import Dataset, Motion, Trajectory
 
-    rng = np.random.default_rng(0)
-    samples = 90_000
-    q, qd, qdd = rng.normal(size=(3, samples, 7))
+    rng, length = np.random.default_rng(0), samples(90_000)
+    q, qd, qdd = rng.normal(size=(3, length, 7))
     tau = np.sin(q) + 0.1 * qdd
-    data = Dataset((Trajectory("a", np.arange(samples) / 1000, Motion(q, qd, qdd), tau),), tuple("abcdefg"))
+    data = Dataset((Trajectory("a", np.arange(length) / 1000, Motion(q, qd, qdd), tau),), tuple("abcdefg"))
     adapter, model = Incremental(), Ffnn((100, 100, 10), joints=(), epochs=1) if deep else Ffnn(epochs=1)
     fit = adapter.fit(model, data, jax.random.key(0))
     torch.set_num_threads(1)
@@ -265,7 +280,7 @@ def adapt(deep: bool = False) -> dict:
     y = torch.from_numpy(tau.astype("f4"))
 
     def by_hand():
-        for start in range(0, samples, 100):
+        for start in range(0, length, 100):
             inputs, targets = x[start : start + 100], y[start : start + 100]
             for column, net, optimiser in nets:
                 with torch.no_grad():

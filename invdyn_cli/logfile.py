@@ -268,10 +268,12 @@ def _header(path: Path, root: Group) -> Log:
     words = ("robot", "urdf", "torque_side", "torque_unit")
     text = {name: _text(attributes.get(name)) for name in words}
     text |= {name: _text(attributes.get(name), LONGEST_TEXT) for name in ("source", "licence")}
-    gain = attributes.get("drive_gain_N_m_per_A")
+    gain, joints = attributes.get("drive_gain_N_m_per_A"), _texts(attributes["joint_names"])
+    if not joints:
+        raise LogError(f"{path}: joint_names has no names; allowed: a name for each joint, each once")
     return Log(
         **text | {"urdf": str(path.parent / text["urdf"]) if text["urdf"] else ""},
-        joints=_texts(attributes["joint_names"]),
+        joints=joints,
         rate=_number(f"{path}: rate", attributes["rate"], math.nan),
         drive_gain=None if gain is None else _numbers(f"{path}: drive_gain_N_m_per_A", gain),
         position_side=_text(attributes.get("position_side")) or "unknown",

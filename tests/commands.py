@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -12,6 +13,15 @@ ENVIRONMENT = {"XDG_CACHE_HOME": str(ROOT / ".cache"), "JAX_PLATFORMS": "cpu", "
 
 TINY = ("data.duration=2", "robot.dofs=2")
 """Simulated data that are made at once: two joints, half a second of each task after trimming 500 samples."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command left: exit code, lines on stdout and stderr."""
+
+    code: int
+    out: list[str]
+    err: list[str]
 
 
 def python(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:

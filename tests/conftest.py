@@ -4,11 +4,15 @@
 """
 
 import os
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from beartype import BeartypeConf
 from beartype.claw import beartype_packages
+
+from tests.commands import ENVIRONMENT, Said
 
 CHECKED = ("maths", "training", "experiment", "store", "adaptation")
 beartype_packages([f"invdyn_cli.{name}" for name in CHECKED], conf=BeartypeConf(is_pep484_tower=True))
@@ -33,3 +37,23 @@ def real_data():
         return folder / name
 
     return path
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd) -> Callable[..., Said]:
+    """command("run", "model=pest", …) -> Said: the command line inside the test's own process, in tmp_path."""
+    from invdyn_cli.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(sys, "argv", list(sys.argv))
+    for name, value in {**ENVIRONMENT, "HYDRA_FULL_ERROR": "1"}.items():
+        monkeypatch.setenv(name, value)
+
+    def call(*argv: str) -> Said:
+        capfd.readouterr()
+        code = main(argv)
+        out, err = capfd.readouterr()
+        return Said(code, out.splitlines(), err.splitlines())
+
+    return call

@@ -1,10 +1,12 @@
 """The experiments' own bookkeeping: what is counted as found, where a climb ends, what a command line may say."""
 
+import json
 from dataclasses import dataclass
 
 import pytest
 from hydra import compose, initialize_config_dir
 
+from experiments.bench import PARTS
 from experiments.detection import ENOUGH, HIGHEST, STEP, climb, is_found
 from experiments.excite import Settled, least_distance, open_finding
 from experiments.excite import table as excite_table
@@ -17,7 +19,7 @@ from experiments.replay import table as replay_table
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Examination, Finding
 from invdyn_cli.verbs.launch import config_folder
-from tests.commands import ROOT
+from tests.commands import ROOT, python
 
 
 @pytest.mark.parametrize("first", [0.0005, 0.4])
@@ -50,6 +52,14 @@ def test_f1_counts_pairs():
     """Two of three found and one claim beside them: precision and recall 2/3."""
     one = Counted("three", 0, ("a@1", "b@2", "c@3"), ("a@1", "b@2", "d@3"), ("c@3",), ("d@3",), 1.0)
     assert f1([one]) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
+
+
+def test_every_part_of_the_benchmark_runs(tmp_path):
+    """With few samples: a part prints a ratio, or what has to be installed for it."""
+    done = python(str(ROOT / "experiments" / "bench.py"), "--tiny", "--json", "bench.json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    parts = json.loads((tmp_path / "bench.json").read_text())["parts"]
+    assert len(parts) == len(PARTS) and all(x.get("ratio", 0) > 0 or "torch" in x["skipped"] for x in parts.values())
 
 
 def test_replays_are_counted():

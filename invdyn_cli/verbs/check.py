@@ -7,8 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 from rich import box
-from rich.console import Console, Group
-from rich.markup import escape
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
@@ -23,6 +22,7 @@ from invdyn_cli.types import Check, Examination, Header
 from invdyn_cli.verbs import raw, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
+from invdyn_cli.verbs.screen import Screen
 
 STYLE = {"fail": "bold red", "warn": "yellow", "note": "cyan", "ok": "green"}
 MOST = 3
@@ -38,7 +38,7 @@ def task(config: DictConfig) -> None:
     """Read, examine, write, tell; exit code 1 where a check failed under strict=true."""
     if not isinstance(config.strict, bool):
         raise UsageError(f"strict={config.strict}; allowed: true or false")
-    folder, console = Path(job().runtime.output_dir), Console()
+    folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
     logs = read(raw.refuse_other(instantiate(config.data)))
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
@@ -53,9 +53,9 @@ def task(config: DictConfig) -> None:
         report(1.0, "done")
     store.write_check(examination, folder / "check.json")
     for note in notes:
-        console.print(f"[dim]{escape(note)}[/]", highlight=False)
+        console.note(note)
     console.print(shown(examination, mended))
-    console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)
+    console.whole(relative(folder))
     if config.strict and not in_sweep() and any(one.severity == "fail" for one in examination.checks):
         raise SystemExit(1)
 

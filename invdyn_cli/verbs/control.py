@@ -5,8 +5,6 @@ from dataclasses import fields
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
-from rich.markup import escape
 
 from invdyn_cli import control
 from invdyn_cli.control import ControlRecord, Sweep
@@ -18,6 +16,7 @@ from invdyn_cli.report import controlled
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import instantiate, job, launch
 from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
+from invdyn_cli.verbs.screen import Screen
 
 
 def main(argv: Sequence[str]) -> int:
@@ -27,10 +26,10 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """One job."""
-    execute(config, Path(job().runtime.output_dir), Console())
+    execute(config, Path(job().runtime.output_dir), Screen())
 
 
-def execute(config: DictConfig, folder: Path, console: Console) -> ControlRecord:
+def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
     """Config -> objects -> the arm in closed loop -> files in `folder`; tells on `console` what came out."""
     screen.use_compilation_cache()
     refuse_options(config)
@@ -50,13 +49,13 @@ def execute(config: DictConfig, folder: Path, console: Console) -> ControlRecord
     choices = {name: job().runtime.choices.get(name) for name in ("model", "data", "adaptation", "robot")}
     write(record, {**choices, "seed": config.seed, "data_seed": source.seed}, folder, tuple(config.figures.formats))
     for note in robot.notes:
-        console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
+        console.note(f"robot: {note}")
     console.print(controlled.table(record))
     for line in controlled.sentences(record):
-        console.print(escape(line), highlight=False)
+        console.print(line)
     for warning in record.warnings:
-        console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
-    console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)
+        console.warn(warning)
+    console.whole(relative(folder))
     return record
 
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from rich.console import Console
-from rich.markup import escape
 
 from invdyn_cli import store
 from invdyn_cli.diagnosis import Options, diagnose, next_motion
@@ -36,6 +34,7 @@ from invdyn_cli.verbs import check, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.material import material_of
 from invdyn_cli.verbs.run import make_robot, refuse_seed
+from invdyn_cli.verbs.screen import Screen
 
 DIAGNOSIS, MODEL, REPORT = "diagnosis.json", "extended_model.json", "report.html"
 URDF, MJCF = "extended_model.urdf", "extended_model.mjcf.xml"
@@ -54,13 +53,13 @@ def task(config: DictConfig) -> None:
     """One diagnosis; exit code 1 where a check of the log failed under strict=true."""
     if not isinstance(config.strict, bool):
         raise UsageError(f"strict={config.strict}; allowed: true or false")
-    diagnosis = execute(config, Path(job().runtime.output_dir), Console())
+    diagnosis = execute(config, Path(job().runtime.output_dir), Screen())
     failed = any(one.severity == "fail" for one in diagnosis.examination.checks)
     if config.strict and not in_sweep() and failed:
         raise SystemExit(1)
 
 
-def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
+def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
     """Config -> objects -> diagnosis -> files in `folder`; tells the result on `console`."""
     screen.use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
@@ -75,7 +74,7 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
         got = "a diagnosis needs the robot's kinematics, and these data bring no URDF"
         raise UsageError(got, advice="robot=urdf robot.path=arm.urdf")
     for note in robot.notes:
-        console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
+        console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
         material = brought.material(robot, stage("data"))
         diagnosis = diagnose(
@@ -94,12 +93,12 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Diagnosis:
             diagnosis, design = next_motion.after(diagnosis, robot, seed=config.seed, progress=stage("next"))
         write(diagnosis, robot.name, folder, stage("write"), design)
     for note in material.notes:
-        console.print(f"[dim]data: {escape(note)}[/]", highlight=False)
+        console.note(f"data: {note}")
     show(diagnosis, console)
     if design is not None:
         said = f"What stays ambiguous, {next_motion.FILE} would settle: {design.t[-1]:.3g} s to play and to log."
-        console.print(said, highlight=False)
-    console.print(str(check.relative(folder)), highlight=False, markup=False, soft_wrap=True)
+        console.print(said)
+    console.whole(check.relative(folder))
     return diagnosis
 
 
@@ -139,7 +138,7 @@ def _write_simulations(export: Export, folder: Path) -> tuple[dict[str, str], di
     return files, lacks
 
 
-def show(diagnosis: Diagnosis, console: Console) -> None:
+def show(diagnosis: Diagnosis, console: Screen) -> None:
     """The verdict, the causes, the errors, what the user should know; the doctor's words where the log is unusable."""
     console.print(diagnosis_tables.verdict_line(diagnosis))
     if diagnosis.verdict == "log_unusable":
@@ -148,9 +147,9 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
         console.print(diagnosis_tables.finding_table(diagnosis))
         console.print(diagnosis_tables.error_table(diagnosis))
     if diagnosis.replay is not None:
-        console.print(escape(replay_line(diagnosis)), highlight=False)
+        console.print(replay_line(diagnosis))
     for note in diagnosis.notes:
-        console.print(f"[dim]{escape(note)}[/]", highlight=False)
+        console.note(note)
 
 
 def options_of(config: DictConfig) -> Options:

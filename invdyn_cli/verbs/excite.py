@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from invdyn_cli import store, untrusted
@@ -26,6 +24,7 @@ from invdyn_cli.types import Finding, Quantity, Robot
 from invdyn_cli.verbs import check, screen
 from invdyn_cli.verbs.launch import job, launch
 from invdyn_cli.verbs.run import make_robot, refuse_seed
+from invdyn_cli.verbs.screen import Screen
 
 TRAJECTORY, DESIGN, FIGURE = "trajectory.csv", "design.json", "trajectory.png"
 """What the files are called; design.json is written last."""
@@ -43,10 +42,10 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """One trajectory."""
-    execute(config, Path(job().runtime.output_dir), Console())
+    execute(config, Path(job().runtime.output_dir), Screen())
 
 
-def execute(config: DictConfig, folder: Path, console: Console) -> Design | None:
+def execute(config: DictConfig, folder: Path, console: Screen) -> Design | None:
     """Config -> questions -> trajectory.csv, trajectory.png and design.json in `folder`; tells on `console` what the
     trajectory tells apart. None, and no trajectory: no motion can be designed for what is asked."""
     screen.use_compilation_cache()
@@ -59,9 +58,9 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Design | None
     known = [_cause(x, robot, "known") for x in _listed(config, "known")]
     noise = noise_of(config, robot)
     for line in said:
-        console.print(f"[yellow]{escape(line)}[/]", highlight=False)
+        console.warn(line)
     if not questions:
-        console.print("No motion was designed.", highlight=False)
+        console.print("No motion was designed.")
         return None
     with screen.stages(quiet=console.quiet) as stage:
         made = design(
@@ -77,8 +76,8 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Design | None
     write(made, folder)
     console.print(shown(made))
     for line in advice(made):
-        console.print(f"[yellow]{escape(line)}[/]", highlight=False)
-    console.print(str(check.relative(folder)), highlight=False, markup=False, soft_wrap=True)
+        console.warn(line)
+    console.whole(check.relative(folder))
     return made
 
 
@@ -215,7 +214,7 @@ def shown(made: Design) -> Table:
     table.add_column("distance [standard errors]", justify="right")
     for p in made.pairs:
         distance = f"{p.distance:.3g}" if p.possible else "no motion tells"
-        table.add_row(*(escape(_said(side, made.robot)) for side in (p.true, p.rival)), distance)
+        table.add_row(*(_said(side, made.robot) for side in (p.true, p.rival)), distance)
     return table
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 from matplotlib.figure import Figure
 from omegaconf import DictConfig, ListConfig
-from rich.console import Console
 
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
@@ -18,6 +17,7 @@ from invdyn_cli.verbs import published, tables
 from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
+from invdyn_cli.verbs.screen import Screen
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def main(argv: Sequence[str]) -> int:
 def task(config: DictConfig) -> None:
     """Run what is not complete, draw, and write the page."""
     refuse_formats("formats", config.formats)
-    console, real_data, own = Console(), Path(config.real_data).resolve(), Path(config.tables)
+    console, real_data, own = Screen(), Path(config.real_data).resolve(), Path(config.tables)
     if not isinstance(config.shown, ListConfig) or not all(isinstance(name, str) for name in config.shown):
         raise UsageError(f"shown={config.shown}; allowed: a list of experiments", advice="shown=[batch_simulated]")
     exhibits: list[Exhibit] = []
@@ -48,18 +48,18 @@ def task(config: DictConfig) -> None:
             done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust)
         except LogError as error:
             spec = published.read(name)
-            console.print(f"[yellow]{name} is left out: {error}[/]", highlight=False, soft_wrap=True)
+            console.warn(f"{name} is left out: {error}")
             exhibits.append(Exhibit(spec["title"], spec["source"], _command(name), absent=str(error)))
             continue
         tables.write(done, own)
         drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
         for path in (path for one in drawn for path in one.paths):
-            console.print(str(path), highlight=False, soft_wrap=True)
+            console.whole(path)
         exhibits.append(_exhibit(done, drawn))
         if picked := done.spec.get("paper_tables"):
             nets, sets = _paper_tables(done, picked)
     written = html.write_whole(Path(config.page), paper.page(exhibits, nets, sets))
-    console.print(str(written), highlight=False, soft_wrap=True)
+    console.whole(written)
 
 
 def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Drawn]:

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omegaconf import DictConfig
-from rich.console import Console
 
 from invdyn_cli import store
 from invdyn_cli.report import figures, page
 from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.run import refuse_formats, size_limit
+from invdyn_cli.verbs.screen import Screen
 
 
 def main(argv: Sequence[str]) -> int:
@@ -26,4 +26,4 @@ def task(config: DictConfig) -> None:
     record = store.load_run(path, trusted(config), limit=size_limit(config))
     drawn = figures.draw_all(record, path.parent / "figures", ("png", *config.formats))
     page.write_page(record, [x for x in drawn if x.suffix == ".png"], path.parent / "report.html")
-    Console().print(str(path.parent / "report.html"), highlight=False, soft_wrap=True)
+    Screen().whole(path.parent / "report.html")

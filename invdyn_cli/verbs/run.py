@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
-from rich.markup import escape
 
 from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import InvdynError, RobotError, UsageError, listed
@@ -20,6 +18,7 @@ from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import origin, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
+from invdyn_cli.verbs.screen import Screen
 
 FORMATS = ("png", "svg", "pdf")
 
@@ -33,7 +32,7 @@ def task(config: DictConfig) -> None:
     """One job. In a sweep one that its folder already holds, complete, is kept, and a failure is a row, not the end."""
     folder = Path(job().runtime.output_dir)
     if not in_sweep():
-        execute(config, folder, Console())
+        execute(config, folder, Screen())
         return
     status, message = "kept" if sweep.is_complete(config, folder) else "ran", ""
     if status == "ran":
@@ -49,12 +48,12 @@ def task(config: DictConfig) -> None:
     screen.tell(f"job {job().job.num} {status}: {message or ' '.join(job().overrides.task)}")
 
 
-def execute(config: DictConfig, folder: Path, console: Console | None = None, view: Any = None) -> RunRecord:
+def execute(config: DictConfig, folder: Path, console: Screen | None = None, view: Any = None) -> RunRecord:
     """Config -> objects -> experiment -> files in `folder`; tells the result on `console` where there is one.
 
     `view` is Hydra's view of the job (choices, overrides) where it is not the running one.
     """
-    console = console or Console(quiet=True)
+    console = console or Screen(quiet=True)
     screen.use_compilation_cache()
     started = datetime.datetime.now(datetime.UTC)
     refuse_options(config)
@@ -63,19 +62,19 @@ def execute(config: DictConfig, folder: Path, console: Console | None = None, vi
     adaptation = make_object(config, "adaptation", AbstractAdapter)
     robot = make_robot(config, source.header(), optional=not (source.needs_robot or model.needs_robot), console=console)
     for note in robot.notes if robot else ():
-        console.print(f"[dim]robot: {escape(note)}[/]", highlight=False)
+        console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
         made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
         record = _with_origin(made, config, started, view or job())
         write(record, folder, tuple(config.figures.formats), stage("write"))
     for note in record.split.get("notes", ()):
-        console.print(f"[dim]data: {escape(note)}[/]", highlight=False)
+        console.note(f"data: {note}")
     console.print(tables.score_table(record))
     if loads := tables.load_table(record):
         console.print(loads)
     for warning in record.fit.warnings:
-        console.print(f"[yellow]{escape(warning)}[/]", highlight=False)
-    console.print(str(relative(folder)), highlight=False, markup=False, soft_wrap=True)
+        console.warn(warning)
+    console.whole(relative(folder))
     return record
 
 
@@ -91,7 +90,7 @@ def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), pr
     progress(1.0, "done")
 
 
-def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Console) -> Robot | None:
+def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Screen) -> Robot | None:
     """The robot of the config; what it leaves open (path, joints) the data fill in.
 
     None where nobody knows any, or where it is `optional` and the URDF that the data name cannot be used, with a word.
@@ -114,7 +113,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     except RobotError as error:
         if not optional or node.path:
             raise
-        console.print(f"[yellow]no robot: {escape(str(error))}[/]", highlight=False)
+        console.warn(f"no robot: {error}")
         return None
     if not isinstance(robot, Robot):
         raise UsageError(f"robot: {node._target_} gives a {type(robot).__name__}; allowed: a Robot")

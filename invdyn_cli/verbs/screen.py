@@ -13,10 +13,33 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from invdyn_cli.interfaces import silent
 
 
+class Screen(Console):
+    """A terminal that shows text as it stands: names from a file are never read as markup."""
+
+    def __init__(self, *, stderr: bool = False, quiet: bool = False, width: int | None = None) -> None:
+        super().__init__(stderr=stderr, quiet=quiet, width=width, markup=False, emoji=False, highlight=False)
+
+    def note(self, line: str) -> None:
+        """What a reader may pass over."""
+        self.print(line, style="dim")
+
+    def warn(self, line: str) -> None:
+        """What a reader should not pass over."""
+        self.print(line, style="yellow")
+
+    def whole(self, line: object) -> None:
+        """A line that is not broken at the terminal's width: a path, say."""
+        self.print(str(line), soft_wrap=True)
+
+    def on_broken_pipe(self) -> None:
+        """rich would end the process with exit code 1; `cli.entry` ends it with a word."""
+        raise BrokenPipeError
+
+
 @contextmanager
 def stages(*, quiet: bool = False) -> Iterator[Callable]:
     """Gives a function that opens a stage by name and returns what to report its share and note to."""
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     if quiet or not console.is_terminal:
         yield lambda name: silent
         return
@@ -44,7 +67,7 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
 
 def tell(line: str) -> None:
     """One line on stderr, as it stands."""
-    Console(stderr=True).print(line, highlight=False, markup=False, soft_wrap=True)
+    Screen(stderr=True).whole(line)
 
 
 def use_compilation_cache() -> None:

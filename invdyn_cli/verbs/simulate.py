@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from invdyn_cli import registry
@@ -21,6 +19,7 @@ from invdyn_cli.types import Robot
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
+from invdyn_cli.verbs.screen import Screen
 
 LOG, URDF, TRUTH = "log.h5", "robot.urdf", "truth.json"
 UNTOLD = ("dofs", "tip", "gravity", "base_rpy", "payload")
@@ -34,10 +33,10 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """One log."""
-    execute(config, Path(job().runtime.output_dir), Console())
+    execute(config, Path(job().runtime.output_dir), Screen())
 
 
-def execute(config: DictConfig, folder: Path, console: Console) -> Log:
+def execute(config: DictConfig, folder: Path, console: Screen) -> Log:
     """Config -> arm -> log.h5, robot.urdf and truth.json in `folder`; tells on `console` what was made."""
     if config.data is None or config.data.get("_target_") != f"{Plant.__module__}.{Plant.__name__}":
         got = config.data.get("_target_") if config.data is not None else None
@@ -51,11 +50,11 @@ def execute(config: DictConfig, folder: Path, console: Console) -> Log:
     console.print(_recordings(log))
     console.print(_hidden(source))
     for note in dict.fromkeys(raw.notes for raw in log.trajectories if raw.notes):
-        console.print(f"[yellow]{escape(note)}[/]", highlight=False)
+        console.warn(note)
     if untold := [f"robot.{name}" for name in UNTOLD if config.robot.get(name) is not None]:
         said = f"{URDF} does not know of {', '.join(untold)}: say so again where the log is read"
-        console.print(f"[yellow]{said}[/]", highlight=False)
-    console.print(str(_shown(folder)), highlight=False, markup=False, soft_wrap=True)
+        console.warn(said)
+    console.whole(_shown(folder))
     return log
 
 
@@ -90,14 +89,14 @@ def _recordings(log: Log) -> Table:
     for raw in log.trajectories:
         off = np.abs(raw.q - raw.q_ref).max() if raw.q_ref is not None else np.nan
         length = len(raw.t) / log.rate
-        table.add_row(escape(raw.name), f"{length:g}", f"{len(raw.t)}", f"{np.abs(raw.tau).max():.3g}", f"{off:.2g}")
+        table.add_row(raw.name, f"{length:g}", f"{len(raw.t)}", f"{np.abs(raw.tau).max():.3g}", f"{off:.2g}")
     return table
 
 
 def _hidden(source: Plant) -> Table:
     table = Table("hidden effect", "joint", "parameters", title_justify="left")
     for one in source.hidden():
-        table.add_row(one.effect, escape(one.joint or "(whole arm)"), escape(_words(one.parameters)))
+        table.add_row(one.effect, one.joint or "(whole arm)", _words(one.parameters))
     if not source.effects:
         table.add_row("(none)", "", "")
     return table

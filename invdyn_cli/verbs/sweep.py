@@ -9,13 +9,13 @@ from typing import Any
 import yaml
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
 from invdyn_cli.files import write_file
 from invdyn_cli.report import tables
 from invdyn_cli.verbs import origin
+from invdyn_cli.verbs.screen import Screen
 
 STATUS = "status.json"
 
@@ -67,9 +67,9 @@ class Summary(Callback):
         rows = sorted((_row(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda row: row["job"])
         write_file(folder / "sweep.csv", tables.sweep_csv(rows))
         shared = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
-        console = Console()
+        console = Screen()
         console.print(tables.sweep_table([{**row, "overrides": _without(row["overrides"], shared)} for row in rows]))
-        console.print(str(folder), highlight=False, soft_wrap=True)
+        console.whole(folder)
         if any(row["status"] == "failed" for row in rows):
             raise SystemExit(2)
 

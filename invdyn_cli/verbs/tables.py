@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omegaconf import DictConfig
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -17,6 +16,7 @@ from invdyn_cli.report.comparison import Grid
 from invdyn_cli.verbs import published
 from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.published import Published
+from invdyn_cli.verbs.screen import Screen
 
 WIDTH = 150
 """Columns of a table that goes into a file or a pipe."""
@@ -37,11 +37,11 @@ def task(config: DictConfig) -> None:
         trust=trusted(config),
     )
     path = write(done, Path(config.folder))
-    console = Console(width=None if sys.stdout.isatty() else WIDTH)
+    console = Screen(width=None if sys.stdout.isatty() else WIDTH)
     for title, found in ((done.spec["title"], done.table), ("Beside the paper's statements", done.verdicts)):
         if found:
             console.print(_table(title, found))
-    console.print(str(path), highlight=False, soft_wrap=True)
+    console.whole(path)
 
 
 def write(done: Published, folder: Path) -> Path:

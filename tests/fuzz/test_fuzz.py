@@ -8,7 +8,6 @@ import resource
 import subprocess
 import time
 import unicodedata
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +32,8 @@ ASKED = int(os.environ.get("INVDYN_FUZZ_EXAMPLES", "0"))
 SLOWEST = 10.0
 """[s] that any answer may take."""
 
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers beyond reason overflow on their way out
+
 
 def examples(usual: int, part: float = 1.0) -> settings:
     """So many examples, the same ones each time; or a part of as many fresh ones as were asked for."""
@@ -44,14 +45,6 @@ def examples(usual: int, part: float = 1.0) -> settings:
         print_blob=True,
         suppress_health_check=list(HealthCheck),
     )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quiet():
-    """Numbers beyond reason overflow on their way to being refused; numpy's warnings about it are no failures."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        yield
 
 
 @pytest.fixture(scope="module")
