@@ -29,6 +29,8 @@ def write_file(path: str | Path, content: bytes | str) -> Path:
     try:
         _write_part(part, data)
         part.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error  # not the name of the part
     finally:
         part.unlink(missing_ok=True)
     return path

@@ -55,7 +55,7 @@ def read(path: str, names: list[str], limit: int) -> Iterator[tuple[dict[str, An
         told = [_dataset(node, name) for node, name in zip(found, names, strict=True)]
         asked = sum(one["bytes"] for one in told)
         if asked > limit:
-            raise Refused(f"holds {asked / 1e9:.3g} GB; allowed: {limit / 1e9:.3g} GB")
+            raise Refused(f"holds {asked / 1e9:.3g} GB; allowed: {limit / 1e9:.3g} GB, or a larger max_size")
         _limit_memory(MEMORY + 3 * asked)
         for node, one in zip(found, told, strict=True):
             if one["kind"] == "text":

@@ -40,14 +40,13 @@ def load_urdf(
     base_rpy: Sequence[float] | None = None,
     payload: Mapping[str, Any] | None = None,
     dynamics_tags: str = "ignore",
-    xacro: bool = True,
 ) -> Robot:
     """A robot from a URDF or xacro file.
 
     Joints that are not chosen to move are locked at zero, or at the limit nearest to it, and named in `Robot.notes`.
 
     Args:
-        path: a `.urdf` or `.xacro` file, or the name of a built-in robot.
+        path: a `.urdf` or `.xacro` file (which may run Python of its own), or the name of a built-in robot.
         joints: the joints that move, in this order of columns, parents before children.
         tip: a link or joint; the joints between it and the base move. Without `joints` and `tip` all joints move but
             those of grippers: mimic joints and what they follow, names as in GRIPPER, short branches at the arm's end.
@@ -57,14 +56,13 @@ def load_urdf(
         payload: a body on the link behind the last moving joint, in that joint's frame: "mass" [kg], "com" (3,) [m],
             and, if it is no point mass, "inertia" about its com [kg m^2], (3, 3) or (6,) as in URDF: xx xy xz yy yz zz.
         dynamics_tags: "use" fills `Robot.damping` and `Robot.friction` from `<dynamics>`, "ignore" leaves them zero.
-        xacro: whether a xacro file will do; it runs Python of its own.
 
     Raises:
         RobotError: if the file cannot be read, or cannot be the robot that is asked for.
     """
     if dynamics_tags not in ("ignore", "use"):
         raise RobotError(f"robot.dynamics_tags={dynamics_tags!r}; allowed: ignore, use")
-    text = urdf.read(path, xacro=xacro)
+    text = urdf.read(path)
     root = urdf.parse(text, path)
     urdf_checks.refuse(root, path)
     urdf_checks.renamed(root)

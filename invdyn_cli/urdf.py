@@ -27,8 +27,8 @@ LARGEST_FILE = 20_000_000
 """[bytes] of a URDF; the largest that are published have one."""
 
 
-def read(path: str | Path | None, *, xacro: bool = True) -> str:
-    """The URDF text of a built-in robot, a URDF or (with `xacro`, which runs Python of the file's) a xacro file."""
+def read(path: str | Path | None) -> str:
+    """The URDF text of a built-in robot, a URDF or a xacro file (which may run Python of its own)."""
     built_in = f"a .urdf or .xacro file, or a built-in robot: {listed(BUILT_IN)}"
     if path is None:
         raise RobotError(
@@ -39,9 +39,6 @@ def read(path: str | Path | None, *, xacro: bool = True) -> str:
         raise RobotError(f"no robot description at {str(path)!r}{closest(str(path), BUILT_IN)}; allowed: {built_in}")
     if (size := file.stat().st_size) > LARGEST_FILE:
         raise RobotError(f"{path} holds {size / 1e6:.0f} MB; allowed: {LARGEST_FILE / 1e6:.0f} MB of URDF")
-    if file.suffix == ".xacro" and not xacro:
-        got = f"a log names the robot description {file}; allowed there: .urdf, because a xacro file runs code"
-        raise RobotError(got, advice="robot=urdf robot.path=…, if you trust that file")
     if file.suffix == ".xacro":
         return _expanded(file)
     try:

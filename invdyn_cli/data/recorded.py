@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli import hdf5
 from invdyn_cli.data.conditioning import Conditioning, ordered
 from invdyn_cli.data.selection import SETS, Block
 from invdyn_cli.errors import LogError, UsageError, listed
@@ -36,6 +37,7 @@ class RealLog(AbstractSource):
         drive_gain: (n,) [N m/A], in place of the logs'.
         rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
         max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
+        max_size: [GB] that a log's trajectories may hold.
     """
 
     path: str | Sequence[str]
@@ -54,6 +56,7 @@ class RealLog(AbstractSource):
     drive_gain: Sequence[float] | None = None
     rate: float | None = None
     max_gap: float = 0.1
+    max_size: float = hdf5.LIMIT / 1e9
 
     needs_robot = False
 
@@ -63,6 +66,17 @@ class RealLog(AbstractSource):
             if value is not None:
                 single = isinstance(value, str | int | float | Path)
                 object.__setattr__(self, name, (value,) if single else tuple(value))
+
+    @property
+    def limit(self) -> float:
+        """[bytes] that may be read of a log.
+
+        Raises:
+            UsageError: if `max_size` is no such number.
+        """
+        if not 0 < self.max_size < np.inf:
+            raise UsageError(f"data.max_size={self.max_size}; allowed: a number of GB above 0")
+        return 1e9 * self.max_size
 
     def header(self) -> Header:
         """Robot and joints of the logs, and the first URDF that one of them names."""
@@ -117,7 +131,7 @@ class RealLog(AbstractSource):
         """The logs with the wanted trajectories, drive gains set, all of the same joints."""
         logs = []
         for path, names in wanted.items():
-            log = read_log(path, names, check=False)
+            log = read_log(path, names, check=False, limit=self.limit)
             if self.drive_gain is not None and log.torque_unit == "A":
                 log = replace(log, drive_gain=np.asarray(self.drive_gain, float))
             refuse_defects(log, str(path))

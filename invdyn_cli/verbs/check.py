@@ -71,7 +71,7 @@ def read(source: RealLog) -> list[Log]:
     keys = raw.keys_of(source.path)
     options = SETS if raw.reference_files(source, keys) else (*SETS, "reference")
     named = {block.key for blocks in raw.asked(source, keys, options).values() for block in blocks or ()}
-    return raw.read(keys, named or keys, source.drive_gain)
+    return raw.read(keys, named or keys, source)
 
 
 def shown(examination: Examination, mended: Iterable[str]) -> Group:

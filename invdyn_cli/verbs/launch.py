@@ -55,7 +55,10 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         of ours, whose traceback is in a file. Ctrl-C goes on as KeyboardInterrupt.
     """
     argv = list(argv)
-    cwd = Path.cwd()
+    try:
+        cwd = Path.cwd()
+    except OSError:
+        return complain("the working directory is gone. Try: cd to one that is there")
     # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml. The package's own
     # configs come first, so that a folder of somebody else's changes none of them.
     if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
@@ -95,22 +98,23 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         if interruption.was_asked():  # which may come in an import and end as anything
             _remove_empty(folders, before)
             raise KeyboardInterrupt from error
-        line = _line(verb, error, argv)
+        line = told(verb, error, argv)
         code = complain(line) if line else _own_error(error, folders[0] if folders else None)
     _remove_empty(folders, before)
     return code
 
 
-def _line(verb: str, error: Exception, argv: list[str]) -> str:
+def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
     """What a failure of use is told as; "" for an error of ours."""
     if isinstance(error, InvdynError):
         return str(error)
     if isinstance(error, HydraException | OmegaConfBaseException):
-        return _told(verb, error, argv)
+        return _composing(verb, error, argv)
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return f"out of memory: {error}"
     if isinstance(error, OSError):
-        return f"{error.filename or 'a file'}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)"
+        where = error.filename or "a file of the output"
+        return f"{where}: {error.strerror or error}. Try: another folder (hydra.run.dir=…)"
     if _raised_by(error) in ("hydra", "omegaconf"):
         return f"the config cannot be composed: {error}"
     return ""
@@ -126,9 +130,9 @@ def _own_error(error: Exception, folder: Path | None) -> int:
     """Keep the traceback of an error of ours, in the run's folder if it can be written, and say where."""
     text = "".join(traceback.format_exception(error))
     kept = "no place to write its traceback to"
-    for place in (folder or Path.cwd(), Path(tempfile.gettempdir())):
+    for place in (folder or Path(), Path(tempfile.gettempdir())):
         with contextlib.suppress(OSError):
-            kept = str(write_file(place / TRACEBACK, text))
+            kept = str(write_file((place / TRACEBACK).absolute(), text))
             break
     what = shortened(" ".join(f"{type(error).__name__}: {error}".split()), 200)
     return complain(f"an error of invdyn's own ({what}). Please report it, with {kept}", 3)
@@ -279,7 +283,7 @@ def _cause(error: BaseException) -> BaseException:
     return error
 
 
-def _told(verb: str, error: Exception, argv: list[str]) -> str:
+def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
     """Hydra's and OmegaConf's many lines as one, with what is allowed and the nearest match."""
     text = str(error)
     if isinstance(error, MissingConfigException) and error.options:
@@ -298,7 +302,7 @@ def _told(verb: str, error: Exception, argv: list[str]) -> str:
     return text.split("\nfull_key")[0].split("\nSee https")[0].split("\nSet the environment")[0]
 
 
-def _siblings(verb: str, key: str, argv: list[str]) -> list[str]:
+def _siblings(verb: str, key: str, argv: Sequence[str]) -> list[str]:
     """The options beside `key` in the config that the other overrides give."""
     groups = [p.name for p in config_folder().iterdir() if p.is_dir()]
     chosen = [a for a in argv if a.split("=")[0] in (*groups, "hydra.searchpath")]

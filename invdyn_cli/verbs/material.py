@@ -47,9 +47,9 @@ class Recorded:
         refuse_overlap({name: blocks or () for name, blocks in self.asked.items()})
         named = {block.key for blocks in self.asked.values() for block in blocks or ()}
         whole = self.asked["train"] is None or self.asked["test"] is None
-        self.logs = raw.read(self.keys, self.keys if whole else named, source.drive_gain)
+        self.logs = raw.read(self.keys, self.keys if whole else named, source)
         keys = raw.keys_of(files) if files else {}
-        self.earlier = raw.read(keys, keys, source.drive_gain) if files else []
+        self.earlier = raw.read(keys, keys, source) if files else []
 
     def header(self) -> Header:
         """Robot and joints of the logs, and the first URDF that one of them names."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+import yaml
 from omegaconf import OmegaConf, open_dict
 
 from invdyn_cli import store, untrusted
@@ -18,6 +19,9 @@ from invdyn_cli.report.comparison import Grid, Job
 from invdyn_cli.types import RunRecord
 from invdyn_cli.verbs import run, screen, sweep
 from invdyn_cli.verbs.launch import config_folder
+
+NEEDED = ("title", "source", "columns", "jobs")
+"""What the file of any experiment says."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +82,27 @@ def read(name: str) -> dict[str, Any]:
     places = [config_folder().with_name("experiments"), Path.cwd() / "experiments"]  # nobody's folder changes ours
     for place in places:
         if (place / f"{name}.yaml").is_file():
-            return OmegaConf.to_container(OmegaConf.load(place / f"{name}.yaml"), resolve=False)  # type: ignore[return-value]
+            return _read(place / f"{name}.yaml")
     names = sorted({path.stem for place in places for path in place.glob("*.yaml")})
     raise UsageError(f"experiment={name}; allowed: {listed(names)}{closest(name, names)}")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        spec = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise UsageError(f"{path} cannot be read as an experiment: {error}") from error
+    for names, one in ((NEEDED, spec), *((("name", "overrides"), job) for job in _jobs(spec))):
+        if lacking := [name for name in names if not isinstance(one, dict) or name not in one]:
+            raise UsageError(
+                f"{path} lacks {listed(lacking)}; an experiment needs {listed(NEEDED)}, each job a name and overrides"
+            )
+    return spec  # pyright: ignore[reportReturnType]
+
+
+def _jobs(spec: Any) -> list:
+    jobs = spec.get("jobs") if isinstance(spec, dict) else None
+    return jobs if isinstance(jobs, list) else []
 
 
 def expand(spec: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], list[str]]]:

@@ -64,8 +64,9 @@ def asked(source: Any, keys: Iterable[str], names: Sequence[str] = SETS) -> dict
     return {k: None if v is None else [parse(k, str(text), keys) for text in v] for k, v in options.items()}
 
 
-def read(keys: Keys, used: Iterable[str], drive_gain: Sequence[float] | None = None) -> list[Log]:
-    """The logs of `keys`, each with those of its trajectories that are `used`, called by their keys.
+def read(keys: Keys, used: Iterable[str], source: RealLog) -> list[Log]:
+    """The logs of `keys`, each with those of its trajectories that are `used`, called by their keys; drive gains and
+    the limit on bytes are the source's.
 
     Raises:
         LogError: if a log cannot be read, or logs have different joints.
@@ -74,9 +75,9 @@ def read(keys: Keys, used: Iterable[str], drive_gain: Sequence[float] | None = N
     paths = list(dict.fromkeys(path for path, _ in keys.values()))
     for path in paths:
         names = {name: key for key, (at, name) in keys.items() if at == path}
-        log = read_log(path, [name for name, key in names.items() if key in used], check=False)
-        if drive_gain is not None and log.torque_unit == "A":
-            log = replace(log, drive_gain=np.asarray(drive_gain, float))
+        log = read_log(path, [name for name, key in names.items() if key in used], check=False, limit=source.limit)
+        if source.drive_gain is not None and log.torque_unit == "A":
+            log = replace(log, drive_gain=np.asarray(source.drive_gain, float))
         gain = log.drive_gain
         if gain is not None and np.shape(gain) != (len(log.joints),):
             got = f"{path}: drive gains {np.asarray(gain).tolist()}"

@@ -11,13 +11,13 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import experiment, registry, store
-from invdyn_cli.errors import InvdynError, RobotError, UsageError, listed
+from invdyn_cli.errors import RobotError, UsageError, listed
 from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import origin, screen, sweep
-from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
+from invdyn_cli.verbs.launch import TRACEBACK, in_sweep, instantiate, job, launch, told
 from invdyn_cli.verbs.screen import Screen
 
 FORMATS = ("png", "svg", "pdf")
@@ -34,18 +34,19 @@ def task(config: DictConfig) -> None:
     if not in_sweep():
         execute(config, folder, Screen())
         return
+    asked = job().overrides.task
     status, message = "kept" if sweep.is_complete(config, folder) else "ran", ""
     if status == "ran":
-        sweep.keep_status(folder, "started")
+        sweep.keep_status(folder, asked, "started")
         try:
             execute(config, folder)
         except Exception as error:
-            status, message = "failed", str(error)
-            if not isinstance(error, InvdynError):
-                message = f"{type(error).__name__}: {message}"
-                write_file(folder / "traceback.txt", traceback.format_exc())
-    sweep.keep_status(folder, status, message)
-    screen.tell(f"job {job().job.num} {status}: {message or ' '.join(job().overrides.task)}")
+            status, message = "failed", told("run", error, asked)
+            if not message:
+                message = f"{type(error).__name__}: {error}"
+                write_file(folder / TRACEBACK, traceback.format_exc())
+    sweep.keep_status(folder, asked, status, message)
+    screen.tell(f"job {job().job.num} {status}: {message or ' '.join(asked)}")
 
 
 def execute(config: DictConfig, folder: Path, console: Screen | None = None, view: Any = None) -> RunRecord:
@@ -109,7 +110,10 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     if joints is None and header is not None and node.tip is None:
         joints = list(header.joints)
     try:
-        robot = instantiate(node, path=str(path), joints=joints)(xacro=bool(node.path))  # a log's file runs no code
+        if not node.path and Path(path).suffix == ".xacro":
+            got = f"the log names the robot description {path}; allowed there: .urdf, because a xacro file runs code"
+            raise RobotError(got, advice="robot=urdf robot.path=…, if you trust that file")
+        robot = instantiate(node, path=str(path), joints=joints)()
     except RobotError as error:
         if not optional or node.path:
             raise

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
@@ -45,9 +44,9 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
     return kept == OmegaConf.to_yaml(config, resolve=True) and provenance.get("code") == origin.fingerprint()
 
 
-def keep_status(folder: Path, status: str, message: str = "") -> None:
-    """Leave in a job's folder how it went: started, ran, kept, failed."""
-    write_file(folder / STATUS, json.dumps({"status": status, "message": message}))
+def keep_status(folder: Path, overrides: Sequence[str], status: str, message: str = "") -> None:
+    """Leave in a job's folder what was asked of it and how it went: started, ran, kept, failed."""
+    write_file(folder / STATUS, json.dumps({"overrides": list(overrides), "status": status, "message": message}))
 
 
 class Summary(Callback):
@@ -80,24 +79,20 @@ def _without(overrides: str, shared: set[str]) -> str:
 
 
 def _row(folder: Path) -> dict[str, Any]:
-    status = _read(folder / STATUS)
-    overrides = folder / ".hydra" / "overrides.yaml"
-    row = {
-        "job": int(folder.name) if folder.name.isdigit() else 0,
-        "overrides": " ".join(yaml.safe_load(overrides.read_text())) if overrides.is_file() else folder.name,
-        "status": "failed" if status.get("status") == "started" else str(status.get("status")),
-        "message": "killed" if status.get("status") == "started" else str(status.get("message")),
-        "test_nmse": None,
-        "test_rmse": None,
-        "seconds": None,
-    }
-    if row["status"] != "failed":
-        found = _read(folder / store.METRICS)
-        row["test_nmse"] = found["test"]["nmse"]["mean"]
-        row["test_rmse"] = found["test"]["rmse"]["mean"]
-        row["seconds"] = found["seconds"]["total"]
-    return row
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return untrusted.mapping(untrusted.read_json(path, RunFileError), str(path))
+    """What a job left in its folder; one that was killed, or left something else, has failed."""
+    row = {"job": int(folder.name) if folder.name.isdigit() else 0, "overrides": folder.name}
+    scores = {"test_nmse": None, "test_rmse": None, "seconds": None}
+    try:
+        left = untrusted.read_json(folder / STATUS, RunFileError)
+        row["overrides"] = " ".join(untrusted.names(left["overrides"], "overrides"))
+        status, message = str(left["status"]), str(left["message"])
+        if status == "started":
+            status, message = "failed", "killed"
+        if status != "failed":
+            found = untrusted.read_json(folder / store.METRICS, RunFileError)
+            test, seconds = found["test"], found["seconds"]["total"]
+            values = (test["nmse"]["mean"], test["rmse"]["mean"], seconds)
+            scores = {name: None if x is None else float(x) for name, x in zip(scores, values, strict=True)}
+    except (InvdynError, ValueError, TypeError, KeyError) as error:
+        status, message = "failed", f"{folder.name} holds something else: {error}"
+    return {**row, "status": status, "message": message, **scores}

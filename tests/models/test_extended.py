@@ -131,7 +131,7 @@ def test_other_joints_are_refused(path, data):
 
 
 BROKEN = {
-    "no file": (None, "No such file"),
+    "no file": (None, "is not there"),
     "no JSON": ("{", "is no JSON"),
     "a list": ("[]", "schema is 'list'"),
     "another file": (json.dumps({"schema": "invdyn-metrics/1"}), "allowed: invdyn-model/1"),

@@ -350,7 +350,7 @@ def test_memory_does_not_grow_with_the_samples():
         ({"friction": "striebeck"}, "model.friction='striebeck'; allowed: none, coulomb_viscous"),
         ({"threshold": -1.0}, "model.threshold=-1.0; allowed: a number >= 0"),
         ({"threshold": float("nan")}, "model.threshold=nan"),
-        ({"ripples": -1}, "model.ripples=-1; allowed: a whole number >= 0"),
+        ({"ripples": -1}, "model.ripples=-1; allowed: a whole number from 0 to 50"),
     ],
 )
 def test_misuse_is_refused(options, words):
