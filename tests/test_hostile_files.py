@@ -5,6 +5,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import h5py
 import numpy as np
@@ -303,6 +304,30 @@ def test_text_from_a_file_is_cut(tmp_path):
         read_log(path)
     assert len(str(caught.value)) < 1000
     assert read_log(path, check=False).robot == "?[2J?evil"
+
+
+NAMES = ("[/]", "<script>alert(1)</script>", "$\\frac{", "[bold red]x", "%s{}\\n", "'\"&;")
+"""Names that mean something to rich, to a browser, to matplotlib, to Python and to a shell."""
+
+
+@pytest.mark.parametrize("names", [NAMES[:2], NAMES[2:4], NAMES[4:]], ids=["tags", "mathematics", "quotes"])
+def test_names_are_text_wherever_they_are_shown(names, tmp_path, command):
+    """A robot and joints with such names are checked, learned from and reported; no page takes them for HTML."""
+    first, second = map(escape, names, 2 * ({'"': "&quot;"},))
+    links = "".join(
+        f'<link name="l{i}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" '
+        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="{name}" type="revolute"><parent link="l{i - 1}"/>'
+        f'<child link="l{i}"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
+        for i, name in ((1, first), (2, second))
+    )
+    (tmp_path / "arm.urdf").write_text(f'<robot name="{first}"><link name="l0"/>{links}</robot>')
+    make_log(tmp_path / "log.h5", {names[0].replace("/", "_"): motion(20.0)}, robot=names[0], joint_names=list(names))
+    for verb, *more in (("check",), ("run", "model=pest"), ("report", "ran")):
+        data = () if verb == "report" else ("data=real_log", "data.path=log.h5", "robot=urdf", "robot.path=arm.urdf")
+        said = command(verb, *more, *data, *(["hydra.run.dir=ran"] if verb == "run" else []))
+        assert said.code == 0 and not said.err, said.err
+        assert verb == "report" or names[0][:5] in "".join(said.out)
+    assert "<script>alert" not in (tmp_path / "ran" / "report.html").read_text()
 
 
 def test_other_kinds_of_files(tmp_path):

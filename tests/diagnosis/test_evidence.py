@@ -145,3 +145,11 @@ def test_without_gravity_no_base_is_tilted():
     robot = replace(arm(), gravity=np.zeros(3))
     evidence = gather(robot, recording_of(log_of(raw(*moved()))), list(EFFECTS.values()), "unknown")
     assert not any(c.effect.name == "base_tilt" for c in evidence.candidates)
+
+
+def test_a_joint_that_carries_no_inertia_has_no_gear_to_yield():
+    """A URDF whose last link is massless: gears of the joints before it are tried, and none of the last joint's."""
+    massless = replace(arm(), inertial=arm().inertial * np.array([1.0, 1.0, 0.0])[:, None])
+    gears = [EFFECTS["joint_elasticity"], EFFECTS["backlash"]]
+    evidence = gather(massless, recording_of(log_of(raw(*moved(10.0), torque=0.02))), gears, "unknown")
+    assert {c.joint for c in evidence.candidates} == {0, 1}
