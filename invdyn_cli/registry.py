@@ -21,12 +21,14 @@ from invdyn_cli.models.dbm import Dbm
 from invdyn_cli.models.extended import Extended
 from invdyn_cli.models.ffnn import Ffnn, JointNet
 from invdyn_cli.models.pest import Pest
+from invdyn_cli.models.standard import Standard
 
 CLASSES: Mapping[str, type] = {
     "pest": Pest,
     "ffnn": Ffnn,
     "ffnn.joint": JointNet,
     "dbm": Dbm,
+    "standard": Standard,
     "hybrid": Hybrid,
     "extended": Extended,
     "batch": Batch,

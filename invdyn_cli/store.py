@@ -29,6 +29,8 @@ RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
 CHECK_SCHEMA = "invdyn-check/1"
 DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
+SECONDS = ("fit", "predict", "total")
+"""What of a run is always timed [s]."""
 RUN, METRICS = "run.h5", "metrics.json"
 """What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
 
@@ -78,7 +80,7 @@ def load_run(path: str | Path, trust: Sequence[str] = (), *, limit: float = hdf5
         return _record(tree, trust)
     except RunFileError as error:
         raise RunFileError(f"{path}: {error.got}", advice=error.advice) from None
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
         got = f"{path} is no whole run ({type(error).__name__}: {error})"
         raise RunFileError(got, advice="running it again") from error
 
@@ -155,7 +157,7 @@ def _record(tree: dict[str, Any], trust: Sequence[str]) -> RunRecord:
             for name, s in tree["member_scores"].items()
         },
         samples={name: int(untrusted.number(x, name)) for name, x in tree["samples"].items()},
-        seconds={name: untrusted.number(x, name) for name, x in tree["seconds"].items()},
+        seconds={name: untrusted.number(tree["seconds"][name], name) for name in (*SECONDS, *tree["seconds"])},
         split=split,
         digest=untrusted.text(tree["digest"], "digest"),
         trace=untrusted.mapping(tree["trace"], "trace"),
@@ -185,7 +187,7 @@ def metrics(record: RunRecord) -> dict[str, Any]:
         **{name: record.choices.get(name) for name in ("model", "data", "adaptation", "seed")},
         "joints": list(record.fit.joints),
         **{name: score.as_dict() for name, score in record.scores.items()},
-        "seconds": {name: record.seconds[name] for name in ("fit", "predict", "total")},
+        "seconds": {name: record.seconds[name] for name in SECONDS},
         "samples": dict(record.samples),
         "parameters": record.fit.parameters,
     }

@@ -265,16 +265,26 @@ def _grams(design: Design, dataset: Dataset, preconditioner: np.ndarray) -> np.n
 
 
 def _chunks(dataset: Dataset) -> Iterator[tuple[Motion, Array, np.ndarray]]:
-    """Motion, torque and validity (CHUNK rows each, the last of a trajectory padded with rows that do not count)."""
+    """`chunks` of all trajectories."""
     for x in dataset.trajectories:
-        for start in range(0, len(x.t), CHUNK):
-            rows = slice(start, start + CHUNK)
-            part, tau = x.motion[rows], x.tau[rows]
-            missing = CHUNK - len(part)
-            valid = np.arange(CHUNK) < len(part)
-            if missing:
-                part, tau = jax.tree.map(lambda a, m=missing: np.pad(a, ((0, m), (0, 0))), (part, tau))
-            yield part, tau, valid
+        yield from chunks(x.motion, x.tau)
+
+
+def chunks(motion: Motion, tau: Array) -> Iterator[tuple[Motion, Array, np.ndarray]]:
+    """Motion, torque and validity (CHUNK rows each, the last padded with rows that do not count)."""
+    for start in range(0, len(tau), CHUNK):
+        rows = slice(start, start + CHUNK)
+        part, torque = motion[rows], tau[rows]
+        missing = CHUNK - len(part)
+        valid = np.arange(CHUNK) < len(part)
+        if missing:
+            part, torque = jax.tree.map(lambda a, m=missing: np.pad(a, ((0, m), (0, 0))), (part, torque))
+        yield part, torque, valid
+
+
+def blocks(motion: Motion, tau: Array, valid: Array) -> tuple[Motion, Array, Array]:
+    """A chunk as what a scan over blocks of BLOCK samples takes, samples last."""
+    return jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)
 
 
 def _blocks(x: Array) -> Array:
@@ -289,7 +299,7 @@ def _add_chunk(design, motion, tau, valid, preconditioner, state):
         z = preconditioner.T @ design_rows(design, motion, valid).reshape(len(preconditioner), -1)
         return (state[0] + z @ z.T, state[1] + z @ (design.weights[:, None] * tau).ravel()), None
 
-    return jax.lax.scan(add, state, (jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)))[0]
+    return jax.lax.scan(add, state, blocks(motion, tau, valid))[0]
 
 
 @jax.jit
@@ -311,7 +321,7 @@ def _scores(design, motion, tau, valid, preconditioner, psi):
         residual = (_row_weights(design, motion, valid) * tau).ravel() - psi @ rows
         return preconditioner.T @ (rows @ residual), (residual.reshape(tau.shape) / design.weights[:, None]).T
 
-    scores, residual = jax.lax.map(one, (jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)))
+    scores, residual = jax.lax.map(one, blocks(motion, tau, valid))
     return scores, residual.reshape(-1, residual.shape[-1])
 
 

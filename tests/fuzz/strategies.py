@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 from hypothesis import strategies as st
 
-from invdyn_cli import store
 from tests.logs import HEADER, motion
 
 NUMBERS = st.one_of(
@@ -218,7 +217,7 @@ def run_bytes(sound: bytes, changes: list[tuple]) -> bytes:
         for what, where, value in changes:
             if what in ("json", "drop", "put", "group"):
                 parent, _, name = where.rpartition("/")
-                place = file[parent] if parent else file
+                place = file.get(parent) if parent else file
                 if not isinstance(place, h5py.Group):
                     continue
                 if name in place:
@@ -232,12 +231,6 @@ def run_bytes(sound: bytes, changes: list[tuple]) -> bytes:
         file.flush()
         image = file.id.get_file_image()
     return _damaged(image, changes)
-
-
-def sound_run(path: Any, record: Any) -> bytes:
-    """The bytes of a run.h5 that holds a record."""
-    store.write_run(record, path)
-    return path.read_bytes()
 
 
 # --- overrides ---

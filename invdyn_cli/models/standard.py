@@ -1,0 +1,155 @@
+"""model=standard: what every real arm has beside its URDF, fitted at once with a prior (`maths/standard.py`)."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.chunks import in_chunks
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.maths import regression, rigid_body, standard, statistics
+from invdyn_cli.maths.regression import Design
+from invdyn_cli.maths.standard import Standard as Fitted
+from invdyn_cli.maths.standard import Sums
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+
+TERMS = ("offset", "coulomb", "viscous", "armature")
+"""Columns beside the inertial ones."""
+
+
+@dataclass(frozen=True)
+class Standard(AbstractModel):
+    """The URDF's links, some percent off, with friction, an offset and a rotor on every joint.
+
+    Least squares with a prior about the URDF: where the motion says little it stays as it is, so that little data
+    suffice and what was learned from one motion holds on another. `share` is learned by leaving motions out where the
+    training data hold several that differ, else by the evidence.
+
+    Attributes:
+        share: of a link's scales by which the URDF is off; None: learned.
+        rotor_inertia: adds an inertia of the rotor per joint (only where torque is taken at the motor).
+        rest_speed: [rad/s; m/s] below which the sign of a measured velocity is noise.
+    """
+
+    share: float | None = None
+    rotor_inertia: bool = True
+    rest_speed: float = regression.REST_SPEED
+
+    def __post_init__(self) -> None:
+        if self.share is not None and not self.share > 0:
+            raise UsageError(f"model.share={self.share}; allowed: a number above 0, or null")
+        if not self.rest_speed > 0:
+            raise UsageError(f"model.rest_speed={self.rest_speed}; allowed: a number > 0")
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the columns that every joint has beside the inertial ones."""
+        return TERMS if self.rotor_inertia else TERMS[:-1]
+
+    def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
+        """The URDF as it is: {"psi": (n, 10), and (n,) each of `terms`}."""
+        n = len(dataset.joints)
+        psi = jnp.zeros((n, 10)) if dataset.robot is None else jnp.asarray(dataset.robot.inertial)
+        return {"psi": psi, **{name: jnp.zeros(n) for name in self.terms}}
+
+    def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
+        """Torque (n,) of one sample."""
+        assert robot is not None
+        tau = rigid_body.inverse_dynamics(robot, params["psi"], motion.q, motion.qd, motion.qdd)
+        columns = regression.extra_columns(self.terms, motion, self.rest_speed)
+        for name, column in zip(self.terms, columns, strict=True):
+            tau = tau + jnp.reshape(params[name], (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
+        return tau
+
+    def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
+        """Torques (T, n)."""
+        return in_chunks(lambda part: _rows(self, fit.params, part, fit.robot), motion)
+
+    def fit(
+        self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
+    ) -> Fit:
+        """The coefficients of largest posterior, after Gram matrices of every motion.
+
+        details: share (s), chosen (how), std {term: (n,)} and of the links (n, 10), noise (n,), effective_samples (n,).
+
+        Raises:
+            UsageError: if the dataset has no robot.
+        """
+        robot = dataset.robot
+        if robot is None:
+            raise UsageError(
+                "model=standard needs the robot's URDF, and these data bring none",
+                advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
+            )
+        motions = []
+        for k, one in enumerate(dataset.trajectories):
+            motions.append(_sums(self, robot, one.motion, one.tau))
+            progress(0.8 * (k + 1) / len(dataset.trajectories), "regressor")
+        motions = standard.distinct(motions)
+        beside = np.repeat(self.terms, robot.dofs)
+        inertial = np.concatenate([standard.link_scales(robot).ravel(), np.zeros(len(beside))])
+        positive = np.concatenate([np.zeros(10 * robot.dofs, bool), beside != "offset"])
+        prior = standard.prior_of(motions, inertial, positive)
+        times = np.ones(robot.dofs)
+        first = standard.fit(motions, prior, times, standard.USUAL)
+        times = self._correlation(dataset, self._params(robot, first))
+        found = standard.fit(motions, prior, times, self.share)
+        std = np.sqrt(np.diag(found.covariance))
+        spread = std[10 * robot.dofs :].reshape(-1, robot.dofs)
+        return Fit(
+            params=self._params(robot, found),
+            robot=robot,
+            joints=dataset.joints,
+            parameters=len(found.theta),
+            details={
+                "share": found.share,
+                "chosen": found.chosen,
+                "std": {"psi": std[: 10 * robot.dofs].reshape(-1, 10), **dict(zip(self.terms, spread, strict=True))},
+                "noise": found.noise,
+                "effective_samples": dataset.samples / times,
+            },
+        )
+
+    def _params(self, robot: Robot, found: Fitted) -> PyTree:
+        links, beside = found.theta[: 10 * robot.dofs], found.theta[10 * robot.dofs :].reshape(-1, robot.dofs)
+        return {"psi": robot.inertial + links.reshape(-1, 10), **dict(zip(self.terms, beside, strict=True))}
+
+    def _correlation(self, dataset: Dataset, params: PyTree) -> np.ndarray:
+        """Autocorrelation time (n,) [samples] of what is left, the longest of all trajectories."""
+        times = np.ones(len(dataset.joints))
+        for one in dataset.trajectories:
+            rows = slice(0, regression.RESIDUALS)
+            said = in_chunks(lambda part: _rows(self, params, part, dataset.robot), one.motion[rows])
+            times = np.maximum(times, [statistics.autocorrelation_time(x) for x in (one.tau[rows] - said).T])
+        return times
+
+
+def _sums(model: Standard, robot: Robot, motion: Motion, tau: Array) -> Sums:
+    """What one trajectory says, in chunks of few shapes."""
+    p = (10 + len(model.terms)) * robot.dofs
+    grams = jnp.zeros((robot.dofs, p + 1, p + 1))
+    design = Design(robot, model.terms, np.ones(robot.dofs), model.rest_speed)
+    for part, torque, valid in regression.chunks(motion, tau):
+        grams = _added(design, part, torque, valid, grams)
+    return Sums(np.asarray(grams), np.full(robot.dofs, len(tau)))
+
+
+@partial(jax.jit, donate_argnums=4)
+def _added(design: Design, motion: Motion, tau: Array, valid: Array, grams: Array) -> Array:
+    def add(grams, block):
+        motion, tau, valid = block
+        rows = regression.design_rows(design, motion, valid)
+        robot = design.robot
+        nominal = rigid_body.inverse_dynamics(robot, robot.inertial, motion.q, motion.qd, motion.qdd)
+        rows = jnp.concatenate([rows, ((tau - nominal) * valid)[None]])
+        return grams + jnp.einsum("pnb,qnb->npq", rows, rows), None
+
+    return jax.lax.scan(add, grams, regression.blocks(motion, tau, valid))[0]
+
+
+@jax.jit(static_argnums=0)
+def _rows(model: Standard, params: PyTree, motion: Motion, robot: Robot) -> Array:
+    return model.apply(params, jax.tree.map(jnp.transpose, motion), robot).T
