@@ -2,6 +2,7 @@
 
 import io
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -43,6 +44,8 @@ def entry() -> None:
     """The installed command: `main` on sys.argv, and an end without a crash whatever became of stdout."""
     interruption.watch()
     code = 0
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")  # libraries' words to programmers; `python -W` shows them
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows ASCII only shows "?" for what it lacks

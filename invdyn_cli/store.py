@@ -29,8 +29,6 @@ RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
 CHECK_SCHEMA = "invdyn-check/1"
 DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
-SECONDS = ("fit", "predict", "total")
-"""What of a run is always timed [s]."""
 RUN, METRICS = "run.h5", "metrics.json"
 """What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
 
@@ -157,7 +155,7 @@ def _record(tree: dict[str, Any], trust: Sequence[str]) -> RunRecord:
             for name, s in tree["member_scores"].items()
         },
         samples={name: int(untrusted.number(x, name)) for name, x in tree["samples"].items()},
-        seconds={name: untrusted.number(tree["seconds"][name], name) for name in (*SECONDS, *tree["seconds"])},
+        seconds={name: untrusted.number(x, name) for name, x in tree["seconds"].items()},
         split=split,
         digest=untrusted.text(tree["digest"], "digest"),
         trace=untrusted.mapping(tree["trace"], "trace"),
@@ -187,7 +185,7 @@ def metrics(record: RunRecord) -> dict[str, Any]:
         **{name: record.choices.get(name) for name in ("model", "data", "adaptation", "seed")},
         "joints": list(record.fit.joints),
         **{name: score.as_dict() for name, score in record.scores.items()},
-        "seconds": {name: record.seconds[name] for name in SECONDS},
+        "seconds": {name: record.seconds.get(name) for name in ("fit", "predict", "total")},
         "samples": dict(record.samples),
         "parameters": record.fit.parameters,
     }
@@ -231,7 +229,9 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "summary": diagnosis.summary,
         "log_checks": examination_as_dict(diagnosis.examination),
         "findings": [_finding_tree(x) for x in diagnosis.findings],
+        "standard": diagnosis.standard,
         "baseline": diagnosis.baseline,
+        "baselines": {"urdf": diagnosis.baseline, **diagnosis.baselines} if diagnosis.baselines else {},
         "extended": diagnosis.extended,
         "noise_floor": diagnosis.noise_floor,
         "unexplained": diagnosis.unexplained,

@@ -370,6 +370,10 @@ class Diagnosis:
         examination: what the doctor said.
         findings: named and ambiguous ones first, by gain; then what this log could not show.
         baseline, extended: held-out {joint: {"rmse", "nmse"}} of the nominal and the extended model.
+        baselines: the same of what a user would try first: "friction", a line of offset, Coulomb and viscous friction
+            (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
+        standard: the standard terms in the written model, {joint: {"coulomb": {"value", "unit", "interval95",
+            "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.
         summary: the verdict in two sentences.
@@ -394,3 +398,5 @@ class Diagnosis:
     replay: Any = None
     notes: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
+    baselines: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    standard: Mapping[str, Any] = field(default_factory=dict)

@@ -193,6 +193,20 @@ def diagnosis_of(causes, *, findings=(), noise=0.08, trajectories=4, seconds=SEC
         findings=(*claims, *findings),
         baseline=errors(tau[held_out] - nominal[held_out], tau[held_out], joints),
         extended=errors(tau[held_out] - extended[held_out], tau[held_out], joints),
+        baselines={
+            name: errors(share * (tau - nominal)[held_out], tau[held_out], joints)
+            for name, share in (("friction", 0.7), ("standard", 0.4))
+        },
+        standard={
+            **{
+                joint: {
+                    "offset": {"value": -0.1, "unit": "N m", "interval95": [-0.2, 0.0], "claimed": False},
+                    "coulomb": {"value": 1.5, "unit": "N m", "interval95": [1.4, 1.6], "claimed": True},
+                }
+                for joint in joints
+            },
+            "inertials": {"worth": dict.fromkeys(joints, 0.3), "share": 0.1, "chosen": "evidence"},
+        },
         noise_floor={j: {"rmse": float(x)} for j, x in zip(joints, noise * LOAD**0.3, strict=True)},
         unexplained={j: float(x) for j, x in zip(joints, [0.02, 0.04, 0.0, 0.01, 0.03, 0.02, 0.71], strict=True)},
         signals=signals,

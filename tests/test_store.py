@@ -17,6 +17,7 @@ from invdyn_cli.hybrid import Hybrid
 from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
+from invdyn_cli.models.standard import Standard
 from invdyn_cli.registry import CLASSES, decode, encode
 from invdyn_cli.types import Fit
 from tests.records import make_record
@@ -126,14 +127,15 @@ def test_models_within_models_come_back(tmp_path):
 
 
 def test_names_in_files_stay():
-    """Every class is stored under its name in the registry; what files of the first version called it loads too."""
+    """Every class is stored under its name in the registry; what files called it before there was one loads too."""
     for name, kind in CLASSES.items():
         if name == "extended":
             continue
         plain = {"class": name, "fields": FIELDS.get(name, {})}
         made = decode(plain, kind)
         assert encode(made)["class"] == name
-        assert decode({**plain, "class": f"{kind.__module__}:{kind.__name__}"}, kind) == made
+        if kind is not Standard:
+            assert decode({**plain, "class": f"{kind.__module__}:{kind.__name__}"}, kind) == made
 
 
 def test_metrics_have_the_designs_keys():

@@ -36,8 +36,8 @@ PHASES = (0.0, 1.9, 4.1, 0.8, 5.3, 2.7, 3.6)
 DIGITS = 15
 """Decimal digits that a float64 holds."""
 
-MOST_SAMPLES = 10_000_000
-"""Samples of a task: eight tasks of them are 13 GB for seven joints."""
+MOST_SAMPLES = 1_000_000
+"""Samples of a task: eight tasks of them, half an hour each at 500 Hz, are 2 GB for seven joints."""
 
 
 @dataclass(frozen=True)

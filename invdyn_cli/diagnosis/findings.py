@@ -207,7 +207,7 @@ def _term(inquiry: Inquiry, acting: Sequence[Acting], i: int) -> np.ndarray:
 
 def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool) -> dict[str, Quantity]:
     return {
-        name: Quantity(_plain(value), _unit(effect, name, slides), [_plain(low), _plain(high)])
+        name: Quantity(_plain(value), unit_of(effect, name, slides), [_plain(low), _plain(high)])
         for name, (value, low, high) in ends.items()
         if name in effect.parameters
     }
@@ -225,7 +225,8 @@ def _timed(finding: Finding, acting: Acting, ends: Mapping[str, tuple]) -> Findi
     )
 
 
-def _unit(effect: AbstractEffect, name: str, slides: bool) -> str:
+def unit_of(effect: AbstractEffect, name: str, slides: bool) -> str:
+    """The unit of a parameter at a joint that turns, or slides."""
     unit = effect.parameters[name].unit
     return SLIDING.get(unit, unit) if slides and name != "phase" else unit
 

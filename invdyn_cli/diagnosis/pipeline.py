@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, extension, findings, hold, known, repeats, unexplained, wording
+from invdyn_cli.diagnosis import doctor, extension, findings, hold, known, repeats, standard, unexplained, wording
 from invdyn_cli.diagnosis.candidates import gather
 from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.inquiry import inquire
@@ -103,16 +103,21 @@ def diagnose(
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, shares))
     progress(0.9, "model")
-    everything = (*facts, *made.acting)
+    written, ends, rest, lines, usual = made.acting, made.intervals, made.residual, {}, {}
+    if not compares:  # what has changed since a reference goes into the model of that reference
+        whole = inquiry.model.residual(made.acting)
+        more = standard.beside(evidence, side, made.before, made.residual, whole, made.acting, made.intervals)
+        written, ends, rest, lines = more.acting, more.intervals, more.residual, more.baselines
+        usual = standard.told(evidence, more, {(f.effect, f.joint) for f in made.findings if f.status == "named"})
     model = ExtendedModel(
         robot=nominal,
-        acting=everything,
-        intervals=({},) * len(facts) + made.intervals,
+        acting=(*facts, *written),
+        intervals=({},) * len(facts) + ends,
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
     )
     again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
-    baseline, extended = _scores(evidence, made)
+    baseline, extended, *others = (_scores(evidence, x) for x in (made.before, rest, *lines.values()))
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
         verdict=wording.verdict(made, learned, restless, floor, extended),
@@ -120,12 +125,14 @@ def diagnose(
         findings=made.findings,
         baseline=baseline,
         extended=extended,
+        baselines=dict(zip(lines, others, strict=True)),
+        standard=usual,
         noise_floor=None
         if floor is None
         else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
         unexplained=shares,
         model=model,
-        signals=_signals(evidence, made),
+        signals=_signals(evidence, made, rest),
         replay=again,
         notes=(*notes, *recording.notes, *made.notes, *why),
         details={
@@ -155,23 +162,19 @@ def _replay(
     return None, (f"The log was not replayed in the simulation: {why}.",)
 
 
-def _scores(evidence: Evidence, made: findings.Made) -> list[dict[str, dict[str, float]]]:
-    """Held-out error of every joint with the nominal and the extended model."""
-    rows = judged(evidence)
-    tables = []
-    for residual in (made.before, made.residual):
-        row = {}
-        for j, name in enumerate(evidence.robot.joints):
-            tau, left = evidence.tau[rows, j], residual[rows, j]
-            row[name] = {
-                "rmse": float(metrics.rmse(tau[:, None], (tau - left)[:, None])[0]),
-                "nmse": float(metrics.nmse(tau[:, None], (tau - left)[:, None])[0]),
-            }
-        tables.append(row)
-    return tables
+def _scores(evidence: Evidence, residual: np.ndarray) -> dict[str, dict[str, float]]:
+    """Held-out error of every joint of a model that leaves this `residual` (R, n)."""
+    rows, scores = judged(evidence), {}
+    for j, name in enumerate(evidence.robot.joints):
+        tau, left = evidence.tau[rows, j], residual[rows, j]
+        scores[name] = {
+            "rmse": float(metrics.rmse(tau[:, None], (tau - left)[:, None])[0]),
+            "nmse": float(metrics.nmse(tau[:, None], (tau - left)[:, None])[0]),
+        }
+    return scores
 
 
-def _signals(evidence: Evidence, made: findings.Made) -> Signals:
+def _signals(evidence: Evidence, made: findings.Made, residual: np.ndarray) -> Signals:
     return Signals(
         trajectory=np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece],
         t=evidence.on_rows("t"),
@@ -180,7 +183,7 @@ def _signals(evidence: Evidence, made: findings.Made) -> Signals:
         qdd=evidence.on_rows("qdd"),
         tau=evidence.tau,
         nominal=evidence.tau - made.before,
-        extended=evidence.tau - made.residual,
+        extended=evidence.tau - residual,
         terms=made.terms,
         valid=evidence.valid,
         held_out=evidence.role == ROLES.index("test"),

@@ -9,6 +9,7 @@ from typing import Any
 
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
+from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
 from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
 from invdyn_cli.report.replay_figure import REPLAY
@@ -103,11 +104,12 @@ def page(
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
         ("Causes", _causes(diagnosis)),
         ("What is gained", picked + _errors(diagnosis)),
+        ("What every arm has", _standard(diagnosis)),
         ("The better simulation", better_simulation(diagnosis, drawn.get(REPLAY), lacks or {})),
         ("The evidence", evidence),
         ("What this log could not have shown", _blind_spots(diagnosis)),
         ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),
-        ("Using the extended model", _usage() if usable and found else ""),
+        ("Using the extended model", _usage() if usable and (found or diagnosis.standard) else ""),
         ("How it was done", folded("filter, rates, tries", pairs(diagnosis.details)) if diagnosis.details else ""),
     ]
     return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), STYLE)
@@ -242,18 +244,43 @@ def _errors(diagnosis: Diagnosis) -> str:
         return ""
     floor, units, body = diagnosis.noise_floor, units_of(diagnosis), ""
     for joint in joints_of(diagnosis):
-        one, other = diagnosis.baseline.get(joint, {}), diagnosis.extended.get(joint, {})
         share = diagnosis.unexplained.get(joint, math.nan)
         bar = f'<span class="bar" style="width:{max(0.0, min(1.0, share)) * 5:.2f}em"></span>' if share == share else ""
-        cells = [significant(x.get(kind)) for kind in ("rmse", "nmse") for x in (one, other)]
-        cells.insert(2, significant((floor or {}).get(joint, {}).get("rmse")))
-        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells)
+        cells = "".join(f"<td>{significant(x)}</td>" for x in errors_of(diagnosis, joint))
+        body += f"<tr><td>{escape(joint)}</td>{cells}"
         body += f"<td>{bar}{'-' if share != share else f'{100 * share:.0f} %'}</td></tr>"
-    heads = ("joint", "RMSE nominal", "extended", "noise floor", "NMSE nominal", "extended", "still unexplained")
+    heads = ("joint", *ERROR_HEADS[:-1], "still unexplained")
     note = f"On held-out data; RMSE in {'; '.join(dict.fromkeys(units.values()))}. "
+    note += "Friction line: offset, Coulomb and viscous friction by least squares, the links as in the URDF. "
     note += "Still unexplained: the share of the rest that a learner predicts. "
     note += "" if floor else "No trajectory was repeated, so that there is no noise floor."
     return _table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
+
+
+def _standard(diagnosis: Diagnosis) -> str:
+    """The terms of every joint in the written model, named or not."""
+    rows = {joint: terms for joint, terms in diagnosis.standard.items() if joint != "inertials"}
+    heads = list(dict.fromkeys(term for terms in rows.values() for term in terms))
+    if not heads:
+        return ""
+    links, body = diagnosis.standard["inertials"], ""
+    for joint, terms in rows.items():
+        cells = [_term(terms[head]) if head in terms else "-" for head in heads]
+        cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
+        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
+    how = {"left out": "learned by leaving motions out", "evidence": "learned from the evidence of one motion"}
+    note = (
+        "What every arm has beside its URDF, in the extended model whether it is named or not; bold: named above. "
+        "Links: RMS torque of the change of the links' inertial parameters, which the URDF has right to about "
+        f"{100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+    )
+    return _table(("joint", *heads, "links"), body, "") + f'<p class="note">{escape(note)}</p>'
+
+
+def _term(term: Mapping[str, Any]) -> str:
+    low, high = term["interval95"]
+    value = f"{significant(term['value'])} ± {significant((high - low) / 2)} {escape(term['unit'])}"
+    return f"<b>{value}</b>" if term["claimed"] else value
 
 
 def _checks(diagnosis: Diagnosis) -> str:

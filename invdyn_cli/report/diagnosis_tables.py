@@ -71,20 +71,48 @@ def unseen_line(diagnosis: Diagnosis) -> str:
     return f"Not to be seen in this log: {'; '.join(said)}." if said else ""
 
 
+ERROR_HEADS = (
+    "RMSE nominal",
+    "friction line",
+    "standard model",
+    "extended",
+    "noise floor",
+    "NMSE extended",
+    "unexplained",
+)
+
+
 def error_table(diagnosis: Diagnosis) -> Table:
-    """Held-out errors per joint, nominal and extended, beside the noise floor, and what a learner still finds."""
+    """Held-out errors per joint of the nominal and the extended model, and of what a user would try first; beside them
+    the noise floor, and what a learner still finds."""
     units = units_of(diagnosis)
     sliding = [joint for joint, unit in units.items() if unit == "N"]
     said = "N" if sliding and len(sliding) == len(units) else "N m" + f" (N for {', '.join(sliding)})" * bool(sliding)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held out; RMSE in {said}.", style="dim"))
     table.add_column("joint", overflow="fold", max_width=24)
-    for head in ("RMSE nominal", "extended", "noise floor", "NMSE nominal", "extended", "unexplained"):
-        table.add_column(head, justify="right")
+    for head in ERROR_HEADS:
+        table.add_column(Text(head.replace(" ", "\n")), justify="right")
     for joint in joints_of(diagnosis):
-        one, other = diagnosis.baseline.get(joint, {}), diagnosis.extended.get(joint, {})
-        floor = (diagnosis.noise_floor or {}).get(joint, {}).get("rmse")
         share = diagnosis.unexplained.get(joint)
-        cells = (one.get("rmse"), other.get("rmse"), floor, one.get("nmse"), other.get("nmse"))
         left = "-" if share is None or math.isnan(share) else f"{100 * share:.0f} %"
-        table.add_row(Text(joint), *map(significant, cells), left)
+        table.add_row(Text(joint), *map(significant, errors_of(diagnosis, joint)), left)
     return table
+
+
+ERROR_HEADS = (
+    "RMSE nominal",
+    "friction line",
+    "standard model",
+    "extended",
+    "noise floor",
+    "NMSE extended",
+    "unexplained",
+)
+
+
+def errors_of(diagnosis: Diagnosis, joint: str) -> tuple[float | None, ...]:
+    """The numbers of a joint under ERROR_HEADS, without the last."""
+    lines = (diagnosis.baselines.get(name, {}) for name in ("friction", "standard"))
+    rmse = (table.get(joint, {}).get("rmse") for table in (diagnosis.baseline, *lines, diagnosis.extended))
+    floor = (diagnosis.noise_floor or {}).get(joint, {}).get("rmse")
+    return (*rmse, floor, diagnosis.extended.get(joint, {}).get("nmse"))

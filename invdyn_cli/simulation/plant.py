@@ -132,8 +132,8 @@ def record(
     )
 
 
-MOST_SAMPLES, MOST_SUBSTEPS = 20_000_000, 1000
-"""Samples of a log (five hours at 1 kHz; 6 GB for seven joints), and physics steps for each (0.1 us at 10 kHz)."""
+MOST_SAMPLES, MOST_SUBSTEPS = 5_000_000, 1000
+"""Samples of a log (83 minutes at 1 kHz; 2 GB for seven joints), and physics steps for each (0.1 us at 10 kHz)."""
 
 
 def refuse_clock(duration: float, rate: float, substeps: int) -> None:

@@ -26,7 +26,19 @@ FINDING = {
     "rejected",
     "advice",
 }
-DESIGN = {"schema", "verdict", "log_checks", "findings", "baseline", "extended", "noise_floor", "unexplained", "files"}
+DESIGN = {
+    "schema",
+    "verdict",
+    "log_checks",
+    "standard",
+    "baselines",
+    "findings",
+    "baseline",
+    "extended",
+    "noise_floor",
+    "unexplained",
+    "files",
+}
 
 
 def written(diagnosis, folder):

@@ -79,13 +79,16 @@ def test_blind_spots_are_below_the_table():
 
 
 def test_error_table_has_every_number():
-    """Errors before and after, noise floor and unexplained share of every joint are in the table."""
+    """Errors before and after and of the baselines, noise floor and unexplained share of every joint are in the table."""
     diagnosis = make_diagnosis()
+    lines = [diagnosis.baselines[name] for name in ("friction", "standard")]
     text = printed(error_table(diagnosis))
     for joint in joints_of(diagnosis):
         row = next(line for line in text.splitlines() if line.split()[:1] == [joint])
-        one, other, floor = diagnosis.baseline[joint], diagnosis.extended[joint], diagnosis.noise_floor[joint]
-        shown = [significant(x) for x in (one["rmse"], other["rmse"], floor["rmse"], one["nmse"], other["nmse"])]
+        tables = (diagnosis.baseline, *lines, diagnosis.extended, diagnosis.noise_floor)
+        shown = [
+            significant(x) for x in (*(table[joint]["rmse"] for table in tables), diagnosis.extended[joint]["nmse"])
+        ]
         assert row.split()[1:] == [*shown, f"{100 * diagnosis.unexplained[joint]:.0f}", "%"]
 
 

@@ -1,0 +1,254 @@
+"""What every arm has beside its URDF, fitted beside what was found: the written model has it, named or not.
+
+A name is a statement and needs proof; a model that leaves out a real offset because its name is unsure costs its user
+accuracy. So the terms of the standard model (`maths/standard.py`) are fitted to what the findings leave, and go into
+the extended model with them.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.diagnosis.candidates import body_columns
+from invdyn_cli.diagnosis.evidence import Evidence, filtered
+from invdyn_cli.diagnosis.findings import unit_of
+from invdyn_cli.diagnosis.recording import ROLES
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
+from invdyn_cli.maths import standard, statistics
+from invdyn_cli.maths.standard import Standard, Sums
+
+TERMS: Mapping[str, tuple[str, str]] = {
+    "offset": ("torque_offset", "offset"),
+    "coulomb": ("coulomb_friction", "coulomb"),
+    "viscous": ("viscous_friction", "damping"),
+    "armature": ("rotor_inertia", "armature"),
+}
+"""The terms of a joint: the effect that each is, and its parameter."""
+
+LINK = EFFECTS["link_inertia_error"]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of the standard model on the rows of an evidence.
+
+    Attributes:
+        evidence: whose rows these are.
+        terms: names of those that a joint has, a rotor's inertia only where the torque is taken before the gear.
+        links: (10 n, n, R) what each inertial parameter of each link adds to each joint's torque, filtered like it.
+        own: (terms, n, R) the terms of each joint.
+    """
+
+    evidence: Evidence
+    terms: tuple[str, ...]
+    links: np.ndarray
+    own: np.ndarray
+
+    @property
+    def inertial(self) -> np.ndarray:
+        """(p,) which coefficients are those of links."""
+        return np.arange(len(self.links) + self.own[..., 0].size) < len(self.links)
+
+    def of(self, theta: np.ndarray) -> np.ndarray:
+        """(R, n) torque of coefficients (p,)."""
+        n = self.evidence.dofs
+        links, own = theta[: 10 * n], theta[10 * n :].reshape(-1, n)
+        return (np.tensordot(links, self.links, 1) + np.einsum("tj,tjr->jr", own, self.own)).T
+
+    def fit(self, left: np.ndarray, rows: np.ndarray, least: np.ndarray | None = None) -> Standard:
+        """The standard model of what is `left` (R, n) on some `rows` (R,); `least` (terms, n): bounds of the terms."""
+        motions = standard.distinct(self._motions(left, rows))
+        scales, positive, bounds = np.zeros((3, len(self.inertial)))
+        scales[self.inertial] = standard.link_scales(self.evidence.robot).ravel()
+        positive[~self.inertial] = np.repeat([name != "offset" for name in self.terms], self.evidence.dofs)
+        bounds[~self.inertial] = 0.0 if least is None else least.ravel()
+        prior = standard.prior_of(motions, scales, positive, bounds)
+        first = standard.fit(motions, prior, np.ones(self.evidence.dofs), standard.USUAL)
+        return standard.fit(motions, prior, self._times(left - self.of(first.theta), rows))
+
+    def line(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Coefficients (p,) of the terms alone by plain least squares: the friction line that a user would draw."""
+        return standard.line(self._motions(left, rows), ~self.inertial)
+
+    def _motions(self, left: np.ndarray, rows: np.ndarray) -> list[Sums]:
+        """What every trajectory says."""
+        names = np.array([p.trajectory for p in self.evidence.recording.pieces])[self.evidence.piece]
+        return [self._sums(left, rows & (names == name)) for name in dict.fromkeys(names[rows].tolist())]
+
+    def _sums(self, left: np.ndarray, rows: np.ndarray) -> Sums:
+        n, p = self.evidence.dofs, len(self.links) + self.own[..., 0].size
+        grams, count = np.zeros((n, p + 1, p + 1)), np.zeros(n)
+        for j in range(n):
+            kept = np.flatnonzero(rows & self.evidence.valid[:, j])
+            mine = np.r_[np.arange(len(self.links)), len(self.links) + n * np.arange(len(self.terms)) + j, p]
+            table = np.vstack([self.links[:, j, kept], self.own[:, j, kept], left[kept, j]])
+            grams[np.ix_([j], mine, mine)], count[j] = table @ table.T, len(kept)
+        return Sums(grams, count)
+
+    def _times(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Autocorrelation time (n,) [rows] of what is left, the longest of all pieces."""
+        times = np.ones(self.evidence.dofs)
+        for number in range(len(self.evidence.recording.pieces)):
+            mine = rows & (self.evidence.piece == number)
+            for j in range(len(times)):
+                kept = left[mine & self.evidence.valid[:, j], j]
+                times[j] = max(times[j], statistics.autocorrelation_time(kept) if len(kept) > 1 else 1.0)
+        return times
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What stands in the written model beside the findings.
+
+    Attributes:
+        acting: all of it and the findings' effects; a standard term of a joint where one was found is added to it.
+        added: how many of `acting`, the last ones, were not found.
+        intervals: like `acting`, {parameter: (value, lower, upper)}.
+        residual: (R, n) what is left on all rows after a fit on those that chose.
+        baselines: {"friction", "standard"}: (R, n) what a friction line and the standard model alone leave, fitted on
+            the rows that chose.
+        share: by which the URDF's links are off, and how that was learned.
+        worth: (n,) RMS torque of the links' change [N m; N].
+    """
+
+    acting: tuple[Acting, ...]
+    added: int
+    intervals: tuple[Mapping[str, tuple], ...]
+    residual: np.ndarray
+    baselines: Mapping[str, np.ndarray]
+    share: tuple[float, str]
+    worth: np.ndarray
+
+
+def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | None]]) -> dict[str, Any]:
+    """The standard terms of every joint in the written model, as diagnosis.json has them.
+
+    Args:
+        claimed: (effect, joint) of what was named.
+    """
+    out: dict[str, Any] = {}
+    for j, joint in enumerate(evidence.robot.joints):
+        row = {}
+        for term, (effect, name) in TERMS.items():
+            place = _place(made.acting, term, j)
+            if place is None:
+                continue
+            value, low, high = made.intervals[place].get(name, (made.acting[place].parameters[name],) * 3)
+            unit = unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j])
+            ends = [float(low), float(high)]
+            row[term] = {"value": float(value), "unit": unit, "interval95": ends, "claimed": (effect, joint) in claimed}
+        out[joint] = row
+    share, chosen = made.share
+    worth = dict(zip(evidence.robot.joints, made.worth.tolist(), strict=True))
+    return out | {"inertials": {"worth": worth, "share": share, "chosen": chosen}}
+
+
+def columns_of(evidence: Evidence, side: str) -> Columns:
+    """The columns on an evidence whose torque was taken on this side."""
+    recording, terms = evidence.recording, tuple(t for t in TERMS if side in EFFECTS[TERMS[t][0]].sides)
+    n, rows = evidence.dofs, len(evidence.role)
+    own = np.empty((len(terms), n, rows))
+    for j in range(n):
+        parts = []
+        for states in evidence.states:
+            s = states[j]
+            made = {"offset": np.ones_like(s.qd), "coulomb": s.sign, "viscous": s.qd, "armature": s.qdd}
+            parts.append(np.stack([np.asarray(made[t]) for t in terms]))
+        own[:, j] = filtered(recording, parts, j)
+    robot = evidence.robot
+    moves = partial(body_columns, kinematics_of(robot), np.asarray(robot.gravity), np.eye(10 * n))
+    links = filtered(recording, [chunked(moves, p.q, p.qd, p.qdd) for p in recording.pieces])
+    return Columns(evidence, terms, links, own)
+
+
+def beside(
+    evidence: Evidence,
+    side: str,
+    before: np.ndarray,
+    chosen: np.ndarray,
+    whole: np.ndarray,
+    acting: Sequence[Acting],
+    intervals: Sequence[Mapping[str, tuple]],
+) -> Beside:
+    """The standard model beside what was found.
+
+    Args:
+        before: (R, n) what the nominal model leaves.
+        chosen: (R, n) what the findings leave, fitted on the rows that chose.
+        whole: (R, n) the same, fitted on all rows.
+        acting, intervals: the findings' effects, as fitted on all rows.
+    """
+    columns = columns_of(evidence, side)
+    choosing = evidence.role == ROLES.index("train")
+    least = _least(evidence, columns.terms, acting)
+    learned = columns.fit(chosen, choosing, least)
+    alone = columns.fit(before, choosing)
+    found = columns.fit(whole, np.ones_like(choosing), least)
+    together, ends, added = _merged(evidence, columns.terms, found, acting, intervals)
+    return Beside(
+        acting=together,
+        added=added,
+        intervals=ends,
+        residual=chosen - columns.of(learned.theta),
+        baselines={
+            "friction": before - columns.of(columns.line(before, choosing)),
+            "standard": before - columns.of(alone.theta),
+        },
+        share=(found.share, found.chosen),
+        worth=np.sqrt(np.mean(columns.of(np.where(columns.inertial, found.theta, 0.0)) ** 2, axis=0)),
+    )
+
+
+def _least(evidence: Evidence, terms: Sequence[str], acting: Sequence[Acting]) -> np.ndarray:
+    """(terms, n) how far below zero a term may go: as far as one that was found goes above it."""
+    least = np.zeros((len(terms), evidence.dofs))
+    for t, term in enumerate(terms):
+        for j in range(evidence.dofs):
+            place = _place(acting, term, j)
+            least[t, j] = 0.0 if place is None else -float(acting[place].parameters[TERMS[term][1]])
+    return least
+
+
+def _place(acting: Sequence[Acting], term: str, joint: int) -> int | None:
+    """Where a joint's term stands among effects that always act."""
+    effect = TERMS[term][0]
+    return next((k for k, a in enumerate(acting) if a.key == (effect, joint)), None)
+
+
+def _merged(
+    evidence: Evidence,
+    terms: Sequence[str],
+    found: Standard,
+    acting: Sequence[Acting],
+    intervals: Sequence[Mapping[str, tuple]],
+) -> tuple[tuple[Acting, ...], tuple[Mapping[str, tuple], ...], int]:
+    """All effects and their intervals, and how many are new."""
+    n = evidence.dofs
+    theta, std = found.theta, np.sqrt(np.diag(found.covariance))
+    together, ends = list(acting), [dict(x) for x in intervals]
+    for t, term in enumerate(terms):
+        effect, name = TERMS[term]
+        for j in range(n):
+            value, reach = (float(x[10 * n + t * n + j]) for x in (theta, 1.96 * std))
+            place = _place(acting, term, j)
+            if place is None:
+                together.append(Acting(EFFECTS[effect], j, {name: value}))
+                ends.append({name: (value, value - reach, value + reach)})
+                continue
+            old = together[place]
+            total = float(old.parameters[name]) + value
+            together[place] = replace(old, parameters={**old.parameters, name: total})
+            if name in ends[place]:  # the finding's own width, about the value that is written
+                _, low, high = ends[place][name]
+                ends[place][name] = (total, low + value, high + value)
+    for j, row in enumerate(theta[: 10 * n].reshape(n, 10)):
+        spread = 1.96 * std[10 * j : 10 * j + 10]
+        split = {"mass": 0, "moment": slice(1, 4), "inertia": slice(4, 10)}
+        plain = {k: float(row[at]) if k == "mass" else row[at] for k, at in split.items()}
+        together.append(Acting(LINK, j, plain))
+        ends.append({k: (plain[k], row[at] - spread[at], row[at] + spread[at]) for k, at in split.items()})
+    return tuple(together), tuple(ends), len(together) - len(acting)
