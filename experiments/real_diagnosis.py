@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
-from rich.console import Console
 
 from experiments.marked import ROOT, put
 from experiments.options import only_of, options_of
@@ -28,6 +27,7 @@ from invdyn_cli.report.wording import VERDICT_WORDS, capital, cause, claims, est
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import diagnose
 from invdyn_cli.verbs.launch import config_folder
+from invdyn_cli.verbs.screen import Screen
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Options:
     docs: bool = False
 
 
-def run(job: Job, data: Path, folder: Path, console: Console, seed: int = 0) -> Done:
+def run(job: Job, data: Path, folder: Path, console: Screen, seed: int = 0) -> Done:
     """The diagnosis of one job, told on the console, its files in `folder`."""
     overrides = ["data=real_log", f"data.path='{data / job.log}'", *job.overrides, f"seed={seed}"]
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
@@ -189,7 +189,7 @@ def main(argv: Sequence[str]) -> int:
     """Run as the docstring says."""
     options = options_of(argv, Options(), __doc__)
     data, folder = Path(options.data), Path(options.folder)
-    console, all_done = Console(width=120), []
+    console, all_done = Screen(width=120), []
     for name in only_of("only", options.only, JOBS):
         job = JOBS[name]
         console.rule(job.title)
@@ -199,7 +199,7 @@ def main(argv: Sequence[str]) -> int:
         try:
             all_done.append(run(job, data, folder / name, console, options.seed))
         except InvdynError as error:
-            console.print(f"left out: {error}", markup=False)
+            console.print(f"left out: {error}")
             continue
         console.print(f"{all_done[-1].seconds:.0f} s")
     if not all_done:
@@ -208,7 +208,7 @@ def main(argv: Sequence[str]) -> int:
     (folder / "summary.md").write_text(text)
     if options.docs:
         put(ROOT / "experiments" / "real_diagnosis.md", "found", f"{short(all_done)}\n\n{masses(all_done)}")
-    console.print(masses(all_done), markup=False)
+    console.print(masses(all_done))
     console.print(str(folder / "summary.md"))
     return 0
 

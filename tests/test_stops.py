@@ -84,7 +84,7 @@ def folder(workplace, tmp_path) -> Path:
 def start(argv: Sequence[str], cwd: Path, size: int = 0, **environment: str) -> subprocess.Popen[str]:
     """Start a command in a folder."""
     env = {**os.environ, **ENVIRONMENT, "PYTHONPATH": str(ROOT), **environment}
-    call = [sys.executable, "-c", ENTRY, str(size), *argv]
+    call = [sys.executable, "-P", "-c", ENTRY, str(size), *argv]
     return subprocess.Popen(call, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

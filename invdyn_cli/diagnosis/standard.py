@@ -102,11 +102,11 @@ class Columns:
 
 @dataclass(frozen=True)
 class Beside:
-    """What stands in the written model beside the findings.
+    """What stands in the written model beside the findings: nothing where the evidence is for them alone.
 
     Attributes:
         acting: all of it and the findings' effects; a standard term of a joint where one was found is added to it.
-        added: how many of `acting`, the last ones, were not found.
+        asked: whether the log asks for more than the findings.
         intervals: like `acting`, {parameter: (value, lower, upper)}.
         residual: (R, n) what is left on all rows after a fit on those that chose.
         baselines: {"friction", "standard"}: (R, n) what a friction line and the standard model alone leave, fitted on
@@ -116,7 +116,7 @@ class Beside:
     """
 
     acting: tuple[Acting, ...]
-    added: int
+    asked: bool
     intervals: tuple[Mapping[str, tuple], ...]
     residual: np.ndarray
     baselines: Mapping[str, np.ndarray]
@@ -125,11 +125,13 @@ class Beside:
 
 
 def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | None]]) -> dict[str, Any]:
-    """The standard terms of every joint in the written model, as diagnosis.json has them.
+    """The standard terms of every joint in the written model, as diagnosis.json has them; empty where it has none.
 
     Args:
         claimed: (effect, joint) of what was named.
     """
+    if not made.asked:
+        return {}
     out: dict[str, Any] = {}
     for j, joint in enumerate(evidence.robot.joints):
         row = {}
@@ -188,12 +190,13 @@ def beside(
     learned = columns.fit(chosen, choosing, least)
     alone = columns.fit(before, choosing)
     found = columns.fit(whole, np.ones_like(choosing), least)
-    together, ends, added = _merged(evidence, columns.terms, found, acting, intervals)
+    asked = learned.gain > 0
+    together, ends = _merged(evidence, columns.terms, found, acting, intervals) if asked else (acting, intervals)
     return Beside(
-        acting=together,
-        added=added,
-        intervals=ends,
-        residual=chosen - columns.of(learned.theta),
+        acting=tuple(together),
+        asked=asked,
+        intervals=tuple(ends),
+        residual=chosen - columns.of(learned.theta) if asked else chosen,
         baselines={
             "friction": before - columns.of(columns.line(before, choosing)),
             "standard": before - columns.of(alone.theta),
@@ -225,11 +228,12 @@ def _merged(
     found: Standard,
     acting: Sequence[Acting],
     intervals: Sequence[Mapping[str, tuple]],
-) -> tuple[tuple[Acting, ...], tuple[Mapping[str, tuple], ...], int]:
-    """All effects and their intervals, and how many are new."""
+) -> tuple[Sequence[Acting], Sequence[Mapping[str, tuple]]]:
+    """All effects and their intervals."""
     n = evidence.dofs
     theta, std = found.theta, np.sqrt(np.diag(found.covariance))
-    together, ends = list(acting), [dict(x) for x in intervals]
+    together: list[Acting] = list(acting)
+    ends: list[dict[str, tuple]] = [dict(x) for x in intervals]
     for t, term in enumerate(terms):
         effect, name = TERMS[term]
         for j in range(n):
@@ -251,4 +255,4 @@ def _merged(
         plain = {k: float(row[at]) if k == "mass" else row[at] for k, at in split.items()}
         together.append(Acting(LINK, j, plain))
         ends.append({k: (plain[k], row[at] - spread[at], row[at] + spread[at]) for k, at in split.items()})
-    return tuple(together), tuple(ends), len(together) - len(acting)
+    return together, ends

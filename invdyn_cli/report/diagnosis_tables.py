@@ -99,17 +99,6 @@ def error_table(diagnosis: Diagnosis) -> Table:
     return table
 
 
-ERROR_HEADS = (
-    "RMSE nominal",
-    "friction line",
-    "standard model",
-    "extended",
-    "noise floor",
-    "NMSE extended",
-    "unexplained",
-)
-
-
 def errors_of(diagnosis: Diagnosis, joint: str) -> tuple[float | None, ...]:
     """The numbers of a joint under ERROR_HEADS, without the last."""
     lines = (diagnosis.baselines.get(name, {}) for name in ("friction", "standard"))

@@ -79,7 +79,7 @@ def test_blind_spots_are_below_the_table():
 
 
 def test_error_table_has_every_number():
-    """Errors before and after and of the baselines, noise floor and unexplained share of every joint are in the table."""
+    """Errors before, after and of the baselines, noise floor and unexplained share of every joint are there."""
     diagnosis = make_diagnosis()
     lines = [diagnosis.baselines[name] for name in ("friction", "standard")]
     text = printed(error_table(diagnosis))

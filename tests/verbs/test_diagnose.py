@@ -5,6 +5,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
@@ -30,7 +31,8 @@ from invdyn_cli.verbs.material import Recorded
 from tests.commands import ROOT, invdyn
 
 JOINT, COULOMB = "axis2", 2.0
-KEYS = {"schema", "verdict", "log_checks", "findings", "baseline", "extended", "noise_floor", "unexplained", "files"}
+KEYS = {"schema", "verdict", "log_checks", "findings", "baseline", "baselines", "standard", "extended", "noise_floor"}
+KEYS |= {"unexplained", "files"}
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +93,7 @@ def test_leaves_its_files(diagnosed):
     assert set(files) == {"model", "urdf", "mjcf", "report"} and names == {*files.values(), "diagnosis.json", "figures"}
     drawn = {p.name for p in (folder / "figures").iterdir()}
     assert drawn == {"overview.png", "replay.png", "finding_01_coulomb_friction.png"}
-    assert all(word in said for word in ("Explained.", "Coulomb friction", JOINT, "RMSE nominal", "Not to be seen"))
+    assert all(word in said for word in ("Explained.", "Coulomb friction", JOINT, "unexplained", "Not to be seen"))
 
 
 def test_the_simulation_is_better(diagnosed):
@@ -108,12 +110,13 @@ def test_the_simulation_is_better(diagnosed):
 
 
 def test_simulators_load_the_files(diagnosed):
-    """MuJoCo loads the MJCF, the robot's loader the URDF; both have the friction, and are otherwise the robot."""
+    """MuJoCo loads the MJCF, the robot's loader the URDF; both have the friction, and hardly any elsewhere."""
     folder, _ = diagnosed
     robot = load_urdf(folder / "extended_model.urdf", dynamics_tags="use")
-    assert robot.friction == pytest.approx([0.0, COULOMB, 0.0], rel=0.02) and not robot.damping.any()
-    text = (folder / "extended_model.mjcf.xml").read_text()
-    assert f'name="{JOINT}"' in text and text.count("frictionloss") == 1
+    np.testing.assert_allclose(robot.friction, [0.0, COULOMB, 0.0], atol=0.02 * COULOMB)
+    np.testing.assert_allclose(robot.damping, 0.0, atol=0.02 * COULOMB)
+    model = mujoco.MjModel.from_xml_path(str(folder / "extended_model.mjcf.xml"))
+    np.testing.assert_allclose(model.dof_frictionloss, robot.friction, rtol=1e-6)
 
 
 def test_the_model_predicts_better(diagnosed, folder, command):
@@ -127,7 +130,7 @@ def test_the_model_predicts_better(diagnosed, folder, command):
         said = command("run", *options, "model=extended", f"model.path={path}", f"hydra.run.dir={name}")
         assert said.code == 0, said.err
         metrics = json.loads(Path(name, "metrics.json").read_text())
-        assert metrics["model"] == "extended" and metrics["parameters"] == len(tree["effects"]) * (name == "extended")
+        assert metrics["model"] == "extended" and (metrics["parameters"] > 0) == (name == "extended")
         errors[name] = metrics["test"]["rmse"]["joint"][JOINT]
     assert errors["extended"] < 0.34 * errors["nominal"]
     q = read_log(folder / "log.h5").trajectories[0].q[:4000]
@@ -168,7 +171,10 @@ def test_what_is_known_is_not_found_again(folder, command):
     said = command("diagnose", f"data.path={folder / 'log.h5'}", known, "hydra.run.dir=out")
     assert said.code == 0, said.err
     assert claims(Path("out")) == []
-    assert [x.effect.name for x in load_model("out/extended_model.json").acting] == ["coulomb_friction"]
+    acting = load_model("out/extended_model.json").acting
+    assert sum(x.parameters["coulomb"] for x in acting if x.key == ("coulomb_friction", 1)) == pytest.approx(
+        COULOMB, rel=0.02
+    )
 
 
 def test_a_reference_shows_what_has_changed(folder, command):
