@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
+from omegaconf import open_dict
 
 from experiments.marked import ROOT, put
 from experiments.options import only_of, options_of
@@ -104,7 +105,9 @@ def fitted(one: Transfer, data: Path, folder: Path, model: str) -> list[float]:
         config = compose(
             "run", [*overrides_of(one, data), *model.split(), rotor, "robot=from_log"], return_hydra_config=True
         )
-    record = run.execute(config, folder, view=config.hydra)
+    with open_dict(config):
+        view = config.pop("hydra")
+    record = run.execute(config, folder, view=view)
     return record.scores["test"].rmse.tolist()
 
 

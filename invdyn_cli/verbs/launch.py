@@ -77,6 +77,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         if not in_sweep():
             folders.append(Path(job().runtime.output_dir))
         try:
+            _refuse_no_options(config, OmegaConf.load(config_folder() / f"{verb}.yaml"))
             task(config)
         except Exception as error:
             failures.append(error)  # raised outside of Hydra, which would print a line of its own
@@ -182,6 +183,17 @@ def _refuse_no_choice(overrides: Sequence[str]) -> None:
         if folder.is_dir() and not chosen:
             choices = sorted(path.stem for path in folder.glob("*.yaml"))
             raise UsageError(f"{text}; allowed: {listed(choices)}")
+
+
+def _refuse_no_options(config: Any, usual: Any, place: str = "") -> None:
+    """Options that belong together (figures.formats) are given one by one: nothing else can stand in their place."""
+    for name, options in usual.items():
+        if name in ("defaults", "hydra") or not isinstance(options, DictConfig):
+            continue
+        got, here = config.get(name), f"{place}{name}"
+        if not isinstance(got, DictConfig):
+            raise UsageError(f"{here}={got}; allowed: {listed(f'{here}.{option}=…' for option in options)}")
+        _refuse_no_options(got, options, f"{here}.")
 
 
 def complain(line: str, code: int = 2) -> int:

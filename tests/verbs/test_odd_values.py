@@ -17,6 +17,7 @@ ODD = {
     "a robot that is a mapping": ("run", "robot._target_=builtins.dict", "allowed: a Robot"),
     "a robot that is a number": ("run", "robot=5", "robot=5; allowed"),
     "a model that is code": ("run", "model._target_=os.getcwd", "os.getcwd: "),
+    "options that are none": ("run", "figures=null", "figures=None; allowed: figures.formats=…"),
     "no figures": ("figures", "shown=5", "shown"),
     "a format that is none": ("report", "run formats=[exe]", "formats=['exe']; allowed"),
     "a limit on bytes below zero": ("check", "data.path=log.h5 data.max_size=-1", "data.max_size=-1"),
