@@ -77,7 +77,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         if not in_sweep():
             folders.append(Path(job().runtime.output_dir))
         try:
-            _refuse_no_options(config, OmegaConf.load(config_folder() / f"{verb}.yaml"))
+            _refuse_no_options(config, OmegaConf.to_container(OmegaConf.load(config_folder() / f"{verb}.yaml")))
             task(config)
         except Exception as error:
             failures.append(error)  # raised outside of Hydra, which would print a line of its own
@@ -188,7 +188,7 @@ def _refuse_no_choice(overrides: Sequence[str]) -> None:
 def _refuse_no_options(config: Any, usual: Any, place: str = "") -> None:
     """Options that belong together (figures.formats) are given one by one: nothing else can stand in their place."""
     for name, options in usual.items():
-        if name in ("defaults", "hydra") or not isinstance(options, DictConfig):
+        if name in ("defaults", "hydra") or not isinstance(options, dict):
             continue
         got, here = config.get(name), f"{place}{name}"
         if not isinstance(got, DictConfig):
