@@ -10,6 +10,10 @@ from invdyn_cli.diagnosis.checks.evidence import nominal_torque
 from invdyn_cli.errors import RobotError
 from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import record
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Motion
 from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
 
@@ -151,6 +155,42 @@ def test_a_torque_of_another_size_is_not_turned(log, arm):
     """A heavy payload may turn the torque of a light joint, and makes it several times as large: no sign is wrong."""
     tau = log.trajectories[0].tau * np.array([1, 1, 1, 1, 1, 1, -4])
     assert seen(doctor.examine(changed(log, tau=tau), arm), "sign_error") == []
+
+
+FLAT = """<robot name="flat"><link name="base"/>{}</robot>""".format(
+    "".join(
+        f"""<link name="l{i}"><inertial><origin xyz="0.15 0 0"/><mass value="{2 / i}"/>
+        <inertia ixx="0.05" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j{i}" type="revolute"><parent link="{"base" if i == 1 else "l1"}"/><child link="l{i}"/>
+        <origin xyz="{0.3 * (i - 1)} 0 0"/><axis xyz="0 0 1"/>
+        <limit lower="-1.5" upper="1.5" velocity="2" effort="50"/></joint>"""
+        for i in (1, 2)
+    )
+)
+"""Two upright axes, which gravity does not load; every link has the same round inertia, as a placeholder has."""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_spring_is_no_sign_error(seed, tmp_path):
+    """A spring, as a hose is one, that outdoes an inertia ten times too large in the URDF makes a torque that runs
+    against the nominal one: it is told, and not turned round; a torque that is turned round still is."""
+    draw = np.random.default_rng(seed)
+    (tmp_path / "flat.urdf").write_text(FLAT)
+    robot = load_urdf(tmp_path / "flat.urdf")
+    base = 0.2
+    stiffness = float(0.0725 * (2 * np.pi * base) ** 2 * draw.uniform(2.5, 4.0))  # beside the URDF's inertia
+    hidden = [
+        Hidden("joint_spring", "j2", {"stiffness": stiffness, "rest": 0.0}),
+        Hidden("link_inertia_error", "j2", {"mass": -0.9, "inertia": -0.95}),
+    ]
+    log = record(robot, [Multisine(base=base, harmonics=1)], hidden, noise=Noise(torque=1e-3), duration=25)
+    examination = doctor.examine(log, robot)
+    assert [(c.joint, c.severity) for c in seen(examination, "sign_error")] == [("j2", "warn")]
+    mended, _ = doctor.mend(log, examination, robot)
+    np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
+    (raw,) = record(robot, [Multisine()], noise=Noise(torque=1e-3), duration=25).trajectories
+    turned = replace(log, trajectories=(replace(raw, tau=raw.tau * [1, -1]),))
+    assert [(c.joint, c.severity) for c in seen(doctor.examine(turned, robot), "sign_error")] == [("j2", "fail")]
 
 
 def test_gravity_that_is_removed_is_declared(log, arm):
