@@ -76,10 +76,16 @@ def draw_scene(draw: np.random.Generator, joints: int | None = None) -> Scene:
         ConstantSpeed(speed=speed, together=True),
     )[kind]
     duration, seed = float(round(draw.uniform(20, 60))), int(draw.integers(1 << 30))
+    return scene_of(robot, reference, duration, seed)
+
+
+def scene_of(robot: Robot, reference: AbstractReference, duration: float, seed: int) -> Scene:
+    """An arm on a motion, with what it takes."""
     motion = reference.motion(robot, duration, 100.0, seed)
-    tau = inverse_dynamics(robot, motion.q, motion.qd, motion.qdd)
-    rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (tau, motion.qd, motion.qdd)]
-    return Scene(robot, reference, duration, seed, rms[0], motion.q, rms[1], rms[2], tau)
+    q, qd, qdd = (np.asarray(x) for x in (motion.q, motion.qd, motion.qdd))
+    tau = inverse_dynamics(robot, q, qd, qdd)
+    rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (tau, qd, qdd)]
+    return Scene(robot, reference, duration, seed, rms[0], q, rms[1], rms[2], tau)
 
 
 def inverse_dynamics(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:

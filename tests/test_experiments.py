@@ -16,6 +16,7 @@ from experiments.options import only_of, options_of
 from experiments.real_diagnosis import JOBS
 from experiments.replay import NOT_HELD, Replayed, names_of
 from experiments.replay import table as replay_table
+from experiments.worn import spoken
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Examination, Finding
 from invdyn_cli.verbs.launch import config_folder
@@ -52,6 +53,18 @@ def test_f1_counts_pairs():
     """Two of three found and one claim beside them: precision and recall 2/3."""
     one = Counted("three", 0, ("a@1", "b@2", "c@3"), ("a@1", "b@2", "d@3"), ("c@3",), ("d@3",), 1.0)
     assert f1([one]) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
+
+
+def test_a_standard_term_is_no_anomaly():
+    """Of a worn arm a friction's claim is no anomaly, nor is one that a friction explains as well; another is, and only
+    the right one is right."""
+    hidden = Hidden("joint_spring", "a", {"stiffness": 1.0, "rest": 0.0})
+    friction = Finding("coulomb_friction", "b", "named")
+    either = Finding("actuator_lag", "b", "ambiguous", (("viscous_friction",),))
+    false, right = Finding("torque_delay", "b", "named"), Finding("joint_spring", "a", "named")
+    assert spoken(hidden, [friction, either, right]) == ("named", [])
+    assert spoken(hidden, [friction, false]) == ("missed", [false])
+    assert spoken(None, [right]) == ("none", [right])
 
 
 def test_every_part_of_the_benchmark_runs(tmp_path):

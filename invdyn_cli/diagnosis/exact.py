@@ -5,7 +5,7 @@ and nothing is straightened any more. Gauss and Newton's steps with numerical sl
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -49,7 +49,8 @@ class Refined:
         replicas: (B, k) parameters with one block left out each: their spread is the uncertainty (jackknife).
         unknown: (m, k) independent moves of the parameters by a standard error each, from the noise alone and what was
             known beforehand: what the data do not show moves as far as it may.
-        residual: (R, n) logged less modelled torque, filtered.
+        residual: (R, n) logged less modelled torque, filtered, without what is allowed for.
+        allowed: (m,) coefficients of what is allowed for.
     """
 
     acting: tuple[Acting, ...]
@@ -58,6 +59,7 @@ class Refined:
     replicas: np.ndarray
     unknown: np.ndarray
     residual: np.ndarray
+    allowed: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 class Model:
@@ -196,7 +198,7 @@ def refine(
     }
     spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
     left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
-    return Refined(tuple(acting), theta, labels, *spread, left)
+    return Refined(tuple(acting), theta, labels, *spread, left, extra[: len(allowed)])
 
 
 def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale, rows: int):

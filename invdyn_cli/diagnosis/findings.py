@@ -13,7 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis import bodies, naming, resting
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.exact import EDGES, Refined
-from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
+from invdyn_cli.diagnosis.inquiry import Inquiry
 from invdyn_cli.diagnosis.intervals import intervals, reach
 from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.late import LATE
@@ -54,7 +54,7 @@ DRAWS = 1000
 @dataclass(frozen=True)
 class Made:
     """Findings, the effects behind the claims among them with their terms (R, n), and residuals (R, n): `before` of the
-    nominal model, `residual` of the extended model fitted on the data that chose it."""
+    nominal model, `residual` of the effects fitted on the data that chose them, `whole` fitted on all."""
 
     findings: tuple[Finding, ...]
     acting: tuple[Acting, ...]
@@ -62,6 +62,7 @@ class Made:
     terms: tuple[np.ndarray, ...]
     before: np.ndarray
     residual: np.ndarray
+    whole: np.ndarray
     notes: tuple[str, ...]
 
 
@@ -74,10 +75,9 @@ def report(
 ) -> Made:
     """Everything that can be claimed of a log."""
     evidence, judge = inquiry.evidence, inquiry.judge
-    hypothesis, dropped = that_hold(inquiry)
-    chosen, whole = inquiry.chosen, inquiry.whole
+    hypothesis, chosen, dropped = that_hold(inquiry)
+    whole = inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
-        chosen = refitted(inquiry, acting_of(judge, inquiry.always, hypothesis), judge.rows)
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
     nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
     whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
@@ -132,7 +132,7 @@ def report(
     dropped += doubt
     if not held_out(evidence):
         dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
-    if inquiry.always:
+    if len(inquiry.always) > len(inquiry.wear):
         dropped += ("All errors are those beside what is allowed for, which is not part of the extended model.",)
     order = sorted(range(len(claims)), key=lambda k: -_worth(claims[k]))
     ordered = tuple(claims[k] for k in order)
@@ -142,8 +142,9 @@ def report(
         acting=tuple(acting),
         intervals=tuple(by_acting[id(a)] for a in acting),
         terms=tuple(shown[k] for k in order),
-        before=nothing.residual,
-        residual=chosen.residual,
+        before=nothing.residual + inquiry.worn(nothing),
+        residual=chosen.residual + inquiry.worn(chosen),
+        whole=inquiry.model.residual(acting),
         notes=dropped + impossible,
     )
 

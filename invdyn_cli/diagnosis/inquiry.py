@@ -35,7 +35,7 @@ ABSORBING = ("torque_saturation", "asymmetric_coulomb_friction")
 class Inquiry:
     """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
     and on all data (`whole`), and all that rivals are judged with. `close` says of a delay or lag whether the other
-    does as well."""
+    does as well; `wear` are the last of `always`: links that are some percent off, which is no finding."""
 
     evidence: Evidence
     judge: Judge
@@ -47,6 +47,12 @@ class Inquiry:
     chosen: Refined
     whole: Refined
     close: Mapping[tuple[str, int | None], bool]
+    wear: Hypothesis
+
+    def worn(self, refined: Refined) -> np.ndarray:
+        """(R, n) torque of the links' wear beside these effects, which is not in their residual."""
+        theta = refined.allowed[len(refined.allowed) - sum(len(c.precision) for c in self.wear) :]
+        return self.evidence.left((), theta) - self.evidence.left(self.wear, theta)
 
 
 def inquire(
@@ -57,6 +63,7 @@ def inquire(
     compares: bool,
     side: str = "unknown",
     parted: bool = True,
+    wear: Hypothesis = (),
 ) -> Inquiry:
     """What acts always, and then what comes and goes beside it.
 
@@ -67,6 +74,7 @@ def inquire(
         compares: whether the recording has a reference beside it.
         side: the torque's.
         parted: whether a user said what chooses and what judges; it then stays so.
+        wear: links that are some percent off, part of every hypothesis; no link is then looked for by itself.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.point == "gear"]
@@ -80,7 +88,7 @@ def inquire(
         if windows and not parted:
             evidence = events.interleaved(evidence, windows)
         taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
-        one = _searched(taken, effects, allowed, most, compares, starts, rounds)
+        one = _searched(taken, effects, allowed, most, compares, starts, rounds, wear)
         numbers = {c.when.number for c in one.hypothesis if c.when is not None}
         return one, {when: own for when, own in windows.items() if when.number in numbers}
 
@@ -94,7 +102,7 @@ def inquire(
 
     inquiry: Inquiry | None = None
     held: Windows = {}
-    found = _at_first(evidence, everywhere, nominal, most) if everywhere else {}
+    found = _at_first(evidence, everywhere, nominal, most) if everywhere and not wear else {}
     if found:  # what a gear carries is known when what comes and goes is
         inquiry, held = looked(evidence, found, [], [()], 1)
         if held:
@@ -160,6 +168,7 @@ def _searched(
     compares: bool,
     starts: Sequence[Hypothesis],
     rounds: int,
+    wear: Hypothesis,
 ) -> Inquiry:
     """Search from each of `starts`, refine the best, search again with the nonlinear parameters that were found, some
     rounds at most."""
@@ -178,11 +187,14 @@ def _searched(
     if compares:
         common, pool = known.compared(evidence, pool, ROLES.index("reference"))
         always += common
+    always += wear
+    if wear:
+        pool = [c for c in pool if c.effect is not wear[0].effect]
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.name == "payload" for c in pool):
         pool = [c for c in pool if c.key != ("link_inertia_error", last)]
     pool += [c for start in starts for c in start if not any(c is p for p in pool)]
-    judge = Judge(evidence, choosing, measured.weights, measured.deviation, always)
+    judge = Judge(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
     model = Model(evidence)
     found = [search(judge, pool, always, start, most) for start in starts]
@@ -222,7 +234,7 @@ def _searched(
         whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
         unlikely = _unlikely(evidence, model, measured, chosen) | _unlikely(evidence, model, measured, whole)
         if not unlikely:
-            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close)
+            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close, wear)
         pool = [c for c in pool if c.key not in unlikely]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
         hypothesis = naming.simplified(judge, always, hypothesis, pool)

@@ -39,6 +39,9 @@ SPARE = 128
 
 LEAST_PRECISION = 1e-9
 
+LOCAL = ("torque", "channel", "gear")
+"""Points of effects that are worth what they are to their own joint; others to the whole arm."""
+
 Hypothesis = tuple[Candidate, ...]
 
 
@@ -75,6 +78,8 @@ class Judge:
         weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
         deviation: (n,) standard deviation of the noise [N m; N].
         always: candidates that are part of every hypothesis.
+        worn: whether links that are some percent off are among them. They take over most of what a body does, at a
+            price of their own (`strain`); then a body's torque itself must be worth something, not what it adds.
 
     Attributes:
         grams: of every joint (F, C, C), by fold; blocks are held out in turn by folds.
@@ -88,6 +93,7 @@ class Judge:
         weights: np.ndarray,
         deviation: np.ndarray,
         always: Hypothesis = (),
+        worn: bool = False,
     ) -> None:
         self.evidence, self.rows, self.weights = evidence, rows, weights
         at = np.flatnonzero(rows)
@@ -102,7 +108,7 @@ class Judge:
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
         self.rows_worth = weights * self.used.sum(0)
         self.deviation = deviation
-        self.always = always
+        self.always, self.worn = always, worn
         self._room: list[np.ndarray] = list(self.grams)
         self._freedom: dict[int, float] = {}
         self._prices: dict[int, tuple[float, Candidate]] = {}
@@ -269,9 +275,10 @@ class Judge:
         """What a hypothesis must gain at least."""
         for c in hypothesis:
             if id(c) not in self._prices:
-                local = c.joint if c.effect.point in ("torque", "channel", "gear") else None
+                local = c.joint if c.effect.point in LOCAL else None
+                least = 0.0 if self.worn and c.effect.point not in LOCAL else self.least[local]
                 quiet = c.quiet * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2 if c.quiet else 0.0
-                value = PRICE_OF_EFFECT + PRICE_OF_COEFFICIENT * self.freedom(c) + self.least[local] + float(quiet)
+                value = PRICE_OF_EFFECT + PRICE_OF_COEFFICIENT * self.freedom(c) + least + float(quiet)
                 self._prices[id(c)] = value, c
         return sum(self._prices[id(c)][0] for c in hypothesis)
 
@@ -284,6 +291,8 @@ class Judge:
                 return why
             if candidate.effect.point in ("channel", "gear"):
                 continue
+            if self.worn and candidate.effect.point not in LOCAL and self._worth(candidate, own) < self.least[None]:
+                return f"{candidate.effect.title}: smaller than what clocks and filters leave"
             if any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
                 return f"{candidate.effect.title}: so large that other effects would have to take most of it back"
         return ""
@@ -297,6 +306,10 @@ class Judge:
         if candidate.effect.point in ("channel", "gear") and np.any(own**2 * candidate.precision > FARTHEST**2):
             return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
         return ""
+
+    def _worth(self, candidate: Candidate, own: np.ndarray) -> float:
+        """Squares of a candidate's torque on all joints, in noise variances."""
+        return sum(float(self.weights[j]) * self._size(candidate, own, j) ** 2 for j in candidate.columns)
 
     def _size(self, candidate: Candidate, own: np.ndarray, j: int) -> float:
         """Root of the sum of squares of a candidate's torque on a joint."""
@@ -343,6 +356,12 @@ def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.nda
     assert isinstance(effect, AbstractTorqueEffect)
     known = [float(c) for c in coefficients]
     return effect.read(known[:-1] if effect.name in DRY else known, shape)
+
+
+def strain(always: Hypothesis, theta: np.ndarray) -> float:
+    """Squares, in their prior's variances, of the coefficients of what is always there, the first of `theta`: what they
+    take over from an effect that is missing they take at this price."""
+    return float(sum(c.precision @ own**2 for c, own in shared_out(always, theta)))
 
 
 def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:

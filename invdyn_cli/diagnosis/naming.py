@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge, parameters_of
+from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge, parameters_of, strain
 from invdyn_cli.diagnosis.search import clash, free_beside
 from invdyn_cli.interfaces import Parameters
 
@@ -93,7 +93,8 @@ def rivals(
         rows = judge.by_row((*always, *others, c)) - mine
         elsewhere = [j for j in range(len(rows)) if j not in own.columns]
         step = other.blocks - now.blocks - sum(np.minimum(rows[j].sum(), 0.0) / rows.shape[1] for j in elsewhere)
-        excess = float(step.sum() + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
+        dearer = strain(always, other.theta) - strain(always, now.theta)
+        excess = float(step.sum() + dearer + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
         equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT

@@ -9,7 +9,8 @@ import numpy as np
 from invdyn_cli.diagnosis import doctor, extension, findings, hold, known, repeats, standard, unexplained, wording
 from invdyn_cli.diagnosis.candidates import gather
 from invdyn_cli.diagnosis.evidence import Evidence
-from invdyn_cli.diagnosis.inquiry import inquire
+from invdyn_cli.diagnosis.inquiry import Inquiry, inquire
+from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Recording, Window, prepare
 from invdyn_cli.diagnosis.support import judged
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -93,20 +94,29 @@ def diagnose(
     progress(0.5, "search")
     most = 3 * robot.dofs if options.most is None else options.most
     compares = any("reference" in p.role for p in recording.pieces)
-    inquiry = inquire(evidence, pool, allowed, most, compares, side, parted=windows is not None)
+
+    def asked(wear: Hypothesis) -> Inquiry:
+        return inquire(evidence, pool, allowed, most, compares, side, windows is not None, wear)
+
+    inquiry, columns = asked(()), None if compares else standard.columns_of(evidence, side)
+    share = standard.wear_of(columns, inquiry) if columns else None
+    if columns and share is not None:
+        progress(0.65, "search beside worn links")
+        again = asked(standard.worn_links(columns, inquiry, share))
+        inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side, log.position_side)
-    learned = unexplained.shares(evidence, made.residual, learner, seed)
+    more = standard.beside(columns, evidence, made) if columns else None
+    left = made.residual if more is None or not inquiry.wear else more.residual
+    learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
-    restless = unexplained.beyond_noise(evidence, made.residual, judged(evidence))
+    restless = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, shares))
     progress(0.9, "model")
     written, ends, rest, lines, usual = made.acting, made.intervals, made.residual, {}, {}
-    if not compares:  # what has changed since a reference goes into the model of that reference
-        whole = inquiry.model.residual(made.acting)
-        more = standard.beside(evidence, side, made.before, made.residual, whole, made.acting, made.intervals)
+    if more is not None:  # what has changed since a reference goes into the model of that reference
         written, ends, rest, lines = more.acting, more.intervals, more.residual, more.baselines
         usual = standard.told(evidence, more, {(f.effect, f.joint) for f in made.findings if f.status == "named"})
     model = ExtendedModel(

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis.candidates import body_columns
-from invdyn_cli.diagnosis.evidence import Evidence, filtered
-from invdyn_cli.diagnosis.findings import unit_of
+from invdyn_cli.diagnosis.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.findings import Made, unit_of
+from invdyn_cli.diagnosis.inquiry import Inquiry
+from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
@@ -30,6 +32,12 @@ TERMS: Mapping[str, tuple[str, str]] = {
 """The terms of a joint: the effect that each is, and its parameter."""
 
 LINK = EFFECTS["link_inertia_error"]
+
+WORN = 0.005
+"""Share of its scales below which a link is as its URDF has it: clocks and filters leave that much."""
+
+FELT = 0.1
+"""Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
 
 
 @dataclass(frozen=True)
@@ -167,26 +175,44 @@ def columns_of(evidence: Evidence, side: str) -> Columns:
     return Columns(evidence, terms, links, own)
 
 
-def beside(
-    evidence: Evidence,
-    side: str,
-    before: np.ndarray,
-    chosen: np.ndarray,
-    whole: np.ndarray,
-    acting: Sequence[Acting],
-    intervals: Sequence[Mapping[str, tuple]],
-) -> Beside:
-    """The standard model beside what was found.
+def worn_links(columns: Columns, inquiry: Inquiry, share: float) -> Hypothesis:
+    """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
+    their parameters, in units of the share, that make FELT noise variances of torque at least."""
+    evidence, n = inquiry.evidence, inquiry.evidence.dofs
+    scale = share * standard.link_scales(evidence.robot).ravel()
+    rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]
+    normal = np.sum([w * x @ x.T for w, x in zip(inquiry.noise.weights, rows, strict=True)], axis=0)
+    values, vectors = np.linalg.eigh(normal)
+    moves = vectors[:, values > FELT].T * scale
+    where = {j: ((), evidence.append(j, list(moves @ columns.links[:, j]))) for j in range(n)}
+    return (Candidate(LINK, None, {}, where, np.ones(len(moves))),) if len(moves) else ()
 
-    Args:
-        before: (R, n) what the nominal model leaves.
-        chosen: (R, n) what the findings leave, fitted on the rows that chose.
-        whole: (R, n) the same, fitted on all rows.
-        acting, intervals: the findings' effects, as fitted on all rows.
-    """
-    columns = columns_of(evidence, side)
+
+def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
+    """Whether a hypothesis beside worn links does better than another without. Wear is paid for as by the marginal
+    likelihood (its logarithm of determinants): it is not one of many that were tried."""
+    judge, wear, apart = inquiry.judge, inquiry.wear, inquiry.always[: len(inquiry.always) - len(inquiry.wear)]
+    judge.refresh()
+    _, _, normal = judge.sums(wear)
+    volume = np.linalg.slogdet(np.eye(normal.shape[-1]) + normal.sum(0))[1]
+    mine = judge.loss((*inquiry.always, *inquiry.hypothesis)) - judge.price(wear) + volume
+    return mine < judge.loss((*apart, *other))
+
+
+def wear_of(columns: Columns, inquiry: Inquiry) -> float | None:
+    """The share by which the log asks links to be off, beside all that was found but errors of single links; None where
+    it does not."""
+    acting = [a for a in inquiry.chosen.acting if a.effect is not LINK]
+    choosing = inquiry.evidence.role == ROLES.index("train")
+    fitted = columns.fit(inquiry.model.residual(acting), choosing, _least(columns, acting))
+    return fitted.share if fitted.of_inertial > 0 and fitted.share > WORN else None
+
+
+def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
+    """The standard model beside what was found."""
+    before, chosen, whole, acting, intervals = made.before, made.residual, made.whole, made.acting, made.intervals
     choosing = evidence.role == ROLES.index("train")
-    least = _least(evidence, columns.terms, acting)
+    least = _least(columns, acting)
     learned = columns.fit(chosen, choosing, least)
     alone = columns.fit(before, choosing)
     found = columns.fit(whole, np.ones_like(choosing), least)
@@ -206,11 +232,11 @@ def beside(
     )
 
 
-def _least(evidence: Evidence, terms: Sequence[str], acting: Sequence[Acting]) -> np.ndarray:
+def _least(columns: Columns, acting: Sequence[Acting]) -> np.ndarray:
     """(terms, n) how far below zero a term may go: as far as one that was found goes above it."""
-    least = np.zeros((len(terms), evidence.dofs))
-    for t, term in enumerate(terms):
-        for j in range(evidence.dofs):
+    least = np.zeros(columns.own.shape[:2])
+    for t, term in enumerate(columns.terms):
+        for j in range(columns.evidence.dofs):
             place = _place(acting, term, j)
             least[t, j] = 0.0 if place is None else -float(acting[place].parameters[TERMS[term][1]])
     return least

@@ -9,7 +9,7 @@ from invdyn_cli.diagnosis import naming
 from invdyn_cli.diagnosis.evidence import Evidence, shared_out
 from invdyn_cli.diagnosis.exact import Refined, refine
 from invdyn_cli.diagnosis.inquiry import Inquiry, acting_of
-from invdyn_cli.diagnosis.judge import Hypothesis
+from invdyn_cli.diagnosis.judge import Hypothesis, strain
 from invdyn_cli.diagnosis.late import LATE
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.effects.composition import Acting
@@ -55,14 +55,21 @@ def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Re
     return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.always)
 
 
-def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
-    """The candidates that gain on data that did not choose them, and explain more than what stays unknown; and a
-    sentence for each of the others."""
-    hypothesis, said = inquiry.hypothesis, []
+def exactly(inquiry: Inquiry, hypothesis: Hypothesis) -> Refined:
+    """The exact parameters of a hypothesis on the data that chose it."""
+    return refitted(inquiry, acting_of(inquiry.judge, inquiry.always, hypothesis), inquiry.judge.rows)
+
+
+def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
+    """The candidates that gain on data that did not choose them, and explain more than what stays unknown, their
+    parameters, refined anew whenever one is dropped; and a sentence for each of the others."""
+    hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
+    if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
+        chosen = exactly(inquiry, hypothesis)
     while hypothesis:
         worst, after = None, left(inquiry, hypothesis)
         for i in range(len(hypothesis)):
-            why = _fails(inquiry, hypothesis, i, after)
+            why = _fails(inquiry, hypothesis, chosen, i, after)
             if why is not None and (worst is None or why[0] < worst[1][0]):
                 worst = i, why
         if worst is None:
@@ -72,25 +79,29 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, tuple[str, ...]]:
         said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
         hypothesis = naming.simplified(inquiry.judge, inquiry.always, hypothesis, inquiry.pool)
-    return hypothesis, tuple(said)
+        chosen = exactly(inquiry, hypothesis)
+    return hypothesis, chosen, tuple(said)
 
 
-def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int, after: np.ndarray) -> tuple[float, str] | None:
+def _fails(
+    inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int, after: np.ndarray
+) -> tuple[float, str] | None:
     """Why a candidate may not be claimed, with how much it explains; None if it may. `after` is what the hypothesis
-    leaves."""
+    leaves, `chosen` its exact parameters."""
     evidence, weights = inquiry.evidence, inquiry.noise.weights
-    before = left(inquiry, hypothesis[:i] + hypothesis[i + 1 :])
+    others = hypothesis[:i] + hypothesis[i + 1 :]
+    before = left(inquiry, others)
     rows = _judging(evidence, (((after - before) * evidence.valid) ** 2) @ weights)
     valid = evidence.valid & rows[:, None]
     own = [j in hypothesis[i].columns for j in range(evidence.dofs)]
     squares = np.sum((before**2 - after**2) * valid, axis=0) * own
     unknown = naming.structure(evidence, after, valid)
-    gain = float(np.sum(weights * squares))
+    gain = float(np.sum(weights * squares)) + _strain(inquiry, others) - _strain(inquiry, hypothesis)
     if gain <= 0:
         return gain, "it does not hold on data that did not choose it"
-    everywhere = np.sum(np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0))  # rows at rest count too
+    everywhere = np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0) @ own  # rows at rest count too
     if everywhere <= 0 and _acts_at_rest(inquiry, hypothesis, i):
-        return gain, "with it the arm as a whole is predicted worse on data that did not choose it"
+        return gain, "with it its joints are predicted worse, rests among it, on data that did not choose it"
     rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
     if 0 < gain < needed * rest:
@@ -100,7 +111,7 @@ def _fails(inquiry: Inquiry, hypothesis: Hypothesis, i: int, after: np.ndarray) 
         value = acting_of(inquiry.judge, inquiry.always, hypothesis)[i].parameters[LATE[name][0]]
         if value < evidence.recording.period:
             return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
-    sure, share = _exactly(inquiry, hypothesis, i)
+    sure, share = _exactly(inquiry, hypothesis, chosen, i)
     if not sure:
         return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
     if share < FEIGNED:
@@ -117,20 +128,15 @@ def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
     return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
 
-def _exactly(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> tuple[bool, float]:
+def _exactly(inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int) -> tuple[bool, float]:
     """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
-    as they are; and by how much, as a share of what is left on the joints that feel it: True and infinite for one that
-    was not refined. Columns of a channel effect act on the measured torque, and calm its noise; the formula does not.
+    as they are; and by how much, as a share of what is left on the joints that feel it. Columns of a channel
+    effect act on the measured torque, and calm its noise; the formula does not.
     An effect that hardly comes up on the held-out rows is judged on all."""
     evidence, model, weights = inquiry.evidence, inquiry.model, inquiry.noise.weights
-    keys = {c.key for c in hypothesis}
-    acting = [a for a in inquiry.chosen.acting if a.key in keys]
-    others = [a for a in acting if a.key != hypothesis[i].key]
-    if len(others) == len(acting):
-        return True, np.inf
-    modelled = model.residual(acting)
-    after = (inquiry.chosen.residual - model.residual(inquiry.chosen.acting) + modelled) * evidence.valid
-    change = (model.residual(others) - modelled) * evidence.valid
+    others = [a for a in chosen.acting if a.key != hypothesis[i].key]
+    after = chosen.residual * evidence.valid
+    change = (model.residual(others) - model.residual(chosen.acting)) * evidence.valid
     rows = _judging(evidence, change**2 @ weights)
     saved = ((2 * after + change) * change) @ weights
     per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
@@ -145,3 +151,8 @@ def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
     """Residual (R, n) of a hypothesis fitted on the data that chose."""
     every = (*inquiry.always, *hypothesis)
     return inquiry.evidence.left(every, inquiry.judge.verdict(every).theta)
+
+
+def _strain(inquiry: Inquiry, hypothesis: Hypothesis) -> float:
+    """`judge.strain` beside a hypothesis."""
+    return strain(inquiry.always, inquiry.judge.verdict((*inquiry.always, *hypothesis)).theta)

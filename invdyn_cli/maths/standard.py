@@ -64,7 +64,7 @@ class Prior:
 class Standard:
     """Coefficients (p,) with their covariance (p, p), the share s and how it was chosen ("left out", "evidence",
     "given"), the standard deviation (n,) of each joint's noise, and by how much [nats] the evidence for them is above
-    that for the nominal torque as it is."""
+    that for the nominal torque as it is, and above that for the inertial ones as they are nominally."""
 
     theta: np.ndarray
     covariance: np.ndarray
@@ -72,6 +72,7 @@ class Standard:
     chosen: str
     noise: np.ndarray
     gain: float
+    of_inertial: float
 
 
 ALIKE = 0.05
@@ -136,9 +137,11 @@ def fit(motions: Sequence[Sums], prior: Prior, times: Array, share: float | None
     theta, noise, precision = _posterior(total, prior, times, share)
     scale = prior.at(share)
     half = linalg.solve_triangular(linalg.cholesky(precision, lower=True), np.diag(scale), lower=True)
-    nothing = replace(prior, scale=np.zeros(len(scale)))
-    gain = evidence(total, prior, times, share) - evidence(total, nothing, times, share)
-    return Standard(_bounded(theta, precision, prior, scale), half.T @ half, share, chosen, np.sqrt(noise), gain)
+    fewer = (np.zeros(len(scale)), np.where(prior.inertial, 0.0, prior.scale))
+    gains = [evidence(total, replace(prior, scale=x), times, share) for x in fewer]
+    gain, of_inertial = evidence(total, prior, times, share) - np.array(gains)
+    bounded = _bounded(theta, precision, prior, scale)
+    return Standard(bounded, half.T @ half, share, chosen, np.sqrt(noise), float(gain), float(of_inertial))
 
 
 def left(motions: Sequence[Sums], theta: Array) -> np.ndarray:

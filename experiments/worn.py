@@ -1,0 +1,291 @@
+"""Worn arms: friction on every joint, links some percent off, and one anomaly or none, on plants that differ.
+
+    python experiments/worn.py [seed=0] [logs=30] [clean=10] [only=backlash,payload] [workers=2] [folder=outputs/worn]
+
+Drawn for every log: the arm, its motion (multisine, moves with rests, constant speed, a random walk), the controller's
+bandwidth, damping and what it knows, the rate, the encoders' bits, and the sizes. Counted are the standard terms of the
+written model that make more than 3 % of their joint's torque (right within 10 %), the anomaly (right or rightly
+ambiguous, as `confusion.matches` says), and anomalies that were named and not hidden.
+"""
+
+import sys
+import time
+import traceback
+import zlib
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, sosfiltfilt
+
+from experiments.cases import SIZES, Scene, draw_effect, draw_scene, felt, scene_of
+from experiments.confusion import claims, matches
+from experiments.options import only_of, options_of
+from experiments.results import tell
+from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.simulation import plant
+from invdyn_cli.simulation.control import Control
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.references import AbstractReference, room
+from invdyn_cli.simulation.sensors import Noise
+from invdyn_cli.types import Diagnosis, Finding, Motion, Robot
+
+STANDARD = ("torque_offset", "coulomb_friction", "viscous_friction", "rotor_inertia", "link_inertia_error")
+"""What every arm has: a claim of these is no anomaly."""
+
+ANOMALIES = (
+    "backlash",
+    "joint_elasticity",
+    "stribeck_friction",
+    "torque_delay",
+    "torque_gain_error",
+    "encoder_offset",
+    "payload",
+    "load_dependent_friction",
+    "joint_spring",
+    "torque_ripple",
+    "presliding_hysteresis",
+    "torque_gain_change",
+)
+COUNTS, RIGHT = 0.03, 0.1
+"""Share of a joint's torque above which a standard term counts, and its largest relative error."""
+
+
+@dataclass(frozen=True)
+class RandomWalk(AbstractReference):
+    """Every joint follows noise behind a low-pass, as a hand that leads the arm does."""
+
+    cutoff: float = 0.3
+    speed: float = 0.5
+
+    def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
+        """A posture from noise of 50 Hz behind three low-passes, faded in from rest and out again."""
+        draw, coarse = np.random.default_rng([7, seed]), 50.0
+        count = round(duration * coarse) + 1
+        sections = butter(3, self.cutoff, fs=coarse, output="sos")
+        walk = sosfiltfilt(sections, draw.normal(size=(count, robot.dofs)), axis=0)
+        t = np.arange(count) / coarse
+        fade = np.clip(np.minimum(t, duration - t) / 2.0, 0.0, 1.0)[:, None]
+        walk *= fade**3 * (10 - 15 * fade + 6 * fade**2)
+        middle, half, fastest = room(robot)
+        speeds = np.abs(np.gradient(walk, 1 / coarse, axis=0)).max(0)
+        walk *= np.minimum(0.8 * half / np.abs(walk).max(0), self.speed * fastest / speeds)
+        path, at = make_interp_spline(t, walk, k=5), np.arange(round(duration * rate)) / rate
+        return Motion(middle + path(at), path.derivative(1)(at), path.derivative(2)(at))
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line may say."""
+
+    seed: int = 0
+    logs: int = 30
+    clean: int = 10
+    only: Sequence[str] = ANOMALIES
+    workers: int = 2
+    folder: str = "outputs/worn"
+
+
+@dataclass(frozen=True)
+class Counted:
+    """One log: what was hidden beside the wear, how it was spoken of, anomalies that were claimed beside it, and the
+    relative error of each standard term that counts."""
+
+    seed: int
+    said: str
+    hidden: str
+    result: str
+    named: tuple[str, ...]
+    false: tuple[str, ...]
+    errors: tuple[float, ...]
+    verdict: str
+    seconds: float
+
+
+def wear(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+    """Friction on every joint, 2 to 20 % of its torque each, and links up to 8 % off."""
+    made = []
+    for j, joint in enumerate(scene.robot.joints):
+        coulomb, viscous = scene.torque[j] * np.exp(draw.uniform(np.log(0.02), np.log(0.2), 2))
+        mass = scene.robot.inertial[j, 0]
+        reach = np.linalg.norm(scene.robot.inertial[j, 1:4]) / max(mass, 1e-6)
+        off = {
+            "mass": float(mass * draw.uniform(-0.08, 0.08)),
+            "com": [float(x) for x in 0.08 * reach * draw.uniform(-1, 1, 3) / np.sqrt(3)],
+            "inertia": float(draw.uniform(-0.08, 0.08)),
+        }
+        made += [
+            Hidden("coulomb_friction", joint, {"coulomb": float(coulomb)}),
+            Hidden("viscous_friction", joint, {"damping": float(viscous / scene.speed[j])}),
+            Hidden("link_inertia_error", joint, off),
+        ]
+    return made
+
+
+def sized(draw: np.random.Generator, scene: Scene, name: str) -> Hidden:
+    """An anomaly; what gears have is drawn wider than elsewhere."""
+    j = int(draw.choice(felt(scene, name)))
+    one = draw_effect(draw, scene, name, j)
+    wider: dict[str, Any] = {
+        "backlash": lambda: {"gap": float(np.exp(draw.uniform(np.log(1e-3), np.log(2e-2))))},
+        "joint_elasticity": lambda: {"damping": _damping(draw, one, scene, j)},
+        "stribeck_friction": lambda: {"velocity": float(np.exp(draw.uniform(np.log(0.01), np.log(0.4))))},
+    }
+    return replace(one, parameters={**one.parameters, **wider.get(name, dict)()})
+
+
+def _damping(draw: np.random.Generator, one: Hidden, scene: Scene, j: int) -> float:
+    """Of a ratio of 0.02 to 0.3, for a rotor that swings on the spring."""
+    ratio = np.exp(draw.uniform(np.log(0.02), np.log(0.3)))
+    return float(2 * ratio * np.sqrt(one.parameters["stiffness"] * one.parameters["rotor"]))
+
+
+def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None, str]:
+    """A log that a controller survived, with its scene, its wear, its anomaly and what is to be said of its plant."""
+    for attempt in range(20):
+        draw = np.random.default_rng([seed, attempt, zlib.crc32(name.encode()), 9])
+        scene = draw_scene(draw)
+        if draw.random() < 0.25:
+            scene = scene_of(scene.robot, RandomWalk(), scene.duration, scene.seed)
+        worn = wear(draw, scene)
+        anomaly = sized(draw, scene, name) if name else None
+        rate, bits = float(draw.choice([200.0, 500.0, 1000.0, 2000.0])), int(draw.integers(14, 21))
+        control = Control(
+            frequency=float(draw.uniform(1.5, 4.0)),
+            damping_ratio=float(draw.uniform(0.6, 1.2)),
+            velocity_cutoff=float(draw.uniform(15, 60)),
+            knows="arm" if draw.random() < 0.7 else "nominal",
+        )
+        hiss = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
+        noise = Noise(position=1e-6, position_quantum=2 * np.pi / 2**bits, torque=tuple(hiss))
+        if scene.duration * rate > 60_000:
+            rate = 1000.0
+        options: dict[str, Any] = {"duration": scene.duration, "rate": rate, "seed": scene.seed, "control": control}
+        hidden = [*worn, *([anomaly] if anomaly else [])]
+        try:
+            log = plant.record(scene.robot, [scene.reference], hidden, noise=noise, position_side="motor", **options)
+        except plant.UsageError:
+            continue
+        kind = type(scene.reference).__name__
+        said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"
+        return scene, log, worn, anomaly, said
+    raise RuntimeError(f"no stable case from seed {seed} for {name}")
+
+
+def term_errors(scene: Scene, worn: Sequence[Hidden], anomaly: Hidden | None, diagnosis: Diagnosis) -> list[float]:
+    """Relative errors of the friction terms of the written model that count, but where bristles stand beside them."""
+    terms = {"coulomb_friction": ("coulomb", "coulomb"), "viscous_friction": ("viscous", "damping")}
+    errors = []
+    for one in worn:
+        if one.effect not in terms or (anomaly and anomaly.joint == one.joint and "hysteresis" in anomaly.effect):
+            continue
+        j = scene.robot.joints.index(str(one.joint))
+        term, name = terms[one.effect]
+        true = one.parameters[name]
+        if anomaly and anomaly.joint == one.joint and anomaly.effect == "stribeck_friction" and term == "coulomb":
+            true += anomaly.parameters["coulomb"]
+        if true * (scene.speed[j] if term == "viscous" else 1.0) < COUNTS * scene.torque[j]:
+            continue
+        got = [a.parameters for a in diagnosis.model.acting if a.joint == j] if diagnosis.model else []
+        errors.append(abs(sum(p.get(name, 0.0) for p in got) - true) / true)
+    return errors
+
+
+def spoken(anomaly: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
+    """How an anomaly was spoken of, and the anomalies that were claimed beside it."""
+    best = None
+    if anomaly is not None:
+        how = {match: f for f in reversed(found) if (match := matches(anomaly, f))}
+        best = how.get("named", how.get("ambiguous"))
+    rest = [f for f in found if f is not best and f.effect not in STANDARD and not _usual(f)]
+    if anomaly is None:
+        return "none", rest
+    result = "missed" if best is None else matches(anomaly, best)
+    return result, rest
+
+
+def _usual(finding: Finding) -> bool:
+    """Whether a finding may be one of what every arm has after all."""
+    return finding.status == "ambiguous" and any(set(one) <= set(STANDARD) for one in finding.alternatives)
+
+
+def count(seed: int, name: str) -> Counted | str:
+    """One log; a traceback where it ends in one."""
+    try:
+        scene, log, worn, anomaly, said = drawn(seed, name)
+        started = time.perf_counter()
+        diagnosis = diagnose(log, scene.robot)
+        seconds = time.perf_counter() - started
+        found = claims(diagnosis)
+        result, false = spoken(anomaly, found)
+        names = tuple(_said(f) for f in found if f.effect not in STANDARD)
+        errors = tuple(term_errors(scene, worn, anomaly, diagnosis))
+        hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
+        return Counted(seed, said, hidden, result, names, tuple(map(_said, false)), errors, diagnosis.verdict, seconds)
+    except Exception:
+        return f"seed {seed}, {name}: {traceback.format_exc()}"
+
+
+def _said(finding: Finding) -> str:
+    other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
+    return f"{finding.effect}{other}@{finding.joint}"
+
+
+def table(counted: Sequence[Counted]) -> str:
+    """A row per anomaly, as Markdown, and what holds for all logs."""
+    lines = ["| anomaly | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
+    for name in dict.fromkeys(c.hidden.split("@")[0] for c in counted):
+        own = [c for c in counted if c.hidden.split("@")[0] == name]
+        cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
+        lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
+    errors = np.array([e for c in counted for e in c.errors])
+    worn = [c for c in counted if c.hidden != "none"]
+    right = sum(c.result in ("named", "ambiguous") for c in worn)
+    seconds = sorted(c.seconds for c in counted)
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"Anomalies: {right} of {len(worn)} right or rightly ambiguous; "
+            f"{sum(bool(c.false) for c in counted)} of {len(counted)} logs with a false one beside it.",
+            f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
+            f"{100 * np.median(errors) if len(errors) else 0:.2g} %.",
+            f"Seconds a log: median {seconds[len(seconds) // 2]:.0f}, longest {seconds[-1]:.0f}.",
+        ]
+    )
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run as the docstring says."""
+    options = options_of(argv, Options(), __doc__)
+    names = only_of("only", options.only, SIZES)
+    folder, counted = Path(options.folder), []
+    folder.mkdir(parents=True, exist_ok=True)
+    plan = [(1000 * options.seed + k, names[k % len(names)]) for k in range(options.logs)]
+    plan += [(1000 * options.seed + 500 + k, "") for k in range(options.clean)]
+    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+        for one in pool.map(count, *zip(*plan, strict=True)):
+            if isinstance(one, str):
+                print(one, flush=True)
+                continue
+            counted.append(one)
+            print(
+                f"{one.result}: {one.seed} {one.hidden} -> {one.named} ({one.said}; {one.seconds:.0f} s, "
+                f"{one.verdict}, terms {100 * max(one.errors, default=0):.0f} %)",
+                flush=True,
+            )
+    if counted:
+        tell(folder, "worn", f"seed {options.seed}", table(counted), counted)
+    return 0
+
+
+if __name__ == "__main__":
+    from invdyn_cli.verbs.screen import use_compilation_cache
+
+    use_compilation_cache()
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,60 @@
+"""Worn arms: links that are some percent off are no causes by themselves, and hide none."""
+
+import numpy as np
+import pytest
+
+from experiments.arms import random_arm
+from experiments.cases import scene_of
+from experiments.confusion import claims
+from experiments.worn import STANDARD, wear
+from invdyn_cli.diagnosis import diagnose, standard
+from invdyn_cli.diagnosis.inquiry import inquire
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.maths.standard import link_scales
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import record
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
+from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
+
+NAMES = ("coulomb_friction", "link_inertia_error")
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_the_directions_that_are_kept_make_all_that_links_do(share):
+    """Of links that are off at random the kept directions, fewer than there are parameters, leave a tenth of a noise
+    variance for each that was not kept."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), NAMES)
+    inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
+    columns = standard.columns_of(evidence, "unknown")
+    (worn,) = standard.worn_links(columns, inquiry, share)
+    scale = share * link_scales(evidence.robot).ravel()
+    assert 0 < len(worn.precision) < len(scale)
+    draw, left = np.random.default_rng(0), []
+    for _ in range(20):
+        torque = np.tensordot(scale * draw.normal(size=len(scale)), columns.links, 1)
+        x = [evidence.tables[j][:, list(free)] for j, (_, free) in worn.columns.items()]
+        weighed = np.sqrt(inquiry.noise.weights)[:, None] * evidence.valid.T
+        rows = np.concatenate([w[:, None] * table for w, table in zip(weighed, x, strict=True)])
+        target = (weighed * torque).ravel()
+        rest = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
+        left.append(rest @ rest)
+    assert np.mean(left) < standard.FELT * (len(scale) - len(worn.precision))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
+    """Friction on every joint, links up to 8 % off and a spring: the spring is named, and no other anomaly."""
+    draw = np.random.default_rng(seed)
+    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
+    robot = load_urdf(tmp_path / "arm.urdf")
+    scene = scene_of(robot, Multisine(), 25.0, seed)
+    stiffness = float(0.15 * scene.torque[1] / scene.q[:, 1].std())
+    spring = Hidden("joint_spring", robot.joints[1], {"stiffness": stiffness, "rest": float(scene.q[:, 1].mean())})
+    noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
+    log = record(robot, [scene.reference], [*wear(draw, scene), spring], noise=noise, duration=25.0, seed=seed)
+    anomalies = [f for f in claims(diagnose(log, robot)) if f.effect not in STANDARD]
+    assert [(f.effect, f.joint, f.status) for f in anomalies] == [("joint_spring", robot.joints[1], "named")]
+    assert anomalies[0].parameters["stiffness"].value == pytest.approx(stiffness, rel=0.1)
