@@ -86,10 +86,16 @@ def test_error_table_has_every_number():
     for joint in joints_of(diagnosis):
         row = next(line for line in text.splitlines() if line.split()[:1] == [joint])
         tables = (diagnosis.baseline, *lines, diagnosis.extended, diagnosis.noise_floor)
-        shown = [
-            significant(x) for x in (*(table[joint]["rmse"] for table in tables), diagnosis.extended[joint]["nmse"])
-        ]
+        shown = [significant(table[joint]["rmse"]) for table in tables]
         assert row.split()[1:] == [*shown, f"{100 * diagnosis.unexplained[joint]:.0f}", "%"]
+
+
+def test_the_error_table_fits_80_characters():
+    """No number is cut, and no name of eleven characters is folded, in the width that a pipe has."""
+    diagnosis = make_diagnosis(joints=tuple(f"arm_joint_{k}" for k in range(7)))
+    lines = printed(error_table(diagnosis), width=80).splitlines()
+    assert max(map(len, lines)) <= 80 and "…" not in "".join(lines)
+    assert {line.split()[0] for line in lines if line.startswith(" arm")} == set(joints_of(diagnosis))
 
 
 def test_names_are_no_markup():
