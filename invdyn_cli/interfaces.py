@@ -202,6 +202,10 @@ class AbstractEffect(abc.ABC):
     """What to record to tell it from its confounders."""
     picture: ClassVar[str] = "t"
     """Over what its picture is drawn: t, q, qd, qdd, load, slope (d torque / dt) or body."""
+    group: ClassVar[str] = "anomaly"
+    """"standard" for what every arm has beside its URDF, "anomaly" for what only some have."""
+    shows: ClassVar[tuple[str, ...]] = ()
+    """Tests of the residual (`types.ResidualTest.against`) in which it shows first where a model lacks it."""
 
     def refuse(self, parameters: Parameters) -> str:
         """Why these values are no physics, "" if they are."""

@@ -23,7 +23,7 @@ from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, FittedModel
 from invdyn_cli.maths import loads, stages
 from invdyn_cli.models import extended
 from invdyn_cli.registry import decode, encode
-from invdyn_cli.types import Diagnosis, Examination, Finding, Prediction, RunRecord
+from invdyn_cli.types import Diagnosis, Examination, Finding, Prediction, ResidualTest, RunRecord
 
 RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
@@ -230,6 +230,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "log_checks": examination_as_dict(diagnosis.examination),
         "findings": [_finding_tree(x) for x in diagnosis.findings],
         "standard": diagnosis.standard,
+        "residual_tests": _tests_tree(diagnosis.tests),
         "baseline": diagnosis.baseline,
         "baselines": {"urdf": diagnosis.baseline, **diagnosis.baselines} if diagnosis.baselines else {},
         "extended": diagnosis.extended,
@@ -277,6 +278,15 @@ def _finding_tree(finding: Finding) -> dict[str, Any]:
         "gain": {joint: vars(x) for joint, x in finding.gain.items()},
         "rejected": [{"effect": effect, "why": why} for effect, why in finding.rejected],
     }
+
+
+def _tests_tree(tests: Sequence[ResidualTest]) -> dict[str, list[dict[str, Any]]]:
+    """{joint: a row per test}, without the pictures' curves."""
+    tree: dict[str, list[dict[str, Any]]] = {}
+    for x in tests:
+        row = {k: v for k, v in vars(x).items() if k not in ("joint", "curve", "quantity")}
+        tree.setdefault(x.joint, []).append(row)
+    return tree
 
 
 def write_check(examination: Examination, path: Path) -> None:

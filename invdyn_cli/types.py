@@ -317,6 +317,7 @@ class Finding:
         evidence: numbers that led to it.
         rejected: (effect, why not) of every rival.
         advice: what to record to be surer.
+        group: "standard" for what every arm has beside its URDF, else "anomaly".
     """
 
     effect: str
@@ -330,6 +331,7 @@ class Finding:
     evidence: Mapping[str, Any] = field(default_factory=dict)
     rejected: tuple[tuple[str, str], ...] = ()
     advice: str = ""
+    group: str = "anomaly"
 
 
 @dataclass(frozen=True)
@@ -362,18 +364,51 @@ class Signals:
 
 
 @dataclass(frozen=True)
+class ResidualTest:
+    """Whether what the extended model leaves of a joint's torque goes with something.
+
+    Attributes:
+        joint: whose torque.
+        against: "level", "velocity", "angle", "ripple", "load", "load_zeros", "acceleration", "torque_slope",
+            "reversals", "neighbours" or "time".
+        statistic, freedom: a chi-square and its degrees of freedom.
+        p: the chance that noise shows as much.
+        torque: RMS of what goes with it [N m; N].
+        share: of the residual's squares.
+        passed: whether that is chance, or too little to matter.
+        points_at: effects that show so where a model lacks them, and that are not in this one.
+        quantity: what it goes with in words and its unit, for the picture's axis.
+        curve: (3, bins) that quantity, the mean residual there and its standard error.
+    """
+
+    joint: str
+    against: str
+    statistic: float
+    freedom: float
+    p: float
+    torque: float
+    share: float
+    passed: bool
+    points_at: tuple[str, ...]
+    quantity: str
+    curve: Array
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What a simulation gets wrong, as diagnosis.json has it, and what its pictures need.
 
     Attributes:
         verdict: "explained", "partly_explained", "nothing_found" or "log_unusable".
         examination: what the doctor said.
-        findings: named and ambiguous ones first, by gain; then what this log could not show.
+        findings: named and ambiguous ones first, anomalies before what every arm has, by gain; then what this log
+            could not show.
         baseline, extended: held-out {joint: {"rmse", "nmse"}} of the nominal and the extended model.
         baselines: the same of what a user would try first: "friction", a line of offset, Coulomb and viscous friction
             (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
-        standard: the standard terms in the written model, {joint: {"coulomb": {"value", "unit", "interval95",
-            "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
+        standard: the standard terms in the written model, {joint: {"coulomb": {"effect", "value", "unit",
+            "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
+        tests: of what the extended model leaves, joint by joint.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.
         summary: the verdict in two sentences.
@@ -400,3 +435,4 @@ class Diagnosis:
     details: Mapping[str, Any] = field(default_factory=dict)
     baselines: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     standard: Mapping[str, Any] = field(default_factory=dict)
+    tests: tuple[ResidualTest, ...] = ()

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from invdyn_cli.types import Check, Diagnosis, Examination, Finding, Gain, Quantity, Signals
+from invdyn_cli.types import Check, Diagnosis, Examination, Finding, Gain, Quantity, ResidualTest, Signals
 
 JOINTS = tuple(f"joint{i + 1}" for i in range(7))
 RATE, SECONDS = 100.0, 30.0
@@ -187,6 +187,7 @@ def diagnosis_of(causes, *, findings=(), noise=0.08, trajectories=4, seconds=SEC
             claim = replace(claim, trajectory="sweep_1", window=WINDOWS[effect])
         gain = gains(tau[held_out] - extended[held_out], x[held_out], tau[held_out], joints)
         claims.append(replace(claim, gain=gain, **changed))
+    named = {(x.effect, x.joint) for x in claims if x.window is None}
     result = Diagnosis(
         verdict="partly_explained" if causes else "nothing_found",
         examination=EXAMINED,
@@ -200,8 +201,20 @@ def diagnosis_of(causes, *, findings=(), noise=0.08, trajectories=4, seconds=SEC
         standard={
             **{
                 joint: {
-                    "offset": {"value": -0.1, "unit": "N m", "interval95": [-0.2, 0.0], "claimed": False},
-                    "coulomb": {"value": 1.5, "unit": "N m", "interval95": [1.4, 1.6], "claimed": True},
+                    "offset": {
+                        "effect": "torque_offset",
+                        "value": -0.1,
+                        "unit": "N m",
+                        "interval95": [-0.2, 0.0],
+                        "claimed": False,
+                    },
+                    "coulomb": {
+                        "effect": "coulomb_friction",
+                        "value": 1.5,
+                        "unit": "N m",
+                        "interval95": [1.4, 1.6],
+                        "claimed": ("coulomb_friction", joint) in named,
+                    },
                 }
                 for joint in joints
             },
@@ -213,6 +226,15 @@ def diagnosis_of(causes, *, findings=(), noise=0.08, trajectories=4, seconds=SEC
         details={"filter": "Butterworth, order 4, 8 Hz, zero phase", "rate_Hz": RATE, "tries": 61, "seconds": 84.2},
     )
     return replace(result, **changes)
+
+
+def residual_test(joint, against):
+    """A test that passed, but for the angle of the last joint."""
+    failed = joint.endswith("7") and against == "angle"
+    curve = np.array([np.linspace(-1, 1, 12), 0.3 * np.sin(3 * np.linspace(-1, 1, 12)), np.full(12, 0.02)])
+    torque, p = (0.21, 1e-9) if failed else (0.003, 0.4)
+    pointed = ("joint_spring",) if against == "angle" else ()
+    return ResidualTest(joint, against, 12.0, 6.0, p, torque, 0.6, not failed, pointed, f"{against} [rad]", curve)
 
 
 def errors(residual, tau, joints):
@@ -329,7 +351,8 @@ def make_diagnosis(*, joints: tuple[str, ...] = JOINTS) -> Diagnosis:
         "Torques of all joints were shifted by 8 ms, the common delay of this log.",
     )
     unseen = [replace(x, joint=dict(zip(JOINTS, joints, strict=True))[x.joint]) for x in UNSEEN]
-    return diagnosis_of(causes, findings=unseen, joints=joints, summary=summary, notes=notes)
+    tests = tuple(residual_test(j, against) for j in joints for against in ("velocity", "angle", "load_zeros"))
+    return diagnosis_of(causes, findings=unseen, joints=joints, summary=summary, notes=notes, tests=tests)
 
 
 @cache

@@ -102,6 +102,7 @@ def report(
             rejected=_rejected(evidence.robot, candidate.key, rivals),
             advice=effect.advice,
             evidence=_facts(evidence, terms[i]) | _equals(evidence.robot, rivals),
+            group=effect.group,
         )
         if candidate.when is not None:
             finding = _timed(finding, whole.acting[i], ends[i])
@@ -134,7 +135,7 @@ def report(
         dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
     if len(inquiry.always) > len(inquiry.wear):
         dropped += ("All errors are those beside what is allowed for, which is not part of the extended model.",)
-    order = sorted(range(len(claims)), key=lambda k: -_worth(claims[k]))
+    order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -_worth(claims[k])))
     ordered = tuple(claims[k] for k in order)
     by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
     return Made(

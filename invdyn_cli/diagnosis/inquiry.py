@@ -64,6 +64,7 @@ def inquire(
     side: str = "unknown",
     parted: bool = True,
     wear: Hypothesis = (),
+    start: Hypothesis = (),
 ) -> Inquiry:
     """What acts always, and then what comes and goes beside it.
 
@@ -75,6 +76,7 @@ def inquire(
         side: the torque's.
         parted: whether a user said what chooses and what judges; it then stays so.
         wear: links that are some percent off, part of every hypothesis; no link is then looked for by itself.
+        start: what a search without wear came to, from which this one starts as well as from nothing.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.point == "gear"]
@@ -109,8 +111,9 @@ def inquire(
             evidence, found = inquiry.evidence, proposed(inquiry, held)
         else:
             inquiry, found = None, {}
+    first = [tuple(c for c in start if c.when is None and c.effect is not wear[0].effect)] if wear and start else []
     for turn in range(1 + events.ROUNDS - bool(held)):
-        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [()])]
+        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [*first, ()])]
         again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
         if turn and inquiry and kept.keys() == held.keys():
             break

@@ -12,6 +12,7 @@ from invdyn_cli.diagnosis.evidence import Evidence
 from invdyn_cli.diagnosis.inquiry import Inquiry, inquire
 from invdyn_cli.diagnosis.judge import Hypothesis
 from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Recording, Window, prepare
+from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.support import judged
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import rigid_torque
@@ -95,14 +96,14 @@ def diagnose(
     most = 3 * robot.dofs if options.most is None else options.most
     compares = any("reference" in p.role for p in recording.pieces)
 
-    def asked(wear: Hypothesis) -> Inquiry:
-        return inquire(evidence, pool, allowed, most, compares, side, windows is not None, wear)
+    def asked(wear: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
+        return inquire(evidence, pool, allowed, most, compares, side, windows is not None, wear, start)
 
-    inquiry, columns = asked(()), None if compares else standard.columns_of(evidence, side)
+    inquiry, columns = asked(), None if compares else standard.columns_of(evidence, side)
     share = standard.wear_of(columns, inquiry) if columns else None
     if columns and share is not None:
         progress(0.65, "search beside worn links")
-        again = asked(standard.worn_links(columns, inquiry, share))
+        again = asked(standard.worn_links(columns, inquiry, share), inquiry.hypothesis)
         inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence
     progress(0.75, "names")
@@ -128,15 +129,17 @@ def diagnose(
     )
     again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
     baseline, extended, *others = (_scores(evidence, x) for x in (made.before, rest, *lines.values()))
+    tests = residual_tests(evidence, rest, pool.values(), written)
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
-        verdict=wording.verdict(made, learned, restless, floor, extended),
+        verdict=wording.verdict(made, learned, restless, structured(tests, robot.joints), floor, extended),
         examination=examination,
         findings=made.findings,
         baseline=baseline,
         extended=extended,
         baselines=dict(zip(lines, others, strict=True)),
         standard=usual,
+        tests=tests,
         noise_floor=None
         if floor is None
         else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},

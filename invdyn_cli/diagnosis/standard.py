@@ -16,7 +16,7 @@ from invdyn_cli.diagnosis.candidates import body_columns
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.findings import Made, unit_of
 from invdyn_cli.diagnosis.inquiry import Inquiry
-from invdyn_cli.diagnosis.judge import Hypothesis
+from invdyn_cli.diagnosis.judge import Hypothesis, Judge
 from invdyn_cli.diagnosis.recording import ROLES
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
@@ -133,7 +133,8 @@ class Beside:
 
 
 def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | None]]) -> dict[str, Any]:
-    """The standard terms of every joint in the written model, as diagnosis.json has them; empty where it has none.
+    """The standard terms of every joint in the written model, as diagnosis.json has them; empty where the findings
+    say all of it.
 
     Args:
         claimed: (effect, joint) of what was named.
@@ -150,7 +151,8 @@ def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | 
             value, low, high = made.intervals[place].get(name, (made.acting[place].parameters[name],) * 3)
             unit = unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j])
             ends = [float(low), float(high)]
-            row[term] = {"value": float(value), "unit": unit, "interval95": ends, "claimed": (effect, joint) in claimed}
+            named = (effect, joint) in claimed
+            row[term] = {"effect": effect, "value": float(value), "unit": unit, "interval95": ends, "claimed": named}
         out[joint] = row
     share, chosen = made.share
     worth = dict(zip(evidence.robot.joints, made.worth.tolist(), strict=True))
@@ -189,23 +191,36 @@ def worn_links(columns: Columns, inquiry: Inquiry, share: float) -> Hypothesis:
 
 
 def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
-    """Whether a hypothesis beside worn links does better than another without. Wear is paid for as by the marginal
-    likelihood (its logarithm of determinants): it is not one of many that were tried."""
+    """Whether a hypothesis beside worn links does better than another without. Links, all of them a little off or some
+    of them by themselves, are paid for as by the marginal likelihood: by the volume that the log leaves of what was
+    believed of them (MacKay 1992)."""
     judge, wear, apart = inquiry.judge, inquiry.wear, inquiry.always[: len(inquiry.always) - len(inquiry.wear)]
     judge.refresh()
-    _, _, normal = judge.sums(wear)
-    volume = np.linalg.slogdet(np.eye(normal.shape[-1]) + normal.sum(0))[1]
-    mine = judge.loss((*inquiry.always, *inquiry.hypothesis)) - judge.price(wear) + volume
-    return mine < judge.loss((*apart, *other))
+
+    def loss(always: Hypothesis, hypothesis: Hypothesis, links: Hypothesis) -> float:
+        return judge.loss((*always, *hypothesis)) - judge.price(links) + _volume(judge, links)
+
+    alone = tuple(c for c in other if c.effect is LINK)
+    return loss(inquiry.always, inquiry.hypothesis, wear) < loss(apart, other, alone)
+
+
+def _volume(judge: Judge, hypothesis: Hypothesis) -> float:
+    """Logarithm of the volume of coefficients beforehand, less that of those that the log allows; doubled, as losses
+    are."""
+    if not hypothesis:
+        return 0.0
+    scale = 1 / np.sqrt(np.concatenate([c.precision for c in hypothesis]))
+    normal = judge.sums(hypothesis)[2].sum(0) * np.outer(scale, scale)
+    return float(np.linalg.slogdet(np.eye(len(scale)) + normal)[1])
 
 
 def wear_of(columns: Columns, inquiry: Inquiry) -> float | None:
     """The share by which the log asks links to be off, beside all that was found but errors of single links; None where
-    it does not."""
+    it does not, or asks for none of the standard model beside that."""
     acting = [a for a in inquiry.chosen.acting if a.effect is not LINK]
     choosing = inquiry.evidence.role == ROLES.index("train")
     fitted = columns.fit(inquiry.model.residual(acting), choosing, _least(columns, acting))
-    return fitted.share if fitted.of_inertial > 0 and fitted.share > WORN else None
+    return fitted.share if min(fitted.gain, fitted.of_inertial) > 0 and fitted.share > WORN else None
 
 
 def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:

@@ -12,20 +12,43 @@ PREDICTABLE, SMALL = 0.15, 0.15
 than this share of the nominal model's error, in N m."""
 
 
+AGAINST = {
+    "level": "nothing: it is constant",
+    "velocity": "the velocity",
+    "angle": "the angle",
+    "ripple": "the angle, as a ripple",
+    "load": "the load",
+    "load_zeros": "changes of the load's sign",
+    "acceleration": "the acceleration",
+    "torque_slope": "the slope of the torque",
+    "reversals": "reversals",
+    "neighbours": "the motion of its neighbours",
+    "time": "time",
+}
+"""Residual tests, as a sentence has them."""
+
+
 def verdict(
     made: Made,
     learned: np.ndarray,
     restless: np.ndarray,
+    structured: np.ndarray,
     floor: np.ndarray | None,
     extended: Mapping[str, Mapping[str, float]],
 ) -> str:
-    """explained, partly_explained or nothing_found."""
+    """explained, partly_explained or nothing_found.
+
+    Args:
+        learned: share of the residual (n,) that a learner predicts.
+        restless: whether (n,) it is no noise.
+        structured: RMS torque (n,) of what residual tests find in it.
+    """
     if not any(f.status in ("named", "ambiguous") for f in made.findings):
         return "nothing_found"
     before = np.sqrt(np.mean(made.before**2, axis=0))
     after = np.array([x["rmse"] for x in extended.values()])
-    left = np.where(restless, 1.0, np.sqrt(np.nan_to_num(learned))) * after
-    fine = ~(restless | (learned > PREDICTABLE)) | (left < SMALL * before)
+    left = np.maximum(np.where(restless, 1.0, np.sqrt(np.nan_to_num(learned))) * after, structured)
+    fine = ~(restless | (learned > PREDICTABLE) | (structured > 0)) | (left < SMALL * before)
     if floor is not None:
         fine |= after < 1.2 * np.sqrt(2) * floor
     return "explained" if np.all(fine) else "partly_explained"
@@ -51,13 +74,19 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     if not claims:
         first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
         return f"{first} {rest or 'What is left looks like noise.'}"
+    # a table shows what every arm has where the model has all of it
+    usual = [f for f in claims if f.group == "standard" and f.joint] if diagnosis.standard else []
+    shown = [f for f in claims if not any(f is x for x in usual)]
     said = [
         f"{titles[f.effect]}{' or its rivals' if f.status == 'ambiguous' else ''}"
         + (f" on {f.joint}" if f.joint else "")
-        for f in claims[:4]
+        for f in shown[:4]
     ]
-    more = f" and {len(claims) - 4} more" if len(claims) > 4 else ""
-    first = f"The simulation lacks {_listed(said)}{more}; with that its held-out error falls from {before:.3g} to "
+    said += [f"{len(shown) - 4} more"] if len(shown) > 4 else []
+    if usual:
+        joints = len({f.joint for f in usual})
+        said.append(f"what every arm has (friction and the like) on {joints} joint{'s' * (joints > 1)}")
+    first = f"The simulation lacks {_listed(said)}; with that its held-out error falls from {before:.3g} to "
     first += f"{after:.3g} N m RMS over all joints."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} What is left is small beside that."
@@ -74,6 +103,12 @@ def _rest(diagnosis: Diagnosis) -> str:
         said.append(f"Something unknown remains on {', '.join(shares)}: {most}.")
     if swings:
         said.append(f"What is left on {', '.join(swings)} is no noise, though no learner predicts it from the motion.")
+    goes: dict[str, list[str]] = {}
+    for x in diagnosis.tests:
+        if not x.passed:
+            goes.setdefault(x.joint, []).append(AGAINST[x.against])
+    if goes and not said:
+        said += [f"What is left on {joint} goes with {_listed(names)}." for joint, names in goes.items()]
     return " ".join(said)
 
 

@@ -36,6 +36,8 @@ class RotorInertia(AbstractTorqueEffect):
     confounders = (("link_inertia_error",),)
     advice = "accelerations of the joint in postures that change the inertia it carries"
     picture = "qdd"
+    group = "standard"
+    shows = ("acceleration",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["armature"] * state.qdd
@@ -58,6 +60,8 @@ class TorqueOffset(AbstractTorqueEffect):
     parameters = {"offset": Parameter("N m")}
     confounders = (("joint_spring",), ("asymmetric_coulomb_friction",), ("base_tilt",), ("link_inertia_error",))
     advice = "many postures approached from both sides, one of them without load"
+    group = "standard"
+    shows = ("level",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.q.__array_namespace__()
@@ -82,6 +86,7 @@ class TorqueOffsetDrift(AbstractTorqueEffect):
     parameters = {"rate": Parameter("N m/s")}
     confounders = (("torque_offset",), ("thermal_friction_drift",), ("joint_spring",))
     advice = "the same postures again after some minutes"
+    shows = ("time",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["rate"] * state.t
@@ -105,6 +110,7 @@ class TorqueGainError(AbstractChannelEffect):
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
     advice = "a known payload: it tells a gain from masses"
     picture = "load"
+    shows = ("load",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return ({"gain": 1.0},)
@@ -134,6 +140,7 @@ class TorqueDelay(AbstractChannelEffect):
     confounders = (("actuator_lag",), ("viscous_friction",))
     advice = "fast motion: a delay grows with frequency as a line, a lag bends and damps"
     picture = "slope"
+    shows = ("torque_slope",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return [{"delay": d} for d in self.delays]
@@ -163,6 +170,7 @@ class ActuatorLag(AbstractChannelEffect):
     confounders = (("torque_delay",), ("viscous_friction",))
     advice = TorqueDelay.advice
     picture = "slope"
+    shows = ("torque_slope",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return [{"time_constant": x} for x in self.time_constants]
@@ -203,6 +211,7 @@ class TorqueSaturation(AbstractChannelEffect):
     parameters = {"limit": Parameter("N m", 0.0)}
     advice = "the measured torque or current beside the commanded one"
     picture = "load"
+    shows = ("load",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         limits = np.quantile(abs(np.asarray(tau)), [1 - x for x in self.shares])

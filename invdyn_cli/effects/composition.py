@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.interfaces import (
-    CHUNK,
     AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractEffect,
@@ -190,16 +189,20 @@ def sign_of(qd: Array, width: Array | float) -> Array:
     return qd.__array_namespace__().clip(qd / width, -1, 1)
 
 
+PART = 1024
+"""Samples of a part: a log's pieces are some thousand samples long, and their last part is padded."""
+
+
 def chunked(function, *arrays: np.ndarray) -> np.ndarray:
-    """A jitted function of (n, T) arrays in chunks of one length (one compilation), joined along the last axis."""
+    """A jitted function of (n, T) arrays in parts of one length (one compilation), joined along the last axis."""
     total = arrays[0].shape[-1]
     out = []
-    for start in range(0, total, CHUNK):
-        part = [x[..., start : start + CHUNK] for x in arrays]
-        missing = CHUNK - part[0].shape[-1]
+    for start in range(0, total, PART):
+        part = [x[..., start : start + PART] for x in arrays]
+        missing = PART - part[0].shape[-1]
         if missing:
             part = [np.pad(x, ((0, 0), (0, missing)), mode="edge") for x in part]
-        out.append(np.asarray(function(*part))[..., : CHUNK - missing])
+        out.append(np.asarray(function(*part))[..., : PART - missing])
     return np.concatenate(out, axis=-1)
 
 

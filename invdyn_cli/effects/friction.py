@@ -33,6 +33,8 @@ class ViscousFriction(AbstractTorqueEffect):
     )
     advice = "constant speeds in both directions, at least three of them"
     picture = "qd"
+    group = "standard"
+    shows = ("velocity",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["damping"] * state.qd
@@ -56,6 +58,8 @@ class CoulombFriction(AbstractTorqueEffect):
     confounders = (("stribeck_friction",), ("asymmetric_coulomb_friction",), ("load_dependent_friction",))
     advice = "slow motion through many reversals, below 0.05 rad/s too"
     picture = "qd"
+    group = "standard"
+    shows = ("velocity", "reversals")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["coulomb"] * state.sign
@@ -80,6 +84,7 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
     contains = ("coulomb_friction",)
     advice = "the torque in a posture that needs none, with the joint at rest and free: an offset stays, friction goes"
     picture = "qd"
+    shows = ("velocity", "reversals")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         up, down = self.basis(state, parameters)
@@ -117,6 +122,7 @@ class StribeckFriction(AbstractTorqueEffect):
     nonlinear = ("velocity",)
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
     picture = "qd"
+    shows = ("velocity", "reversals")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.qd.__array_namespace__()
@@ -152,6 +158,7 @@ class LoadDependentFriction(AbstractTorqueEffect):
     confounders = (("coulomb_friction",), ("torque_gain_error",))
     advice = "the same slow motion both ways in postures of different load, or with and without a known payload"
     picture = "load"
+    shows = ("load",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["mu"] * abs(state.transmitted) * state.sign
@@ -175,6 +182,7 @@ class QuadraticFriction(AbstractTorqueEffect):
     confounders = (("viscous_friction",), ("thermal_friction_drift",))
     advice = "constant speeds up to the fastest the joint can do, both ways"
     picture = "qd"
+    shows = ("velocity",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["drag"] * state.qd * abs(state.qd)
@@ -210,6 +218,7 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
     nonlinear = ("time_constant",)
     advice = "the same trajectory cold and after 20 minutes of motion"
     picture = "qd"
+    shows = ("time",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.t.__array_namespace__()
@@ -258,6 +267,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     nonlinear = ("stiffness",)
     advice = "small reversals of a few milliradians, slow and fast: bristles know the way since the last one, not speed"
     picture = "q"
+    shows = ("reversals",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["coulomb"] * _bristle(state, self.shape_of(parameters)["length"])

@@ -39,6 +39,7 @@ class Backlash(AbstractGearEffect):
     confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
     advice = "the same slow motion with the load always pulling to one side, and through its zero; a link encoder"
     picture = "load"
+    shows = ("load_zeros",)
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
         return [{"gap": x} for x in self.gaps]
@@ -68,6 +69,7 @@ class JointElasticity(AbstractGearEffect):
     confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
     advice = "a chirp up to the resonance: phase of a delay grows as a line, that of a spring with its square"
     picture = "load"
+    shows = ("torque_slope", "acceleration")
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
         return [{"stiffness": float(np.median(inertia)) * (2 * np.pi * f) ** 2} for f in self.resonances]

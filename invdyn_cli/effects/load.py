@@ -31,6 +31,7 @@ class Payload(AbstractBodyEffect):
     confounders = (("link_inertia_error",), ("torque_gain_error",))
     advice = "the same trajectory without the load, or the tool on a scale"
     picture = "body"
+    shows = ("load", "acceleration")
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         mass, (x, y, z), own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
@@ -74,6 +75,8 @@ class LinkInertiaError(AbstractBodyEffect):
     )
     advice = "an exciting trajectory that moves all joints fast and over their whole range"
     picture = "body"
+    group = "standard"
+    shows = ("angle", "acceleration", "neighbours")
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         assert joint is not None
@@ -105,6 +108,7 @@ class BaseTilt(AbstractBodyEffect):
     confounders = (("link_inertia_error",), ("encoder_offset",), ("torque_offset",))
     advice = "a spirit level on the base; turning the first joint, whose torque a true vertical leaves at zero"
     picture = "body"
+    shows = ("angle",)
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         xp = np if isinstance(parameters["angle"], float) else parameters["angle"].__array_namespace__()
@@ -141,6 +145,7 @@ class EncoderOffset(AbstractMotionEffect):
     confounders = (("link_inertia_error",), ("base_tilt",), ("torque_offset",))
     advice = "a calibration of the joint's zero by an outer measurement"
     picture = "body"
+    shows = ("angle",)
 
     def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
         xp = motion.q.__array_namespace__()

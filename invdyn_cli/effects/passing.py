@@ -34,6 +34,7 @@ class PayloadChange(AbstractBodyEffect):
     confounders = (("external_contact",), ("torque_gain_change",))
     advice = "the load held through several postures, turned by the wrist: weight and centre of mass move as one body"
     picture = "t"
+    shows = ("time",)
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         return _LOAD.changed(parameters, robot, joint)
@@ -61,6 +62,7 @@ class TorqueGainChange(AbstractChannelEffect):
     confounders = (("payload_change",), ("external_contact",))
     advice = "the same trajectory before and after the change"
     picture = "t"
+    shows = ("time",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return _GAIN.shapes(tau, rate)
@@ -89,6 +91,7 @@ class ExternalContact(AbstractForceEffect):
     confounders = (("external_contact",), ("payload_change",), ("torque_gain_change",))
     advice = "a force sensor or a camera at the contact; the contact held while the arm moves on"
     picture = "t"
+    shows = ("time",)
 
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
         assert joint is not None

@@ -33,6 +33,7 @@ class TorqueRipple(AbstractTorqueEffect):
     nonlinear = ("cycles",)
     advice = "a slow constant speed over a whole turn, logged fast enough"
     picture = "q"
+    shows = ("ripple",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.q.__array_namespace__()
@@ -63,6 +64,7 @@ class JointSpring(AbstractTorqueEffect):
     contains = ("torque_offset",)
     advice = "postures over the joint's whole range: gravity bends as a sine, a spring does not"
     picture = "q"
+    shows = ("angle",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["stiffness"] * (state.q - parameters["rest"])

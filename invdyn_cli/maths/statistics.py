@@ -1,6 +1,7 @@
 """What autocorrelated residuals are worth: integrated autocorrelation time and covariance from blocks of scores."""
 
 import numpy as np
+from scipy import stats
 
 
 def autocorrelation_time(x: np.ndarray, *, window: float = 5.0) -> float:
@@ -46,3 +47,23 @@ def score_covariance(scores: np.ndarray) -> np.ndarray:
     """
     centred = scores - scores.mean(0)
     return centred.T @ centred * len(scores) / max(1, len(scores) - 1)
+
+
+def coherence(scores: np.ndarray) -> tuple[float, float, float]:
+    """Whether stretches of a series say the same: scores (B, k), each stretch's products with k orthonormal columns.
+
+    The squares |sum_b s_b|^2 are compared with those of random signs, |sum_b e_b s_b|^2 (the wild bootstrap of
+    clusters: Cameron, Gelbach and Miller 2008), of which mean sum_b |s_b|^2 and variance 2 sum_(b != c) (s_b' s_c)^2
+    are known; a scaled chi-square has the same two (Satterthwaite 1946). What is correlated within a stretch is counted
+    as it is.
+
+    Returns:
+        the chi-square, its degrees of freedom, and the chance of as much. 0, 1, 1 where there is nothing to compare.
+    """
+    products = scores @ scores.T
+    mean, variance = float(np.trace(products)), 2 * float(np.sum(products**2) - np.sum(np.diag(products) ** 2))
+    if not variance > 0:
+        return 0.0, 1.0, 1.0
+    scale = variance / (2 * mean)
+    value, freedom = float(np.sum(products)) / scale, mean / scale
+    return value, freedom, float(stats.chi2.sf(value, freedom))

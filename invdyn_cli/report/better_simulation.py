@@ -15,6 +15,9 @@ REPLAY_CAPTION = (
     "Every window begins with the measured positions and velocities; from there on the arm follows the logged torques, "
     "and nothing pulls it back. The windows are of data that chose nothing."
 )
+OPEN = 4
+"""Things that a file does not hold, above which their list is folded."""
+
 MUJOCO = """\
 import mujoco
 
@@ -32,7 +35,8 @@ def better_simulation(diagnosis: Diagnosis, drawn: Path | None, lacks: Mapping[s
     for name, sentences in lacks.items():
         out += f'<p><span class="name">{escape(name)}</span> '
         out += "holds all that was found.</p>" if not sentences else "does not hold, or only nearly:</p>"
-        out += f"<ul>{''.join(f'<li>{escape(x)}</li>' for x in sentences)}</ul>" if sentences else ""
+        listed = f"<ul>{''.join(f'<li>{escape(x)}</li>' for x in sentences)}</ul>" if sentences else ""
+        out += folded(f"{len(sentences)} things", listed) if len(sentences) > OPEN else listed
     mujoco = any(name.endswith(".xml") for name in lacks)
     return out + (folded("in MuJoCo", f"<pre>{escape(MUJOCO)}</pre>") if mujoco else "")
 

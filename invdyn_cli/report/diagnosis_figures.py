@@ -31,9 +31,11 @@ from invdyn_cli.report.canvas import (
     thinned,
 )
 from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_window
+from invdyn_cli.report.overlay import OVERLAY, overlay
 from invdyn_cli.report.overview import overview
 from invdyn_cli.report.quantities import best_gain
 from invdyn_cli.report.replay_figure import REPLAY, replay_figure
+from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_figure
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import EFFECTS, headline_of, picture, place, rivals_of, shortened
 from invdyn_cli.types import Diagnosis
@@ -66,7 +68,8 @@ BODIES = ("payload", "payload_change", "external_contact", "link_inertia_error",
 
 
 def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Draw the overview, the replay and every cause's picture into `folder`, once per format (png, svg, pdf).
+    """Draw the overview, the torques, the replay, failed residual tests and every cause's picture into `folder`, once
+    per format (png, svg, pdf).
 
     The paths come back. Nothing is drawn without signals: a log that is unusable has nothing to show.
     """
@@ -74,7 +77,9 @@ def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = 
     written: list[Path] = []
     with house_style():
         drawn = [(OVERVIEW, overview(diagnosis))] if diagnosis.signals is not None else []
+        drawn += [(OVERLAY, overlay(diagnosis))] if diagnosis.signals is not None else []
         drawn += [(REPLAY, replay_figure(diagnosis))] if diagnosis.replay is not None else []
+        drawn += [(RESIDUAL_TESTS, tests_figure(diagnosis))] if failing(diagnosis) else []
         drawn += [(picture(x.number, x.finding), draw(x)) for x in exhibits(diagnosis)]
         for name, figure in drawn:
             for suffix in formats:

@@ -10,9 +10,11 @@ from typing import Any
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
-from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
+from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
+from invdyn_cli.report.overlay import OVERLAY
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
 from invdyn_cli.report.replay_figure import REPLAY
+from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_section
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     EFFECTS,
@@ -27,12 +29,14 @@ from invdyn_cli.report.wording import (
     place,
     rivals_of,
     units_of,
+    usual,
     when,
     words,
 )
 from invdyn_cli.report.wording import picture as picture_name
 from invdyn_cli.types import Check, Diagnosis, Finding, Gain
 
+OVERLAY_CAPTION = "The held-out seconds in which the nominal model is most at fault."
 CAPTION = "Black: measured torque less what all other effects explain. Vermillion: the fitted term of this one."
 OVERVIEW_CAPTION = (
     "Errors on data that chose nothing. A black line is the noise floor of repeated trajectories: no model can do "
@@ -63,6 +67,7 @@ STYLE = """
 @media (prefers-color-scheme: dark) { .pill { color: #6cc0f5; } .pill.ambiguous, .pill.warn { color: #f2a65a; }
   .pill.fail { color: #ff8a5c; } }
 table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
+table.tests th { white-space: normal; vertical-align: bottom; } table.tests td, table.tests th { padding: .2rem .4rem; }
 table.causes { min-width: 58rem; } table.causes td:nth-child(4) { min-width: 13.5rem; }
 table.words td.whole { white-space: nowrap; } td small.name, .name { font-family: ui-monospace, monospace;
   font-size: .78rem; color: var(--soft); } td a { color: inherit; }
@@ -82,16 +87,22 @@ def write_report(
     figures: Iterable[str | Path],
     path: str | Path,
     lacks: Mapping[str, Sequence[str]] | None = None,
+    record_next: str = "",
 ) -> Path:
     """Write the report of a diagnosis to `path`, whole or not at all; of `figures` (those of `diagnosis_figures`), the
-    PNG files are put inside; `lacks`: the files for simulators, and what each of them does not hold."""
-    return write_whole(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures], lacks or {}))
+    PNG files are put inside; `lacks`: the files for simulators, and what each of them does not hold; `record_next`: the
+    trajectory beside it that is to be recorded next, "" without."""
+    return write_whole(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures], lacks or {}, record_next))
 
 
 def page(
-    diagnosis: Diagnosis, robot_name: str, figures: Sequence[Path], lacks: Mapping[str, Sequence[str]] | None = None
+    diagnosis: Diagnosis,
+    robot_name: str,
+    figures: Sequence[Path],
+    lacks: Mapping[str, Sequence[str]] | None = None,
+    record_next: str = "",
 ) -> str:
-    """The report as HTML text."""
+    """The report as HTML text: what is wrong and what to do on the first screen, then what it rests on."""
     drawn = {x.stem: x for x in figures if x.suffix == ".png"}
     found = claims(diagnosis)
     told = f'<p class="sub"><span class="verdict">{escape(_verdict(diagnosis))}</span></p>\n'
@@ -100,16 +111,20 @@ def page(
     picked = picture(drawn[OVERVIEW], OVERVIEW_CAPTION) if OVERVIEW in drawn else ""
     evidence = "".join(_cause(diagnosis, k + 1, x, drawn) for k, x in enumerate(found))
     usable = diagnosis.verdict != "log_unusable"
+    told += picture(drawn[OVERLAY], OVERLAY_CAPTION) if OVERLAY in drawn else ""
+    unseen = _blind_spots(diagnosis)
     sections = [
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
+        ("What to do next", _to_do(diagnosis, record_next) if usable else ""),
         ("Causes", _causes(diagnosis)),
-        ("What is gained", picked + _errors(diagnosis)),
         ("What every arm has", _standard(diagnosis)),
+        ("What is left", tests_section(diagnosis, drawn.get(RESIDUAL_TESTS))),
+        ("What is gained", picked + _errors(diagnosis)),
         ("The better simulation", better_simulation(diagnosis, drawn.get(REPLAY), lacks or {})),
-        ("The evidence", evidence),
-        ("What this log could not have shown", _blind_spots(diagnosis)),
-        ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),
         ("Using the extended model", _usage() if usable and (found or diagnosis.standard) else ""),
+        ("The evidence", evidence),
+        ("What this log could not have shown", folded("effects that may be there or not", unseen) if unseen else ""),
+        ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),
         ("How it was done", folded("filter, rates, tries", pairs(diagnosis.details)) if diagnosis.details else ""),
     ]
     return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), STYLE)
@@ -138,11 +153,38 @@ def _verdict(diagnosis: Diagnosis) -> str:
     return ": ".join([word, *([", ".join(counts)] if counts else [])])
 
 
+def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
+    """What a user can do now: record what tells open causes apart, look where something is left, mend the log."""
+    items = []
+    if record_next:
+        link = f'<a href="{escape(record_next)}">{escape(record_next)}</a>'
+        items.append(f"Play {link}, log it, and diagnose both logs together: <code>data.path=[log.h5,next.h5]</code>.")
+    for x in claims(diagnosis):
+        if x.status == "ambiguous" and x.advice:
+            items.append(f"{escape(place(x))}, {escape(cause(x))}: {escape(x.advice)}.")
+    left: dict[str, dict[str, None]] = {}
+    for x in failing(diagnosis):
+        left.setdefault(x.joint, {}).update(dict.fromkeys(map(words, x.points_at)))
+    for joint, names in left.items():
+        said = (
+            f"{', '.join(names)} would look so, and none of them held." if names else "nothing in the catalogue does."
+        )
+        items.append(f"{escape(joint)}: something is left that is no noise (what is left, below); {escape(said)}")
+    for check in diagnosis.examination.checks:
+        if check.severity in ("warn", "fail") and check.advice:
+            items.append(f"The log, {escape(check.check.replace('_', ' '))}: {escape(check.advice)}.")
+    if not items:
+        return "<p>Nothing is open: use the extended model.</p>" if diagnosis.model is not None else ""
+    return f"<ul>{''.join(f'<li>{x}</li>' for x in items)}</ul>"
+
+
 def _causes(diagnosis: Diagnosis) -> str:
     """A row per claim: effect, joint, status, parameters with 95 % intervals, its window if it comes and goes, what it
-    gains most, alternatives."""
-    body = ""
+    gains most, alternatives. What stands in the table of what every arm has does not stand here."""
+    body, elsewhere = "", usual(diagnosis)
     for k, finding in enumerate(claims(diagnosis)):
+        if any(finding is x for x in elsewhere):
+            continue
         rivals = escape("; ".join(rivals_of(finding))) or "-"
         values = "<br>".join(escape(x) for x in (*estimates(finding), when(finding)) if x) or "-"
         joint = best_gain(finding.gain)
@@ -153,7 +195,8 @@ def _causes(diagnosis: Diagnosis) -> str:
             f"<td>{_pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
         )
     if not body:
-        return "" if diagnosis.verdict == "log_unusable" else "<p>None was found.</p>"
+        none = "None was found beyond what every arm has." if elsewhere else "None was found."
+        return "" if diagnosis.verdict == "log_unusable" else f"<p>{none}</p>"
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values()))
     heads = (
         "effect",
@@ -163,7 +206,7 @@ def _causes(diagnosis: Diagnosis) -> str:
         f"held-out RMSE falls by [{unit}]".replace("N m", f"N{NO_BREAK}m"),
         "or else",
     )
-    return _table(heads, body, "words causes")
+    return table(heads, body, "words causes")
 
 
 def _at(joint: str, finding: Finding) -> str:
@@ -202,7 +245,7 @@ def _parameters(finding: Finding) -> str:
         small = f"<small>{escape(degrees)}</small>" if degrees else ""
         shown = "not to be known from this log" if quantity.value is None else quantity_text(quantity)
         body += f"<tr><td>{escape(name)}</td><td>{escape(shown)}{small}</td></tr>"
-    return _table(("parameter", "estimate [95 %]"), body, "") if body else ""
+    return table(("parameter", "estimate [95 %]"), body, "") if body else ""
 
 
 def _gains(diagnosis: Diagnosis, gains: Mapping[str, Gain]) -> str:
@@ -211,7 +254,7 @@ def _gains(diagnosis: Diagnosis, gains: Mapping[str, Gain]) -> str:
         body += f"<tr><td>{escape(joint)}</td><td>{significant(x.rmse_before)}</td><td>{significant(x.rmse_after)}</td>"
         body += f"<td>{escape(gain_text(x))} {units.get(joint, 'N m')}</td></tr>"
     heads = ("held-out RMSE", "without it", "with it", "gain [95 %]")
-    return _table(heads, body, "") if body else ""
+    return table(heads, body, "") if body else ""
 
 
 def _rejected(rejected: Sequence[tuple[str, str]]) -> str:
@@ -219,7 +262,7 @@ def _rejected(rejected: Sequence[tuple[str, str]]) -> str:
         return ""
     body = "".join(f'<tr><td class="whole">{escape(words(x))}</td><td>{escape(why)}</td></tr>' for x, why in rejected)
     count = f"{len(rejected)} rival{'s' * (len(rejected) > 1)} tried to replace it and failed"
-    return folded(count, _table(("rival", "why not"), body), shown=len(rejected) < FOLD_FROM)
+    return folded(count, table(("rival", "why not"), body), shown=len(rejected) < FOLD_FROM)
 
 
 def _blind_spots(diagnosis: Diagnosis) -> str:
@@ -236,7 +279,7 @@ def _blind_spots(diagnosis: Diagnosis) -> str:
             f"<td>{escape(where)}</td><td>{_pill(status, STATUS_WORDS)}</td><td>{escape(advice)}</td></tr>"
         )
     note = '<p class="note">No claims: these effects may be there or not.</p>'
-    return note + _table(("effect", "joint", "why", "what would show it"), body) if body else ""
+    return note + table(("effect", "joint", "why", "what would show it"), body) if body else ""
 
 
 def _errors(diagnosis: Diagnosis) -> str:
@@ -254,7 +297,7 @@ def _errors(diagnosis: Diagnosis) -> str:
     note += "Friction line: offset, Coulomb and viscous friction by least squares, the links as in the URDF. "
     note += "Still unexplained: the share of the rest that a learner predicts. "
     note += "" if floor else "No trajectory was repeated, so that there is no noise floor."
-    return _table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
+    return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
 
 
 def _standard(diagnosis: Diagnosis) -> str:
@@ -264,23 +307,25 @@ def _standard(diagnosis: Diagnosis) -> str:
     if not heads:
         return ""
     links, body = diagnosis.standard["inertials"], ""
+    numbers = {(x.effect, x.joint): k + 1 for k, x in enumerate(claims(diagnosis))}
     for joint, terms in rows.items():
-        cells = [_term(terms[head]) if head in terms else "-" for head in heads]
+        cells = [_term(x, numbers.get((x.get("effect"), joint))) if x else "-" for x in map(terms.get, heads)]
         cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
     how = {"left out": "learned by leaving motions out", "evidence": "learned from the evidence of one motion"}
     note = (
-        "What every arm has beside its URDF, in the extended model whether it is named or not; bold: named above. "
+        "What every arm has beside its URDF, in the extended model whether it is a cause that is named (bold) or not. "
         "Links: RMS torque of the change of the links' inertial parameters, which the URDF has right to about "
         f"{100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
     )
-    return _table(("joint", *heads, "links"), body, "") + f'<p class="note">{escape(note)}</p>'
+    return table(("joint", *heads, "links"), body, "") + f'<p class="note">{escape(note)}</p>'
 
 
-def _term(term: Mapping[str, Any]) -> str:
+def _term(term: Mapping[str, Any], number: int | None) -> str:
+    """A term's value; of one that is claimed a link to its evidence."""
     low, high = term["interval95"]
     value = f"{significant(term['value'])} ± {significant((high - low) / 2)} {escape(term['unit'])}"
-    return f"<b>{value}</b>" if term["claimed"] else value
+    return f'<a href="#finding-{number}"><b>{value}</b></a>' if term["claimed"] and number else value
 
 
 def _checks(diagnosis: Diagnosis) -> str:
@@ -290,7 +335,7 @@ def _checks(diagnosis: Diagnosis) -> str:
     fine = sum(x.severity == "ok" for x in diagnosis.examination.checks)
     body = "".join(_check(x) for x in told)
     count = f'<p class="note">{fine} check{"s" * (fine != 1)} found nothing to object to.</p>' if fine else ""
-    return (_table(("", "check", "where", "what was seen", "what to do"), body) if body else "") + count
+    return (table(("", "check", "where", "what was seen", "what to do"), body) if body else "") + count
 
 
 def _check(check: Check) -> str:
@@ -312,7 +357,7 @@ def _excitation(diagnosis: Diagnosis) -> str:
     for joint, found in excitation.items():
         cells = "".join(f"<td>{escape(_cell(found.get(name)))}</td>" for name in heads)
         body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
-    return folded("what the log excites", _table(("joint", *(x.replace("_", " ") for x in heads)), body, ""))
+    return folded("what the log excites", table(("joint", *(x.replace("_", " ") for x in heads)), body, ""))
 
 
 def _cell(value: Any) -> str:
@@ -335,9 +380,3 @@ def _usage() -> str:
 
 def _pill(kind: str, said: Mapping[str, str]) -> str:
     return f'<span class="pill {escape(kind)}">{escape(said.get(kind, kind))}</span>'
-
-
-def _table(heads: Sequence[str], body: str, style: str = "words") -> str:
-    """A table that scrolls if it is too wide; heads are plain text, the body is HTML."""
-    head = "".join(f"<th>{escape(x)}</th>" for x in heads)
-    return f'<div class="wide"><table class="{style}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

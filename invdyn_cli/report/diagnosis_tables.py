@@ -17,6 +17,7 @@ from invdyn_cli.report.wording import (
     joints_of,
     place,
     units_of,
+    usual,
     when,
     words,
 )
@@ -33,8 +34,9 @@ def verdict_line(diagnosis: Diagnosis) -> Text:
 
 
 def finding_table(diagnosis: Diagnosis) -> Table:
-    """A row per claim, 'X or Y' where the log leaves it open, with its window if it comes and goes; below the table
-    what the log could not have shown."""
+    """A row per claim that is no term of `standard_table`, 'X or Y' where the log leaves it open, with its window if it
+    comes and goes; below the table what the log could not have shown."""
+    elsewhere = usual(diagnosis)
     caption = Text(unseen_line(diagnosis), style="dim")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption if caption else None, caption_justify="left")
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values())) or "N m"
@@ -42,7 +44,7 @@ def finding_table(diagnosis: Diagnosis) -> Table:
     table.add_column("joint", overflow="fold", max_width=18)
     table.add_column("estimate [95 %]", overflow="fold")
     table.add_column(f"RMSE falls by [{unit}]", overflow="fold")
-    for finding in claims(diagnosis):
+    for finding in (x for x in claims(diagnosis) if not any(x is y for y in elsewhere)):
         joint = best_gain(finding.gain)
         gain = "-" if joint is None else gain_text(finding.gain[joint])
         where = f"\n{joint}, of {len(finding.gain)} joints" if joint not in (None, finding.joint) else ""
@@ -53,7 +55,28 @@ def finding_table(diagnosis: Diagnosis) -> Table:
             Text(gain + where),
         )
     if not table.row_count:
-        table.add_row("none")
+        table.add_row("none beyond what every arm has" if elsewhere else "none")
+    return table
+
+
+def standard_table(diagnosis: Diagnosis) -> Table | None:
+    """What every arm has, as the extended model has it: a row a joint, bold where the log proves it by itself; None
+    where the model has none of it."""
+    rows = {joint: terms for joint, terms in diagnosis.standard.items() if joint != "inertials"}
+    heads = list(dict.fromkeys(name for terms in rows.values() for name in terms))
+    if not heads:
+        return None
+    share = 100 * diagnosis.standard["inertials"]["share"]
+    said = f"What every arm has; bold: a cause by itself. Links are as the URDF says within some {share:.2g} %."
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
+    table.add_column("joint", overflow="fold", max_width=24)
+    units = {name: next(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
+    for name in heads:
+        table.add_column(Text(f"{name}\n[{units[name]}]"), justify="right")
+    for joint, terms in rows.items():
+        cells = (terms.get(name) for name in heads)
+        told = (Text(significant(x["value"]), "bold" if x["claimed"] else "") if x else Text("-") for x in cells)
+        table.add_row(Text(joint), *told)
     return table
 
 

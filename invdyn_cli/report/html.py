@@ -1,7 +1,7 @@
 """What all pages share: one HTML file that needs nothing else, no script, good in light, dark and print."""
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,12 @@ def picture(path: Path, caption: str, alt: str = "") -> str:
     alt = escape(alt or caption.partition(".")[0], quote=True)
     image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
     return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def table(heads: Sequence[str], body: str, style: str = "words") -> str:
+    """A table that scrolls if it is too wide; heads are plain text, the body is HTML."""
+    head = "".join(f"<th>{escape(x)}</th>" for x in heads)
+    return f'<div class="wide"><table class="{style}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def folded(label: str, content: str, *, shown: bool = False) -> str:

@@ -217,6 +217,14 @@ def claims(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     return tuple(x for x in diagnosis.findings if x.status in CLAIMS)
 
 
+def usual(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Claims that stand in the table of what every arm has: named terms of the standard model."""
+    rows = ((joint, terms) for joint, terms in diagnosis.standard.items() if joint != "inertials")
+    there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"]}
+    lasting = (x for x in claims(diagnosis) if x.status == "named" and x.window is None)
+    return tuple(x for x in lasting if (x.effect, x.joint) in there)
+
+
 def joints_of(diagnosis: Diagnosis) -> tuple[str, ...]:
     """The joints in the order of the signals' columns."""
     return diagnosis.fit.joints if diagnosis.fit else tuple(diagnosis.baseline)

@@ -120,7 +120,7 @@ def write(
         files["trajectory"] = next_motion.FILE
     drawn = diagnosis_figures.draw_all(diagnosis, folder / "figures") if diagnosis.signals is not None else []
     progress(0.9, "report")
-    diagnosis_page.write_report(diagnosis, robot_name, drawn, folder / REPORT, lacks)
+    diagnosis_page.write_report(diagnosis, robot_name, drawn, folder / REPORT, lacks, files.get("trajectory", ""))
     store.write_diagnosis(diagnosis, folder / DIAGNOSIS, files)
     progress(1.0, "done")
 
@@ -145,6 +145,9 @@ def show(diagnosis: Diagnosis, console: Screen) -> None:
         console.print(check.shown(diagnosis.examination, ()))
     else:
         console.print(diagnosis_tables.finding_table(diagnosis))
+        usual = diagnosis_tables.standard_table(diagnosis)
+        if usual is not None:
+            console.print(usual)
         console.print(diagnosis_tables.error_table(diagnosis))
     if diagnosis.replay is not None:
         console.print(replay_line(diagnosis))

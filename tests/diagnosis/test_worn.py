@@ -1,5 +1,7 @@
 """Worn arms: links that are some percent off are no causes by themselves, and hide none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,13 +12,15 @@ from experiments.worn import STANDARD, wear
 from invdyn_cli.diagnosis import diagnose, standard
 from invdyn_cli.diagnosis.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
-from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
+from invdyn_cli.types import Motion
+from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
 
 NAMES = ("coulomb_friction", "link_inertia_error")
 
@@ -42,6 +46,25 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
         rest = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
         left.append(rest @ rest)
     assert np.mean(left) < standard.FELT * (len(scale) - len(worn.precision))
+
+
+@pytest.mark.parametrize("off", [0.0, 0.08])
+def test_wear_is_asked_for_where_links_are_off(off):
+    """Beside friction that was found no log asks for links that are off where they are right; where every one is some
+    percent off it does."""
+    draw, robot = np.random.default_rng(0), arm()
+    scale = off * link_scales(robot) * draw.uniform(-1, 1, (robot.dofs, 10))
+    other = replace(robot, inertial=robot.inertial + scale)
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+
+    def term(t, m):
+        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot)]
+        return friction(t, m) + moves[0] - moves[1]
+
+    evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), NAMES)
+    inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
+    share = standard.wear_of(standard.columns_of(evidence, "unknown"), inquiry)
+    assert (share is None) == (off == 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -48,11 +48,12 @@ def drawn(tmp_path_factory):
 
 
 def test_every_cause_has_a_picture(drawn):
-    """The overview and one picture for every named or ambiguous finding are drawn, each of a legible size."""
+    """The overview, failed residual tests and one picture for every named or ambiguous finding are drawn, each of a
+    legible size."""
     diagnosis, paths = drawn
     names = [picture(k + 1, x) for k, x in enumerate(claims(diagnosis))]
-    assert [x.stem for x in paths] == ["overview", *names] and len(names) == 5
-    assert all(min(imread(x).shape[:2]) > 400 for x in paths)
+    assert [x.stem for x in paths] == ["overview", "torques", "residual_tests", *names] and len(names) == 5
+    assert all(min(imread(x).shape[:2]) > 300 for x in paths)
 
 
 @pytest.mark.parametrize("effect", EVERY_EFFECT)
@@ -165,8 +166,8 @@ def test_recordings_end_at_gaps():
 
 
 def test_nothing_found_has_an_overview(tmp_path):
-    """Without causes and without a noise floor the overview alone is drawn; a log without signals gives none."""
-    assert [x.stem for x in draw_all(nothing_found(), tmp_path)] == ["overview"]
+    """Without causes and without a noise floor overview and torques are drawn; a log without signals gives none."""
+    assert [x.stem for x in draw_all(nothing_found(), tmp_path)] == ["overview", "torques"]
     assert draw_all(log_unusable(), tmp_path) == []
 
 
@@ -182,7 +183,7 @@ def test_broken_signals_are_survived(effect, tmp_path):
         name: Quantity(math.nan, x.unit, [math.nan, math.nan]) for name, x in claims(diagnosis)[0].parameters.items()
     }
     diagnosis = replace(diagnosis, findings=(replace(diagnosis.findings[0], parameters=broken),))
-    assert len(draw_all(diagnosis, tmp_path)) == 2
+    assert len(draw_all(diagnosis, tmp_path)) == 3
 
 
 def test_few_samples_are_survived(tmp_path):
@@ -197,7 +198,7 @@ def test_names_are_no_formulas(tmp_path):
     joints = ("$a_1$", r"b\frac_{", "c/d", "../e", "<f>", "g h", "ü")
     paths = draw_all(one("coulomb_friction", joints=joints), tmp_path)
     paths += draw_all(one("payload", column=None, joints=joints), tmp_path / "arm")
-    assert len(paths) == 4 and all(x.parent in (tmp_path, tmp_path / "arm") for x in paths)
+    assert len(paths) == 6 and all(x.parent in (tmp_path, tmp_path / "arm") for x in paths)
 
 
 def test_jax_arrays_will_do():

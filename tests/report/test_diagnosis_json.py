@@ -15,6 +15,7 @@ from tests.diagnoses import log_unusable, make_diagnosis, nothing_found
 FILES = {"model": "extended_model.json", "report": "report.html"}
 FINDING = {
     "effect",
+    "group",
     "joint",
     "status",
     "alternatives",
@@ -33,6 +34,7 @@ DESIGN = {
     "standard",
     "baselines",
     "findings",
+    "residual_tests",
     "baseline",
     "extended",
     "noise_floor",
@@ -95,6 +97,17 @@ def test_arrays_and_nan(tmp_path):
     assert found["parameters"]["mass"] == {"value": 0.5, "unit": "kg", "interval95": [0.25, None]}
     assert found["evidence"] == {"flag": True, "count": 3, "deep": {"x": [None, [1, 2]]}, "4": str(tmp_path)}
     assert found["window"] == [1.5, 2.0]
+
+
+def test_residual_tests_are_rows_of_their_joint(tmp_path):
+    """A row per test under its joint, with the keys of the design; pictures' curves stay out."""
+    diagnosis = make_diagnosis()
+    tree = written(diagnosis, tmp_path)["residual_tests"]
+    assert sum(map(len, tree.values())) == len(diagnosis.tests)
+    assert all({"against", "statistic", "p", "passed"} <= set(x) for rows in tree.values() for x in rows)
+    assert not any({"curve", "joint"} & set(x) for rows in tree.values() for x in rows)
+    (failed,) = [(joint, x["against"]) for joint, rows in tree.items() for x in rows if not x["passed"]]
+    assert failed == ("joint7", "angle")
 
 
 def test_examination_stands_alone():

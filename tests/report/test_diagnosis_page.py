@@ -65,6 +65,39 @@ def test_report_is_one_file(written):
     assert not re.search(r"https?:|//[a-z]|url\(|@import", re.sub(r"base64,[^\"]*", "", text))
 
 
+def test_what_is_left_is_told(written):
+    """Every test of every joint has its cell; the one that failed says how much goes with what, and what looks so."""
+    _, path = written
+    text = path.read_text("utf-8")
+    said = text.partition("<h2>What is left</h2>")[2].partition("<h2>")[0]
+    assert said.count("<b>") == 1 and "<b>0.210</b>" in said
+    (row,) = re.findall(r"<tr><td class=.whole.>(.*?)</tr>", said)
+    assert "joint7" in row and "angle" in row and "joint spring" in row
+    passing = replace(make_diagnosis(), tests=tuple(replace(x, passed=True) for x in make_diagnosis().tests))
+    assert "All tests passed." in page(passing, "lbr", [])
+
+
+def test_the_first_screen_says_what_to_do(written):
+    """After the verdict come what to do next, the causes, what every arm has and what is left; the trajectory to record
+    is a link, and what stays open, what is left and what is wrong with the log are each a line."""
+    diagnosis, path = written
+    heads = re.findall(r"<h2>(.*?)</h2>", path.read_text("utf-8"))
+    assert heads[:4] == ["What to do next", "Causes", "What every arm has", "What is left"]
+    text = page(diagnosis, "lbr", [], {}, "record_next.csv")
+    said = text.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
+    assert '<a href="record_next.csv">' in said and "ten postures" in said
+    assert any(joint in said for joint in ("joint7: something is left",)) and "joint spring" in said
+
+
+def test_a_term_that_every_arm_has_stands_in_its_table(written):
+    """A named Coulomb friction is bold in the table of what every arm has, with a link to its evidence, and is no row
+    among the causes."""
+    text = written[1].read_text("utf-8")
+    causes, _, rest = text.partition("<h2>What every arm has</h2>")
+    assert "coulomb_friction" not in causes.partition("<h2>Causes</h2>")[2]
+    assert re.search(r'<a href="#finding-\d"><b>1.50 ± ', rest.partition("<h2>")[0])
+
+
 def test_links_lead_somewhere(written):
     """Every cause in the table leads to its evidence on the page."""
     attributes = Reader(written[1].read_text("utf-8")).attributes

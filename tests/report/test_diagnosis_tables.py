@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from invdyn_cli.report.diagnosis_tables import error_table, finding_table, verdict_line
+from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, verdict_line
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import cause, claims, estimates, headline_of, joints_of, place, rivals_of, when
@@ -23,12 +23,26 @@ def printed(*things, width: int = 100) -> str:
 
 def test_terminal_says_every_cause():
     """Every claim is in the table with its joint and its gain, in 100 columns, and no word is cut."""
-    diagnosis = make_diagnosis()
+    diagnosis = replace(make_diagnosis(), standard={})
     text = printed(finding_table(diagnosis))
     assert max(map(len, text.splitlines())) <= 100 and "…" not in text
     for x in claims(diagnosis):
         assert place(x) in text and gain_text(x.gain[best_gain(x.gain)]) in text
     assert "2.00 N m [1.98, 2.02]" in text and "joint2, of 7 joints" in text
+
+
+def test_what_every_arm_has_is_one_table():
+    """The standard terms of all joints stand in one table that fits 80 columns, with units; a named one among them is
+    no row among the causes. Without them there is no table, and it is a row again."""
+    diagnosis = make_diagnosis()
+    text = printed(standard_table(diagnosis), width=80)
+    assert "[N m]" in text and all(joint in text for joint in JOINTS) and max(map(len, text.splitlines())) <= 80
+    (row,) = (line for line in text.splitlines() if "joint2" in line)
+    assert row.split() == ["joint2", "-0.100", "1.50"]
+    bare = replace(diagnosis, standard={})
+    assert standard_table(bare) is None
+    rows = [[str(x) for x in next(iter(finding_table(d).columns)).cells] for d in (diagnosis, bare)]
+    assert set(rows[1]) - set(rows[0]) == {"Coulomb friction"}
 
 
 def test_ambiguous_causes_say_or():

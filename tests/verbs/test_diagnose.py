@@ -32,7 +32,7 @@ from tests.commands import ROOT, invdyn
 
 JOINT, COULOMB = "axis2", 2.0
 KEYS = {"schema", "verdict", "log_checks", "findings", "baseline", "baselines", "standard", "extended", "noise_floor"}
-KEYS |= {"unexplained", "files"}
+KEYS |= {"residual_tests", "unexplained", "files"}
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_leaves_its_files(diagnosed):
     files = json.loads((folder / "diagnosis.json").read_text())["files"]
     assert set(files) == {"model", "urdf", "mjcf", "report"} and names == {*files.values(), "diagnosis.json", "figures"}
     drawn = {p.name for p in (folder / "figures").iterdir()}
-    assert drawn == {"overview.png", "replay.png", "finding_01_coulomb_friction.png"}
+    assert drawn == {"overview.png", "torques.png", "replay.png", "finding_01_coulomb_friction.png"}
     assert all(word in said for word in ("Explained.", "Coulomb friction", JOINT, "unexplained", "Not to be seen"))
 
 

@@ -1,0 +1,96 @@
+"""What the extended model leaves, tested: a table of joints and tests, and a picture of every test that failed."""
+
+import math
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from invdyn_cli.report.canvas import INK, RESIDUAL, WIDTH, plain
+from invdyn_cli.report.html import picture, table
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import units_of, words
+from invdyn_cli.types import Diagnosis, ResidualTest
+
+RESIDUAL_TESTS = "residual_tests"
+"""What the picture's file is called."""
+
+HEADS = {
+    "level": "level",
+    "velocity": "velocity",
+    "angle": "angle",
+    "ripple": "ripple",
+    "load": "load",
+    "load_zeros": "load changes sign",
+    "acceleration": "acceleration",
+    "torque_slope": "slope of the torque",
+    "reversals": "reversals",
+    "neighbours": "neighbours",
+    "time": "time",
+}
+"""Tests in the order of the table, in words."""
+
+SHOWN = 9
+"""Tests that are drawn, the largest torques."""
+
+NOTE = (
+    "RMS torque in what the extended model leaves that goes with each of these; bold where noise would show as much "
+    "once in a hundred logs at most and it is worth more than 0.2 % of the joint's torque. A test in bold forbids "
+    "“explained”, unless it is small beside what was found."
+)
+CAPTION = "Mean of what is left over what it goes with, with two standard errors (autocorrelation counted)."
+
+
+def failing(diagnosis: Diagnosis) -> list[ResidualTest]:
+    """Tests that failed, the largest torque first."""
+    return sorted((x for x in diagnosis.tests if not x.passed), key=lambda x: -x.torque)
+
+
+def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
+    """The table, what each failed test points at, and the picture."""
+    if not diagnosis.tests:
+        return ""
+    units, body = units_of(diagnosis), ""
+    for joint in dict.fromkeys(x.joint for x in diagnosis.tests):
+        own = {x.against: x for x in diagnosis.tests if x.joint == joint}
+        cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in HEADS)
+        body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
+    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *HEADS.values()), body, "tests")
+    out += f'<p class="note">{escape(NOTE)}</p>'
+    rows = "".join(
+        f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(HEADS[x.against])}</td>'
+        f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of what is left</td>"
+        f"<td>{escape(', '.join(map(words, x.points_at)) or '-')}</td></tr>"
+        for x in failing(diagnosis)
+    )
+    if not rows:
+        return out + "<p>All tests passed.</p>"
+    out += table(("joint", "what is left goes with", "how much", "looks so where it is missing"), rows)
+    return out + (picture(drawn, CAPTION) if drawn else "")
+
+
+def _cell(test: ResidualTest | None) -> str:
+    if test is None:
+        return "-"
+    return significant(test.torque) if test.passed else f"<b>{significant(test.torque)}</b>"
+
+
+def tests_figure(diagnosis: Diagnosis) -> Figure:
+    """The residual over what it goes with, a panel a failed test."""
+    shown = failing(diagnosis)[:SHOWN]
+    columns = min(3, len(shown))
+    rows, units = math.ceil(len(shown) / columns), units_of(diagnosis)
+    figure = Figure(figsize=(WIDTH, 2.3 * rows + 0.7), layout="constrained")
+    figure.suptitle("What is left is no noise: it goes with", x=0.01, ha="left", fontsize=11, fontweight="bold")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, x in zip(panels, shown, strict=False):
+        over, mean, error = np.asarray(x.curve)
+        axes.axhline(0, color=INK, lw=0.8)
+        axes.errorbar(over, mean, 2 * error, color=RESIDUAL, marker="o", ms=3, lw=1.2, elinewidth=0.8)
+        axes.set_title(plain(f"{x.joint}: {HEADS[x.against]}"))
+        axes.set_xlabel(plain(x.quantity))
+        axes.set_ylabel(f"left [{units.get(x.joint, 'N m')}]")
+    for axes in panels[len(shown) :]:
+        axes.remove()
+    return figure
