@@ -54,7 +54,8 @@ DRAWS = 1000
 @dataclass(frozen=True)
 class Made:
     """Findings, the effects behind the claims among them with their terms (R, n), and residuals (R, n): `before` of the
-    nominal model, `residual` of the effects fitted on the data that chose them, `whole` fitted on all."""
+    nominal model, `residual` of the effects fitted on the data that chose them, both beside what is allowed for;
+    `alone` and `whole` of the effects without that, fitted on the data that chose them and on all."""
 
     findings: tuple[Finding, ...]
     acting: tuple[Acting, ...]
@@ -62,6 +63,7 @@ class Made:
     terms: tuple[np.ndarray, ...]
     before: np.ndarray
     residual: np.ndarray
+    alone: np.ndarray
     whole: np.ndarray
     notes: tuple[str, ...]
 
@@ -133,7 +135,9 @@ def report(
     dropped += doubt
     if not held_out(evidence):
         dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
-    if len(inquiry.always) > len(inquiry.wear):
+    if evidence.reference_rows is not None:
+        dropped += ("Gains are those beside what both logs show alike, which is part of the extended model, too.",)
+    elif len(inquiry.always) > len(inquiry.wear):
         dropped += ("All errors are those beside what is allowed for, which is not part of the extended model.",)
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -_worth(claims[k])))
     ordered = tuple(claims[k] for k in order)
@@ -145,6 +149,7 @@ def report(
         terms=tuple(shown[k] for k in order),
         before=nothing.residual + inquiry.worn(nothing),
         residual=chosen.residual + inquiry.worn(chosen),
+        alone=inquiry.model.residual(chosen.acting),
         whole=inquiry.model.residual(acting),
         notes=dropped + impossible,
     )

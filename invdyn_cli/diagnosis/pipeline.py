@@ -99,53 +99,52 @@ def diagnose(
     def asked(wear: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
         return inquire(evidence, pool, allowed, most, compares, side, windows is not None, wear, start)
 
-    inquiry, columns = asked(), None if compares else standard.columns_of(evidence, side)
-    share = standard.wear_of(columns, inquiry) if columns else None
-    if columns and share is not None:
+    inquiry, columns = asked(), standard.columns_of(evidence, side)
+    share = None if compares else standard.wear_of(columns, inquiry)
+    if share is not None:
         progress(0.65, "search beside worn links")
         again = asked(standard.worn_links(columns, inquiry, share), inquiry.hypothesis)
         inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side, log.position_side)
-    more = standard.beside(columns, evidence, made) if columns else None
-    left = made.residual if more is None or not inquiry.wear else more.residual
+    more = standard.beside(columns, evidence, made)
+    left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
     restless = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, shares))
     progress(0.9, "model")
-    written, ends, rest, lines, usual = made.acting, made.intervals, made.residual, {}, {}
-    if more is not None:  # what has changed since a reference goes into the model of that reference
-        written, ends, rest, lines = more.acting, more.intervals, more.residual, more.baselines
-        usual = standard.told(evidence, more, {(f.effect, f.joint) for f in made.findings if f.status == "named"})
+    named = {(f.effect, f.joint) for f in made.findings if f.status == "named" and not compares}  # a change is no term
     model = ExtendedModel(
         robot=nominal,
-        acting=(*facts, *written),
-        intervals=({},) * len(facts) + ends,
+        acting=(*facts, *more.acting),
+        intervals=({},) * len(facts) + more.intervals,
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
     )
     again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
-    baseline, extended, *others = (_scores(evidence, x) for x in (made.before, rest, *lines.values()))
-    tests = residual_tests(evidence, rest, pool.values(), written)
+    rest = made.residual if compares else more.residual  # of a change, beside what both logs show
+    tests = residual_tests(evidence, rest, pool.values(), more.acting)
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
-        verdict=wording.verdict(made, learned, restless, structured(tests, robot.joints), floor, extended),
+        verdict=wording.verdict(
+            made, learned, restless, structured(tests, robot.joints), floor, _scores(evidence, rest)
+        ),
         examination=examination,
         findings=made.findings,
-        baseline=baseline,
-        extended=extended,
-        baselines=dict(zip(lines, others, strict=True)),
-        standard=usual,
+        baseline=_scores(evidence, more.before),
+        extended=_scores(evidence, more.residual),
+        baselines={name: _scores(evidence, x) for name, x in more.baselines.items()},
+        standard=standard.told(evidence, more, named),
         tests=tests,
         noise_floor=None
         if floor is None
         else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
         unexplained=shares,
         model=model,
-        signals=_signals(evidence, made, rest),
+        signals=_signals(evidence, made, more),
         replay=again,
         notes=(*notes, *recording.notes, *made.notes, *why),
         details={
@@ -187,7 +186,7 @@ def _scores(evidence: Evidence, residual: np.ndarray) -> dict[str, dict[str, flo
     return scores
 
 
-def _signals(evidence: Evidence, made: findings.Made, residual: np.ndarray) -> Signals:
+def _signals(evidence: Evidence, made: findings.Made, more: standard.Beside) -> Signals:
     return Signals(
         trajectory=np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece],
         t=evidence.on_rows("t"),
@@ -195,8 +194,8 @@ def _signals(evidence: Evidence, made: findings.Made, residual: np.ndarray) -> S
         qd=evidence.on_rows("qd"),
         qdd=evidence.on_rows("qdd"),
         tau=evidence.tau,
-        nominal=evidence.tau - made.before,
-        extended=evidence.tau - residual,
+        nominal=evidence.tau - more.before,
+        extended=evidence.tau - more.residual,
         terms=made.terms,
         valid=evidence.valid,
         held_out=evidence.role == ROLES.index("test"),

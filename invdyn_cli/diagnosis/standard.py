@@ -119,6 +119,7 @@ class Beside:
         residual: (R, n) what is left on all rows after a fit on those that chose.
         baselines: {"friction", "standard"}: (R, n) what a friction line and the standard model alone leave, fitted on
             the rows that chose.
+        before: (R, n) what the nominal model leaves.
         share: by which the URDF's links are off, and how that was learned.
         worth: (n,) RMS torque of the links' change [N m; N].
     """
@@ -128,6 +129,7 @@ class Beside:
     intervals: tuple[Mapping[str, tuple], ...]
     residual: np.ndarray
     baselines: Mapping[str, np.ndarray]
+    before: np.ndarray
     share: tuple[float, str]
     worth: np.ndarray
 
@@ -224,9 +226,11 @@ def wear_of(columns: Columns, inquiry: Inquiry) -> float | None:
 
 
 def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
-    """The standard model beside what was found."""
+    """The standard model beside what was found; where a reference is, what it shows as well."""
     before, chosen, whole, acting, intervals = made.before, made.residual, made.whole, made.acting, made.intervals
     choosing = evidence.role == ROLES.index("train")
+    if evidence.reference_rows is not None:  # beside which what was found is a change
+        before, chosen, choosing = evidence.left((), np.zeros(0)), made.alone, choosing | evidence.reference_rows
     least = _least(columns, acting)
     learned = columns.fit(chosen, choosing, least)
     alone = columns.fit(before, choosing)
@@ -242,6 +246,7 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
             "friction": before - columns.of(columns.line(before, choosing)),
             "standard": before - columns.of(alone.theta),
         },
+        before=before,
         share=(found.share, found.chosen),
         worth=np.sqrt(np.mean(columns.of(np.where(columns.inertial, found.theta, 0.0)) ** 2, axis=0)),
     )
