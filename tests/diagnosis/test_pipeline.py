@@ -79,8 +79,8 @@ def test_a_declared_payload_is_not_reported(loaded, robot, arm):
 
 
 def test_a_reference_leaves_what_has_changed(loaded, robot, rubbing):
-    """Beside an earlier log with the same friction only the payload is new. The written model is that of the robot as it
-    is now: it has the friction that both logs show, within 5 %, and is off by a third of what a friction line is off."""
+    """Beside an earlier log with the same friction only the payload is new. The written model is that of the robot as
+    it is now: it has the friction that both logs show, within 5 %, and is off by a third of what a friction line is."""
     diagnosis = diagnose(loaded, robot, reference=recorded(robot, rubbing, seed=2))
     assert said(diagnosis) == {("payload", None)}
     (found,) = claims(diagnosis)
