@@ -161,27 +161,30 @@ _OFFSET, _COULOMB = "offset", "coulomb"
 def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
     """Held-out error of every joint that gains by these candidates, without and with them, which leaves `after`."""
     evidence = inquiry.evidence
-    rows = judged(evidence)
     before = left(inquiry, tuple(c for k, c in enumerate(hypothesis) if k not in without))
-    numbers, of = np.unique(evidence.block[rows], return_inverse=True)
-    draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
-    gains = {}
     own = [hypothesis[k] for k in without]
     local = all(c.effect.point in ("torque", "channel") for c in own)
-    for j, name in enumerate(evidence.robot.joints):
-        if local and j not in {c.joint for c in own}:
-            continue
-        a, b, tau = after[rows, j], before[rows, j], evidence.tau[rows, j]
-        rms = [float(np.sqrt(np.mean(x**2))) for x in (b, a)]
-        if abs(rms[0] - rms[1]) < 1e-3 * max(rms[0], 1e-12):
-            continue
-        per_block = [np.bincount(of, x**2, len(numbers)) for x in (b, a)]
-        size = draws @ np.bincount(of, minlength=len(numbers))
-        step = np.sqrt(draws @ per_block[0] / size) - np.sqrt(draws @ per_block[1] / size)
-        variance = max(float(np.var(tau)), 1e-300)
-        low, high = np.quantile(step, [0.025, 0.975])
-        gains[name] = Gain(rms[0], rms[1], rms[0] ** 2 / variance, rms[1] ** 2 / variance, (float(low), float(high)))
-    return gains
+    felt = {c.joint for c in own} if local else range(evidence.dofs)
+    gains = {name: gain_of(evidence, j, before, after) for j, name in enumerate(evidence.robot.joints) if j in felt}
+    return {name: gain for name, gain in gains.items() if gain is not None}
+
+
+def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -> Gain | None:
+    """Held-out error of a joint by what is left (R, n) before and after; None where it is the same. The interval draws
+    blocks with replacement."""
+    rows = judged(evidence)
+    numbers, of = np.unique(evidence.block[rows], return_inverse=True)
+    draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
+    b, a, tau = (x[rows, j] for x in (before, after, evidence.tau))
+    rms = [float(np.sqrt(np.mean(x**2))) for x in (b, a)]
+    if abs(rms[0] - rms[1]) < 1e-3 * max(rms[0], 1e-12):
+        return None
+    per_block = [np.bincount(of, x**2, len(numbers)) for x in (b, a)]
+    size = draws @ np.bincount(of, minlength=len(numbers))
+    step = np.sqrt(draws @ per_block[0] / size) - np.sqrt(draws @ per_block[1] / size)
+    variance = max(float(np.var(tau)), 1e-300)
+    low, high = np.quantile(step, [0.025, 0.975])
+    return Gain(rms[0], rms[1], rms[0] ** 2 / variance, rms[1] ** 2 / variance, (float(low), float(high)))
 
 
 def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
@@ -319,6 +322,15 @@ def _is_vague(finding: Finding) -> bool:
     """Whether a ripple's cycles are hardly known: another bend of the torque over the angle would do."""
     cycles = finding.parameters.get("cycles")
     return cycles is not None and cycles.interval95[1] - cycles.interval95[0] > 2 * VAGUE * cycles.value
+
+
+def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) -> Made:
+    """With further claims, and what each adds to the torque (R, n), behind those that are there."""
+    claimed = {(x.effect, x.joint) for x in found}
+    count = len(made.terms)
+    unseen = (x for x in made.findings[count:] if (x.effect, x.joint) not in claimed)
+    together = (*made.findings[:count], *found, *unseen)
+    return replace(made, findings=together, terms=(*made.terms, *terms))
 
 
 def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Finding, ...]:

@@ -35,7 +35,8 @@ ABSORBING = ("torque_saturation", "asymmetric_coulomb_friction")
 class Inquiry:
     """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
     and on all data (`whole`), and all that rivals are judged with. `close` says of a delay or lag whether the other
-    does as well; `wear` are the last of `always`: links that are some percent off, which is no finding."""
+    does as well; `wear` are the last of `always`: the standard model, friction, offsets, rotors and links that are some
+    percent off, if it is part of every hypothesis."""
 
     evidence: Evidence
     judge: Judge
@@ -49,10 +50,20 @@ class Inquiry:
     close: Mapping[tuple[str, int | None], bool]
     wear: Hypothesis
 
+    def beside(self, found: Sequence[Candidate | Acting]) -> Hypothesis:
+        """`always` as it is refined beside these."""
+        return (*self.always[: len(self.always) - len(self.wear)], *_apart(self.wear, found))
+
     def worn(self, refined: Refined) -> np.ndarray:
-        """(R, n) torque of the links' wear beside these effects, which is not in their residual."""
-        theta = refined.allowed[len(refined.allowed) - sum(len(c.precision) for c in self.wear) :]
-        return self.evidence.left((), theta) - self.evidence.left(self.wear, theta)
+        """(R, n) torque of the standard model beside these effects, which is not in their residual."""
+        wear = _apart(self.wear, refined.acting)
+        theta = refined.allowed[len(refined.allowed) - sum(len(c.precision) for c in wear) :]
+        return self.evidence.left((), theta) - self.evidence.left(wear, theta)
+
+
+def _apart(wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
+    """The standard model but for special cases of what was found: a Stribeck friction has its own Coulomb level."""
+    return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in found))
 
 
 def inquire(
@@ -75,7 +86,8 @@ def inquire(
         compares: whether the recording has a reference beside it.
         side: the torque's.
         parted: whether a user said what chooses and what judges; it then stays so.
-        wear: links that are some percent off, part of every hypothesis; no link is then looked for by itself.
+        wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
+            rotor of every joint; none of these is looked for.
         start: what a search without wear came to, from which this one starts as well as from nothing.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
@@ -98,8 +110,12 @@ def inquire(
         """All windows anew, now that the rest is known; at first what lasts may have taken up half of what does not."""
         acting = inquiry.whole.acting
         refined = [a.when for a in acting if a.when is not None]
-        without = inquiry.model.residual([a for a in acting if a.when is None]) if refined else nominal
-        residuals = [inquiry.whole.residual, without]
+        residuals = [inquiry.whole.residual]
+        if refined:
+            without = inquiry.model.residual([a for a in acting if a.when is None])
+            residuals.append(without - inquiry.worn(inquiry.whole))
+        elif not wear:
+            residuals.append(nominal)
         return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined])
 
     inquiry: Inquiry | None = None
@@ -111,7 +127,7 @@ def inquire(
             evidence, found = inquiry.evidence, proposed(inquiry, held)
         else:
             inquiry, found = None, {}
-    first = [tuple(c for c in start if c.when is None and c.effect is not wear[0].effect)] if wear and start else []
+    first = [tuple(c for c in start if c.when is None and c.effect.group != "standard")] if wear else []
     for turn in range(1 + events.ROUNDS - bool(held)):
         starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [*first, ()])]
         again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
@@ -190,9 +206,19 @@ def _searched(
     if compares:
         common, pool = known.compared(evidence, pool, ROLES.index("reference"))
         always += common
-    always += wear
+    usual: Hypothesis = ()
     if wear:
-        pool = [c for c in pool if c.effect is not wear[0].effect]
+        usual = (*(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect), *wear)
+        pool = [c for c in pool if c.effect.group != "standard"]
+        always += usual
+
+    def beside(found: Sequence[Candidate | Acting]) -> Hypothesis:
+        return (*always[: len(always) - len(usual)], *_apart(usual, found))
+
+    def simplified(hypothesis: Hypothesis) -> Hypothesis:
+        simpler = naming.simplified(judge, beside(hypothesis), hypothesis, [*pool, *usual])
+        return tuple(c for c in simpler if not any(c is u for u in usual))
+
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.name == "payload" for c in pool):
         pool = [c for c in pool if c.key != ("link_inertia_error", last)]
@@ -209,7 +235,8 @@ def _searched(
         pool += _sharpened(judge, always, hypothesis, pool)
         judge.refresh()
         seen.append({c.key for c in hypothesis})
-        refined = refine(evidence, model, acting_of(judge, always, hypothesis), choosing, measured.weights, always)
+        around = beside(hypothesis)
+        refined = refine(evidence, model, acting_of(judge, around, hypothesis), choosing, measured.weights, around)
         unlikely = _unlikely(evidence, model, measured, refined)
         if unlikely:
             pool = [c for c in pool if c.key not in unlikely]
@@ -219,28 +246,28 @@ def _searched(
         more = [*trials, *_geared(evidence, refined.acting, loads)]
         pool = [*pool, *(c for c in more if not any(c is p for p in pool))]
         judge.refresh()
-        hypothesis = search(judge, pool, always, trials, most)
-        hypothesis = naming.simplified(judge, always, hypothesis, pool)
+        hypothesis = simplified(search(judge, pool, always, trials, most))
         before, loss = loss, judge.loss((*always, *hypothesis))
         if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
             break
     while True:
-        acting = acting_of(judge, always, hypothesis)
+        around = beside(hypothesis)
+        acting = acting_of(judge, around, hypothesis)
         model.scanned.clear()  # gears once more from far and near, now that all of their load is known
-        chosen = refine(evidence, model, acting, choosing, measured.weights, always)
-        hypothesis, chosen, close = told_apart(judge, model, effects, always, hypothesis, chosen)
+        chosen = refine(evidence, model, acting, choosing, measured.weights, around)
+        hypothesis, chosen, close = told_apart(judge, model, effects, around, hypothesis, chosen)
         chosen, timed = resting.edges(evidence, model, chosen)
         hypothesis = tuple(
             trial_at(evidence, a) if edges else c for c, a, edges in zip(hypothesis, chosen.acting, timed, strict=True)
         )
         judge.refresh()
-        whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, always)
+        whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, around)
         unlikely = _unlikely(evidence, model, measured, chosen) | _unlikely(evidence, model, measured, whole)
         if not unlikely:
-            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close, wear)
+            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close, usual)
         pool = [c for c in pool if c.key not in unlikely]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
-        hypothesis = naming.simplified(judge, always, hypothesis, pool)
+        hypothesis = simplified(hypothesis)
 
 
 def _others(acting: Sequence[Acting], one: Acting) -> list[Acting]:

@@ -109,6 +109,9 @@ def diagnose(
     progress(0.75, "names")
     made = findings.report(inquiry, pool, examination, side, log.position_side)
     more = standard.beside(columns, evidence, made)
+    if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings
+        there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}
+        made = findings.joined(made, *standard.claims(evidence, columns, more, there))
     left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged

@@ -14,14 +14,16 @@ import numpy as np
 
 from invdyn_cli.diagnosis.candidates import body_columns
 from invdyn_cli.diagnosis.evidence import Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.findings import Made, unit_of
+from invdyn_cli.diagnosis.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.inquiry import Inquiry
-from invdyn_cli.diagnosis.judge import Hypothesis, Judge
+from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
 from invdyn_cli.diagnosis.recording import ROLES
+from invdyn_cli.diagnosis.support import judged
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
 from invdyn_cli.maths import standard, statistics
 from invdyn_cli.maths.standard import Standard, Sums
+from invdyn_cli.types import Finding, Quantity
 
 TERMS: Mapping[str, tuple[str, str]] = {
     "offset": ("torque_offset", "offset"),
@@ -35,6 +37,9 @@ LINK = EFFECTS["link_inertia_error"]
 
 WORN = 0.005
 """Share of its scales below which a link is as its URDF has it: clocks and filters leave that much."""
+
+CLAIMED = 0.01
+"""Share of its joint's RMS torque that a standard term must be worth to be claimed."""
 
 FELT = 0.1
 """Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
@@ -120,6 +125,7 @@ class Beside:
         baselines: {"friction", "standard"}: (R, n) what a friction line and the standard model alone leave, fitted on
             the rows that chose.
         before: (R, n) what the nominal model leaves.
+        learned, found: the standard model beside the findings, of what chose and of all rows.
         share: by which the URDF's links are off, and how that was learned.
         worth: (n,) RMS torque of the links' change [N m; N].
     """
@@ -130,6 +136,8 @@ class Beside:
     residual: np.ndarray
     baselines: Mapping[str, np.ndarray]
     before: np.ndarray
+    learned: Standard
+    found: Standard
     share: tuple[float, str]
     worth: np.ndarray
 
@@ -193,17 +201,21 @@ def worn_links(columns: Columns, inquiry: Inquiry, share: float) -> Hypothesis:
 
 
 def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
-    """Whether a hypothesis beside worn links does better than another without. Links, all of them a little off or some
-    of them by themselves, are paid for as by the marginal likelihood: by the volume that the log leaves of what was
-    believed of them (MacKay 1992)."""
-    judge, wear, apart = inquiry.judge, inquiry.wear, inquiry.always[: len(inquiry.always) - len(inquiry.wear)]
+    """Whether a hypothesis beside the standard model does better than another without. Links, all of them a little off
+    or some of them by themselves, are paid for as by the marginal likelihood, by the volume that the log leaves of what
+    was believed of them (MacKay 1992); other standard terms by their coefficients. Where several links would be wrong
+    by themselves, what clocks and filters leave (`judge.RELEVANT`) is no evidence that they are."""
+    judge, apart = inquiry.judge, inquiry.always[: len(inquiry.always) - len(inquiry.wear)]
     judge.refresh()
 
-    def loss(always: Hypothesis, hypothesis: Hypothesis, links: Hypothesis) -> float:
-        return judge.loss((*always, *hypothesis)) - judge.price(links) + _volume(judge, links)
+    def loss(always: Hypothesis, hypothesis: Hypothesis, standard: Hypothesis) -> float:
+        links = tuple(c for c in standard if c.effect is LINK)
+        terms = PRICE_OF_COEFFICIENT * sum(judge.freedom(c) for c in standard if c.effect is not LINK)
+        return judge.loss((*always, *hypothesis)) - judge.price(standard) + _volume(judge, links) + terms
 
-    alone = tuple(c for c in other if c.effect is LINK)
-    return loss(inquiry.always, inquiry.hypothesis, wear) < loss(apart, other, alone)
+    found = tuple(c for c in other if c.effect.group == "standard")
+    spared = judge.least[None] if sum(c.effect is LINK for c in found) > 1 else 0.0
+    return loss(inquiry.always, inquiry.hypothesis, inquiry.wear) < loss(apart, other, found) + spared
 
 
 def _volume(judge: Judge, hypothesis: Hypothesis) -> float:
@@ -247,9 +259,46 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
             "standard": before - columns.of(alone.theta),
         },
         before=before,
+        learned=learned,
+        found=found,
         share=(found.share, found.chosen),
         worth=np.sqrt(np.mean(columns.of(np.where(columns.inertial, found.theta, 0.0)) ** 2, axis=0)),
     )
+
+
+def claims(
+    evidence: Evidence, columns: Columns, more: Beside, named: Collection[tuple[str, str | None]]
+) -> tuple[tuple[Finding, ...], tuple[np.ndarray, ...]]:
+    """The standard terms that the log proves, the largest gain first: away from zero by an interval that counts the
+    autocorrelation, worth CLAIMED of their joint's torque, and missed on data that did not choose them; and what each
+    adds to the torque (R, n).
+
+    Args:
+        named: (effect, joint) of the anomalies that were claimed; a special case of one is part of it.
+    """
+    n, rows, made = evidence.dofs, judged(evidence), []
+    value, std = (x[10 * n :].reshape(-1, n) for x in (more.found.theta, np.sqrt(np.diag(more.found.covariance))))
+    learned = more.learned.theta[10 * n :].reshape(-1, n)
+    special = {(x, joint) for name, joint in named if name in EFFECTS for x in EFFECTS[name].contains}
+    for t, term in enumerate(columns.terms):
+        effect, name = TERMS[term]
+        for j, joint in enumerate(evidence.robot.joints):
+            low, high = (float(value[t, j] + side * 1.96 * std[t, j]) for side in (-1, 1))
+            own = np.outer(learned[t, j] * columns.own[t, j], np.eye(n)[j])
+            torque, whole = (float(np.sqrt(np.mean(x[rows, j] ** 2))) for x in (own, evidence.tau))
+            if low <= 0 <= high or torque < CLAIMED * whole or (effect, joint) in {*named, *special}:
+                continue
+            gain = gain_of(evidence, j, more.residual + own, more.residual)
+            if gain is None or gain.interval95[0] <= 0:
+                continue
+            size = Quantity(
+                float(value[t, j]), unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j]), [low, high]
+            )
+            facts = {"rms_of_term_N_m": {joint: torque}, "share_of_torque": {joint: torque / whole}}
+            told = {"parameters": {name: size}, "gain": {joint: gain}, "evidence": facts, "group": "standard"}
+            made.append((Finding(effect, joint, "named", **told), own))
+    made.sort(key=lambda x: -max(g.nmse_before - g.nmse_after for g in x[0].gain.values()))
+    return tuple(x for x, _ in made), tuple(own for _, own in made)
 
 
 def _least(columns: Columns, acting: Sequence[Acting]) -> np.ndarray:

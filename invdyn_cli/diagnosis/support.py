@@ -52,12 +52,12 @@ def held_out(evidence: Evidence) -> bool:
 
 
 def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Refined:
-    return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.always)
+    return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.beside(acting))
 
 
 def exactly(inquiry: Inquiry, hypothesis: Hypothesis) -> Refined:
     """The exact parameters of a hypothesis on the data that chose it."""
-    return refitted(inquiry, acting_of(inquiry.judge, inquiry.always, hypothesis), inquiry.judge.rows)
+    return refitted(inquiry, acting_of(inquiry.judge, inquiry.beside(hypothesis), hypothesis), inquiry.judge.rows)
 
 
 def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
@@ -78,7 +78,9 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
         where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
         said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
-        hypothesis = naming.simplified(inquiry.judge, inquiry.always, hypothesis, inquiry.pool)
+        usual = inquiry.wear
+        hypothesis = naming.simplified(inquiry.judge, inquiry.beside(hypothesis), hypothesis, [*inquiry.pool, *usual])
+        hypothesis = tuple(c for c in hypothesis if not any(c is u for u in usual))
         chosen = exactly(inquiry, hypothesis)
     return hypothesis, chosen, tuple(said)
 

@@ -8,7 +8,7 @@ import pytest
 from experiments.arms import random_arm
 from experiments.cases import scene_of
 from experiments.confusion import claims
-from experiments.worn import STANDARD, wear
+from experiments.worn import COUNTS, STANDARD, wear
 from invdyn_cli.diagnosis import diagnose, standard
 from invdyn_cli.diagnosis.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -69,7 +69,8 @@ def test_wear_is_asked_for_where_links_are_off(off):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
-    """Friction on every joint, links up to 8 % off and a spring: the spring is named, and no other anomaly."""
+    """Friction on every joint, links up to 8 % off and a spring: the spring is named, and no other anomaly. Frictions
+    of 3 % of their joint's torque and more are claimed, too, within 10 %, behind it; the table by joint says so."""
     draw = np.random.default_rng(seed)
     (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
     robot = load_urdf(tmp_path / "arm.urdf")
@@ -77,7 +78,20 @@ def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
     stiffness = float(0.15 * scene.torque[1] / scene.q[:, 1].std())
     spring = Hidden("joint_spring", robot.joints[1], {"stiffness": stiffness, "rest": float(scene.q[:, 1].mean())})
     noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
-    log = record(robot, [scene.reference], [*wear(draw, scene), spring], noise=noise, duration=25.0, seed=seed)
-    anomalies = [f for f in claims(diagnose(log, robot)) if f.effect not in STANDARD]
+    worn = wear(draw, scene)
+    log = record(robot, [scene.reference], [*worn, spring], noise=noise, duration=25.0, seed=seed)
+    diagnosis = diagnose(log, robot)
+    found = claims(diagnosis)
+    anomalies = [f for f in found if f.effect not in STANDARD]
     assert [(f.effect, f.joint, f.status) for f in anomalies] == [("joint_spring", robot.joints[1], "named")]
     assert anomalies[0].parameters["stiffness"].value == pytest.approx(stiffness, rel=0.1)
+    assert found[0] is anomalies[0] and all(f.group == "standard" for f in found[1:])
+    told = {(f.effect, f.joint): f.parameters for f in found[1:]}
+    for one in worn:
+        j = robot.joints.index(one.joint)
+        reach = {"coulomb_friction": 1.0, "viscous_friction": scene.speed[j]}.get(one.effect, 0.0)
+        for name, true in one.parameters.items() if reach else ():
+            if reach * true > COUNTS * scene.torque[j]:
+                assert told[one.effect, one.joint][name].value == pytest.approx(true, rel=0.1)
+    named = {(x["effect"], j) for j in robot.joints for x in diagnosis.standard[j].values() if x["claimed"]}
+    assert named == {key for key in told if key[0] != "link_inertia_error"}
