@@ -72,6 +72,8 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
             why = _fails(inquiry, hypothesis, chosen, i, after)
             if why is not None and (worst is None or why[0] < worst[1][0]):
                 worst = i, why
+        if worst is None and inquiry.wear:
+            worst = _vague(inquiry, hypothesis)
         if worst is None:
             break
         out = hypothesis[worst[0]]
@@ -83,6 +85,22 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
         hypothesis = tuple(c for c in hypothesis if not any(c is u for u in usual))
         chosen = exactly(inquiry, hypothesis)
     return hypothesis, chosen, tuple(said)
+
+
+def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, tuple[float, str]] | None:
+    """The candidate beside the standard model in whose place an effect does best for which theory does not take it, if
+    there is one: what so different effects explain alike is too little to have a name."""
+    found: list[tuple[int, tuple[float, str]]] = []
+    for i, one in enumerate(hypothesis):
+        like = {one.effect.name, *(name for names in one.effect.confounders for name in names)}
+        rivals = naming.rivals(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool)
+        foreign = [r for r in rivals if r.equal and r.candidate.effect.name not in like]
+        if foreign:
+            best = min(foreign, key=lambda r: r.excess)
+            found.append(
+                (i, (best.excess, f"{best.candidate.effect.title} would explain as much, and is another thing"))
+            )
+    return min(found, key=lambda x: x[1][0], default=None)
 
 
 def _fails(

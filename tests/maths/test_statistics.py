@@ -1,5 +1,7 @@
 """What autocorrelated samples are worth, on AR(1) noise, where theory says it exactly."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -77,3 +79,25 @@ def test_merged_blocks_lose_nothing():
     np.testing.assert_array_equal(statistics.merge_blocks(scores, 3), [[6, 9], [36, 40]])
     np.testing.assert_array_equal(statistics.merge_blocks(scores, 100), [scores.sum(0)])
     np.testing.assert_array_equal(statistics.merge_blocks(scores, 1), scores)
+
+
+def test_coherence_has_the_moments_of_random_signs():
+    """Of ten stretches all 1024 signs are tried: a chi-square with these degrees of freedom, scaled so that the log's
+    own squares come out as the statistic, has their mean and their variance."""
+    scores = np.random.default_rng(0).normal(size=(10, 3)) * np.array([3.0, 1.0, 0.2])
+    signs = np.array(list(product([-1, 1], repeat=10)))
+    squares = np.sum((signs @ scores) ** 2, axis=1)
+    value, freedom, _ = statistics.coherence(scores)
+    scale = np.sum(scores.sum(0) ** 2) / value
+    assert scale * freedom == pytest.approx(squares.mean(), rel=1e-9)
+    assert 2 * scale**2 * freedom == pytest.approx(squares.var(), rel=1e-9)
+
+
+def test_coherence_tells_what_all_stretches_say():
+    """Stretches without a common sign are below 5 % in 5 % of draws (2 to 9 % of 400); a common part of half their size
+    in nearly all; one stretch alone, and none, say nothing."""
+    draw = np.random.default_rng(0)
+    none = [statistics.coherence(draw.normal(size=(40, 4)))[2] < 0.05 for _ in range(400)]
+    common = [statistics.coherence(draw.normal(size=(40, 4)) + 0.5)[2] < 0.05 for _ in range(100)]
+    assert 0.02 < np.mean(none) < 0.09 and np.mean(common) > 0.95
+    assert statistics.coherence(np.ones((1, 2)))[2] == 1.0 and statistics.coherence(np.zeros((5, 2)))[2] == 1.0
