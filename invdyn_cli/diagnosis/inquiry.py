@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -52,13 +53,18 @@ class Inquiry:
 
     def beside(self, found: Sequence[Candidate | Acting]) -> Hypothesis:
         """`always` as it is refined beside these."""
-        return (*self.always[: len(self.always) - len(self.wear)], *_apart(self.wear, found))
+        return _beside(self.always, self.wear, found)
 
     def worn(self, refined: Refined) -> np.ndarray:
         """(R, n) torque of the standard model beside these effects, which is not in their residual."""
         wear = _apart(self.wear, refined.acting)
         theta = refined.allowed[len(refined.allowed) - sum(len(c.precision) for c in wear) :]
         return self.evidence.left((), theta) - self.evidence.left(wear, theta)
+
+
+def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
+    """What is always there, the standard model (the last of it) only as far as it is no part of what was found."""
+    return (*always[: len(always) - len(wear)], *_apart(wear, found))
 
 
 def _apart(wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
@@ -212,12 +218,10 @@ def _searched(
         pool = [c for c in pool if c.effect.group != "standard"]
         always += usual
 
-    def beside(found: Sequence[Candidate | Acting]) -> Hypothesis:
-        return (*always[: len(always) - len(usual)], *_apart(usual, found))
+    beside = partial(_beside, always, usual)
 
     def simplified(hypothesis: Hypothesis) -> Hypothesis:
-        simpler = naming.simplified(judge, beside(hypothesis), hypothesis, [*pool, *usual])
-        return tuple(c for c in simpler if not any(c is u for u in usual))
+        return naming.simplified(judge, beside(hypothesis), hypothesis, pool, usual)
 
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.name == "payload" for c in pool):

@@ -50,9 +50,17 @@ class Rival:
     parameters: Parameters
 
 
-def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+def simplified(
+    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate], usual: Hypothesis = ()
+) -> Hypothesis:
     """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
-    simpler effect in the place of a link's inertials that do no better."""
+    simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
+    being part of it."""
+    simpler = _simplified(judge, always, hypothesis, [*pool, *usual])
+    return tuple(c for c in simpler if not any(c is u for u in usual))
+
+
+def _simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
     for i, general in enumerate(hypothesis):
         for c in pool:
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
@@ -61,11 +69,11 @@ def simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
                 extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
                 unsure = step.sum() + extra < SURE * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
                 if unsure or chance(step, extra) > DOUBT:
-                    return simplified(judge, always, simpler, pool)
+                    return _simplified(judge, always, simpler, pool)
         if general.effect.name == "link_inertia_error":  # ten coefficients do what fewer of another effect do as well
             for rival in rivals(judge, always, hypothesis, i, pool):
                 if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
-                    return simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
+                    return _simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
     return hypothesis
 
 

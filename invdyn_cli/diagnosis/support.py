@@ -80,9 +80,8 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
         where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
         said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
-        usual = inquiry.wear
-        hypothesis = naming.simplified(inquiry.judge, inquiry.beside(hypothesis), hypothesis, [*inquiry.pool, *usual])
-        hypothesis = tuple(c for c in hypothesis if not any(c is u for u in usual))
+        around = inquiry.beside(hypothesis)
+        hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
         chosen = exactly(inquiry, hypothesis)
     return hypothesis, chosen, tuple(said)
 
