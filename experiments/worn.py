@@ -28,6 +28,7 @@ from experiments.confusion import claims, matches
 from experiments.options import only_of, options_of
 from experiments.results import tell
 from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import Hidden
@@ -58,7 +59,7 @@ COUNTS, RIGHT = 0.03, 0.1
 
 @dataclass(frozen=True)
 class RandomWalk(AbstractReference):
-    """Every joint follows noise behind a low-pass, as a hand that leads the arm does."""
+    """Every joint follows noise behind a low-pass, like an arm that is led by hand."""
 
     cutoff: float = 0.3
     speed: float = 0.5
@@ -169,7 +170,7 @@ def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None
         hidden = [*worn, *([anomaly] if anomaly else [])]
         try:
             log = plant.record(scene.robot, [scene.reference], hidden, noise=noise, position_side="motor", **options)
-        except plant.UsageError:
+        except UsageError:
             continue
         kind = type(scene.reference).__name__
         said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"

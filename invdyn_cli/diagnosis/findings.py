@@ -170,8 +170,8 @@ def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], aft
 
 
 def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -> Gain | None:
-    """Held-out error of a joint by what is left (R, n) before and after; None where it is the same. The interval draws
-    blocks with replacement."""
+    """Held-out error of a joint from the residuals (R, n) before and after; None where it is the same. The interval
+    comes from blocks drawn with replacement."""
     rows = judged(evidence)
     numbers, of = np.unique(evidence.block[rows], return_inverse=True)
     draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)

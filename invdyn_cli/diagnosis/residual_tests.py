@@ -1,4 +1,4 @@
-"""What is left of every joint's torque, tested against all that it may go with: speed, angle, load, time and so on.
+"""Tests of what is left of every joint's torque: whether it goes with speed, angle, load, time and so on.
 
 A test is a handful of columns of the motion. Where a residual goes with them, every stretch of the log says so with the
 same sign (`statistics.coherence`); stretches are longer than noise remembers.

@@ -12,22 +12,6 @@ PREDICTABLE, SMALL = 0.15, 0.15
 than this share of the nominal model's error, in N m."""
 
 
-AGAINST = {
-    "level": "nothing: it is constant",
-    "velocity": "the velocity",
-    "angle": "the angle",
-    "ripple": "the angle, as a ripple",
-    "load": "the load",
-    "load_zeros": "changes of the load's sign",
-    "acceleration": "the acceleration",
-    "torque_slope": "the slope of the torque",
-    "reversals": "reversals",
-    "neighbours": "the motion of its neighbours",
-    "time": "time",
-}
-"""Residual tests, as a sentence has them."""
-
-
 def verdict(
     made: Made,
     learned: np.ndarray,
@@ -106,9 +90,11 @@ def _rest(diagnosis: Diagnosis) -> str:
     goes: dict[str, list[str]] = {}
     for x in diagnosis.tests:
         if not x.passed:
-            goes.setdefault(x.joint, []).append(AGAINST[x.against])
+            goes.setdefault(x.joint, []).append(x.against.replace("_", " "))
     if goes and not said:
-        said += [f"What is left on {joint} goes with {_listed(names)}." for joint, names in goes.items()]
+        said += [
+            f"What is left on {joint} is no noise by the tests of {_listed(names)}." for joint, names in goes.items()
+        ]
     return " ".join(said)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from invdyn_cli.report.html import folded, picture
+from invdyn_cli.report.html import folded, picture, table
 from invdyn_cli.report.replay_figure import angle_unit
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import units_of
@@ -68,10 +68,8 @@ def _held(diagnosis: Diagnosis) -> str:
         ]
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{escape(x)}</td>" for x in cells) + "</tr>"
     heads = ("joint", "free, nominal", "extended", "held, nominal", "extended", "torque, nominal", "extended")
-    head = "".join(f"<th>{x}</th>" for x in heads)
-    table = f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     note = (
         f"RMS. Held: for {replay.held:.0f} s, beside the logged torques, a weak spring and damper, the same for both "
         "arms, pull each joint to the measured motion; torque: what they give. A right model needs nothing."
     )
-    return folded("joint by joint, and held", f'{table}<p class="note">{escape(note)}</p>')
+    return folded("joint by joint, and held", f'{table(heads, body, "")}<p class="note">{escape(note)}</p>')

@@ -23,11 +23,13 @@ from invdyn_cli.report.wording import (
     VERDICT_WORDS,
     capital,
     cause,
+    causes,
     claims,
     estimates,
     joints_of,
     place,
     rivals_of,
+    standard_rows,
     units_of,
     usual,
     when,
@@ -161,18 +163,16 @@ def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
         items.append(f"Play {link}, log it, and diagnose both logs together: <code>data.path=[log.h5,next.h5]</code>.")
     for x in claims(diagnosis):
         if x.status == "ambiguous" and x.advice:
-            items.append(f"{escape(place(x))}, {escape(cause(x))}: {escape(x.advice)}.")
+            items.append(f"{escape(place(x))}, {escape(cause(x))}: {escape(x.advice.rstrip('.'))}.")
     left: dict[str, dict[str, None]] = {}
     for x in failing(diagnosis):
         left.setdefault(x.joint, {}).update(dict.fromkeys(map(words, x.points_at)))
     for joint, names in left.items():
-        said = (
-            f"{', '.join(names)} would look so, and none of them held." if names else "nothing in the catalogue does."
-        )
-        items.append(f"{escape(joint)}: something is left that is no noise (what is left, below); {escape(said)}")
+        said = ", ".join(names) or "nothing else in the catalogue"
+        items.append(f"{escape(joint)}: something is left that is no noise (see below); {escape(said)} would look so.")
     for check in diagnosis.examination.checks:
         if check.severity in ("warn", "fail") and check.advice:
-            items.append(f"The log, {escape(check.check.replace('_', ' '))}: {escape(check.advice)}.")
+            items.append(f"The log, {escape(check.check.replace('_', ' '))}: {escape(check.advice.rstrip('.'))}.")
     if not items:
         return "<p>Nothing is open: use the extended model.</p>" if diagnosis.model is not None else ""
     return f"<ul>{''.join(f'<li>{x}</li>' for x in items)}</ul>"
@@ -181,21 +181,19 @@ def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
 def _causes(diagnosis: Diagnosis) -> str:
     """A row per claim: effect, joint, status, parameters with 95 % intervals, its window if it comes and goes, what it
     gains most, alternatives. What stands in the table of what every arm has does not stand here."""
-    body, elsewhere = "", usual(diagnosis)
-    for k, finding in enumerate(claims(diagnosis)):
-        if any(finding is x for x in elsewhere):
-            continue
+    body = ""
+    for number, finding in causes(diagnosis):
         rivals = escape("; ".join(rivals_of(finding))) or "-"
         values = "<br>".join(escape(x) for x in (*estimates(finding), when(finding)) if x) or "-"
         joint = best_gain(finding.gain)
         gain = "-" if joint is None else f"{escape(gain_text(finding.gain[joint]))}{_at(joint, finding)}"
         body += (
-            f'<tr><td class="whole"><a href="#finding-{k + 1}">{escape(capital(words(finding.effect)))}</a>'
+            f'<tr><td class="whole"><a href="#finding-{number}">{escape(capital(words(finding.effect)))}</a>'
             f'<small class="name">{escape(finding.effect)}</small></td><td class="whole">{escape(place(finding))}</td>'
             f"<td>{_pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
         )
     if not body:
-        none = "None was found beyond what every arm has." if elsewhere else "None was found."
+        none = "None was found beyond what every arm has." if usual(diagnosis) else "None was found."
         return "" if diagnosis.verdict == "log_unusable" else f"<p>{none}</p>"
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values()))
     heads = (
@@ -302,8 +300,7 @@ def _errors(diagnosis: Diagnosis) -> str:
 
 def _standard(diagnosis: Diagnosis) -> str:
     """The terms of every joint in the written model, named or not."""
-    rows = {joint: terms for joint, terms in diagnosis.standard.items() if joint != "inertials"}
-    heads = list(dict.fromkeys(term for terms in rows.values() for term in terms))
+    rows, heads = standard_rows(diagnosis)
     if not heads:
         return ""
     links, body = diagnosis.standard["inertials"], ""

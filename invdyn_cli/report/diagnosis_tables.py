@@ -12,10 +12,11 @@ from invdyn_cli.report.wording import (
     VERDICT_WORDS,
     capital,
     cause,
-    claims,
+    causes,
     estimates,
     joints_of,
     place,
+    standard_rows,
     units_of,
     usual,
     when,
@@ -36,7 +37,6 @@ def verdict_line(diagnosis: Diagnosis) -> Text:
 def finding_table(diagnosis: Diagnosis) -> Table:
     """A row per claim that is no term of `standard_table`, 'X or Y' where the log leaves it open, with its window if it
     comes and goes; below the table what the log could not have shown."""
-    elsewhere = usual(diagnosis)
     caption = Text(unseen_line(diagnosis), style="dim")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption if caption else None, caption_justify="left")
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values())) or "N m"
@@ -44,7 +44,7 @@ def finding_table(diagnosis: Diagnosis) -> Table:
     table.add_column("joint", overflow="fold", max_width=18)
     table.add_column("estimate [95 %]", overflow="fold")
     table.add_column(f"RMSE falls by [{unit}]", overflow="fold")
-    for finding in (x for x in claims(diagnosis) if not any(x is y for y in elsewhere)):
+    for _, finding in causes(diagnosis):
         joint = best_gain(finding.gain)
         gain = "-" if joint is None else gain_text(finding.gain[joint])
         where = f"\n{joint}, of {len(finding.gain)} joints" if joint not in (None, finding.joint) else ""
@@ -55,15 +55,14 @@ def finding_table(diagnosis: Diagnosis) -> Table:
             Text(gain + where),
         )
     if not table.row_count:
-        table.add_row("none beyond what every arm has" if elsewhere else "none")
+        table.add_row("none beyond what every arm has" if usual(diagnosis) else "none")
     return table
 
 
 def standard_table(diagnosis: Diagnosis) -> Table | None:
     """What every arm has, as the extended model has it: a row a joint, bold where the log proves it by itself; None
     where the model has none of it."""
-    rows = {joint: terms for joint, terms in diagnosis.standard.items() if joint != "inertials"}
-    heads = list(dict.fromkeys(name for terms in rows.values() for name in terms))
+    rows, heads = standard_rows(diagnosis)
     if not heads:
         return None
     share = 100 * diagnosis.standard["inertials"]["share"]

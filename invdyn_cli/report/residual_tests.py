@@ -16,21 +16,6 @@ from invdyn_cli.types import Diagnosis, ResidualTest
 RESIDUAL_TESTS = "residual_tests"
 """What the picture's file is called."""
 
-HEADS = {
-    "level": "level",
-    "velocity": "velocity",
-    "angle": "angle",
-    "ripple": "ripple",
-    "load": "load",
-    "load_zeros": "load changes sign",
-    "acceleration": "acceleration",
-    "torque_slope": "slope of the torque",
-    "reversals": "reversals",
-    "neighbours": "neighbours",
-    "time": "time",
-}
-"""Tests in the order of the table, in words."""
-
 SHOWN = 9
 """Tests that are drawn, the largest torques."""
 
@@ -51,15 +36,15 @@ def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
     """The table, what each failed test points at, and the picture."""
     if not diagnosis.tests:
         return ""
-    units, body = units_of(diagnosis), ""
+    units, body, heads = units_of(diagnosis), "", list(dict.fromkeys(x.against for x in diagnosis.tests))
     for joint in dict.fromkeys(x.joint for x in diagnosis.tests):
         own = {x.against: x for x in diagnosis.tests if x.joint == joint}
-        cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in HEADS)
+        cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in heads)
         body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
-    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *HEADS.values()), body, "tests")
+    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *map(words, heads)), body, "tests")
     out += f'<p class="note">{escape(NOTE)}</p>'
     rows = "".join(
-        f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(HEADS[x.against])}</td>'
+        f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(words(x.against))}</td>'
         f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of what is left</td>"
         f"<td>{escape(', '.join(map(words, x.points_at)) or '-')}</td></tr>"
         for x in failing(diagnosis)
@@ -88,7 +73,7 @@ def tests_figure(diagnosis: Diagnosis) -> Figure:
         over, mean, error = np.asarray(x.curve)
         axes.axhline(0, color=INK, lw=0.8)
         axes.errorbar(over, mean, 2 * error, color=RESIDUAL, marker="o", ms=3, lw=1.2, elinewidth=0.8)
-        axes.set_title(plain(f"{x.joint}: {HEADS[x.against]}"))
+        axes.set_title(plain(f"{x.joint}: {words(x.against)}"))
         axes.set_xlabel(plain(x.quantity))
         axes.set_ylabel(f"left [{units.get(x.joint, 'N m')}]")
     for axes in panels[len(shown) :]:

@@ -1,7 +1,8 @@
 """Effects in words, and what a diagnosis says of them: names, equations, headlines, statuses."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
@@ -217,10 +218,23 @@ def claims(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     return tuple(x for x in diagnosis.findings if x.status in CLAIMS)
 
 
+def standard_rows(diagnosis: Diagnosis) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
+    """The standard terms of the written model by joint, and the names of all that any joint has."""
+    rows = {joint: terms for joint, terms in diagnosis.standard.items() if joint != "inertials"}
+    return rows, list(dict.fromkeys(name for terms in rows.values() for name in terms))
+
+
+def causes(diagnosis: Diagnosis) -> list[tuple[int, Finding]]:
+    """Claims with their numbers from 1, but for those that stand in the table of what every arm has."""
+    elsewhere = usual(diagnosis)
+    numbered = enumerate(claims(diagnosis), start=1)
+    return [(number, x) for number, x in numbered if not any(x is y for y in elsewhere)]
+
+
 def usual(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Claims that stand in the table of what every arm has: named terms of the standard model."""
-    rows = ((joint, terms) for joint, terms in diagnosis.standard.items() if joint != "inertials")
-    there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"]}
+    rows, _ = standard_rows(diagnosis)
+    there = {(x["effect"], joint) for joint, terms in rows.items() for x in terms.values() if x["claimed"]}
     lasting = (x for x in claims(diagnosis) if x.status == "named" and x.window is None)
     return tuple(x for x in lasting if (x.effect, x.joint) in there)
 
