@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from invdyn_cli.diagnosis.findings import Made
-from invdyn_cli.types import Diagnosis
+from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.15
 """What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
@@ -58,8 +58,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     if not claims:
         first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
         return f"{first} {rest or 'What is left looks like noise.'}"
-    # a table shows what every arm has where the model has all of it
-    usual = [f for f in claims if f.group == "standard" and f.joint] if diagnosis.standard else []
+    usual = in_table(diagnosis)
     shown = [f for f in claims if not any(f is x for x in usual)]
     said = [
         f"{titles[f.effect]}{' or its rivals' if f.status == 'ambiguous' else ''}"
@@ -75,6 +74,14 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     if diagnosis.verdict == "explained" and rest:
         return f"{first} What is left is small beside that."
     return f"{first} {rest or 'What is left looks like noise.'}"
+
+
+def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Claims that stand in the table of what every arm has: named terms of the standard model."""
+    rows = ((joint, terms) for joint, terms in diagnosis.standard.items() if joint != "inertials")
+    there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"]}
+    lasting = (x for x in diagnosis.findings if x.status == "named" and x.window is None)
+    return tuple(x for x in lasting if (x.effect, x.joint) in there)
 
 
 def _rest(diagnosis: Diagnosis) -> str:

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from invdyn_cli.diagnosis.wording import in_table
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
@@ -31,7 +32,6 @@ from invdyn_cli.report.wording import (
     rivals_of,
     standard_rows,
     units_of,
-    usual,
     when,
     words,
 )
@@ -193,7 +193,7 @@ def _causes(diagnosis: Diagnosis) -> str:
             f"<td>{_pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
         )
     if not body:
-        none = "None was found beyond what every arm has." if usual(diagnosis) else "None was found."
+        none = "None was found beyond what every arm has." if in_table(diagnosis) else "None was found."
         return "" if diagnosis.verdict == "log_unusable" else f"<p>{none}</p>"
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values()))
     heads = (

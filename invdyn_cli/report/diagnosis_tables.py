@@ -6,6 +6,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from invdyn_cli.diagnosis.wording import in_table
 from invdyn_cli.report.quantities import best_gain, gain_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
@@ -18,7 +19,6 @@ from invdyn_cli.report.wording import (
     place,
     standard_rows,
     units_of,
-    usual,
     when,
     words,
 )
@@ -55,7 +55,7 @@ def finding_table(diagnosis: Diagnosis) -> Table:
             Text(gain + where),
         )
     if not table.row_count:
-        table.add_row("none beyond what every arm has" if usual(diagnosis) else "none")
+        table.add_row("none beyond what every arm has" if in_table(diagnosis) else "none")
     return table
 
 

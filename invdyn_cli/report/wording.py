@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from invdyn_cli.diagnosis.wording import in_table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis, Finding
@@ -226,17 +227,9 @@ def standard_rows(diagnosis: Diagnosis) -> tuple[dict[str, Mapping[str, Any]], l
 
 def causes(diagnosis: Diagnosis) -> list[tuple[int, Finding]]:
     """Claims with their numbers from 1, but for those that stand in the table of what every arm has."""
-    elsewhere = usual(diagnosis)
+    elsewhere = in_table(diagnosis)
     numbered = enumerate(claims(diagnosis), start=1)
     return [(number, x) for number, x in numbered if not any(x is y for y in elsewhere)]
-
-
-def usual(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Claims that stand in the table of what every arm has: named terms of the standard model."""
-    rows, _ = standard_rows(diagnosis)
-    there = {(x["effect"], joint) for joint, terms in rows.items() for x in terms.values() if x["claimed"]}
-    lasting = (x for x in claims(diagnosis) if x.status == "named" and x.window is None)
-    return tuple(x for x in lasting if (x.effect, x.joint) in there)
 
 
 def joints_of(diagnosis: Diagnosis) -> tuple[str, ...]:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from invdyn_cli.diagnosis.wording import summary
+from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
 from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, verdict_line
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
@@ -177,3 +179,15 @@ def test_best_gain_passes_over_nan():
     some = Gain(1.0, 0.5, 0.0, 0.0, (0.4, 0.6))
     gains = {JOINTS[0]: replace(some, rmse_before=math.nan), JOINTS[1]: some, JOINTS[2]: replace(some, rmse_after=0.9)}
     assert best_gain(gains) == JOINTS[1] and best_gain({}) is None
+
+
+def test_the_summary_names_every_cause_that_is_a_row():
+    """What stands in the table by joint is summed up; a link that is wrong by itself is no term of it, and is told."""
+    diagnosis = make_diagnosis()
+    link = Finding("link_inertia_error", "joint3", "named", group="standard")
+    titles = {name: effect.title for name, effect in CATALOGUE.items()}
+    said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), titles)
+    assert (
+        "wrong inertials of a link on joint3" in said
+        and "what every arm has (friction and the like) on 1 joint" in said
+    )
