@@ -22,9 +22,9 @@ import numpy as np
 from experiments.cases import SIZES, Case, draw_effect, draw_scene, inverse_dynamics
 from experiments.confusion import claims, judge, matches
 from experiments.options import only_of, options_of
+from invdyn_cli.design.next_motion import FILE, after
+from invdyn_cli.design.trajectory import Design
 from invdyn_cli.diagnosis import diagnose
-from invdyn_cli.diagnosis.design import Design
-from invdyn_cli.diagnosis.next_motion import FILE, after
 from invdyn_cli.errors import UsageError
 from invdyn_cli.logfile import Log
 from invdyn_cli.simulation import plant

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn_cli import urdf
-from invdyn_cli.diagnosis import hold, known
-from invdyn_cli.diagnosis.recording import Recording
+from invdyn_cli.diagnosis import known
+from invdyn_cli.diagnosis.columns import hold
+from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import changed
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.recording import Recording
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import Acting, changed, link_torque, rigid_torque, sign_of
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import (

@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, extension, findings, hold, known, repeats, standard, unexplained, wording
-from invdyn_cli.diagnosis.candidates import gather
-from invdyn_cli.diagnosis.evidence import Evidence
-from invdyn_cli.diagnosis.inquiry import Inquiry, inquire
-from invdyn_cli.diagnosis.judge import Hypothesis
-from invdyn_cli.diagnosis.recording import ROLES, Conditioning, Recording, Window, prepare
+from invdyn_cli.diagnosis import doctor, extension, known, repeats, standard
+from invdyn_cli.diagnosis.columns import hold
+from invdyn_cli.diagnosis.columns.candidates import gather
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.recording import ROLES, Conditioning, Recording, Window, prepare
+from invdyn_cli.diagnosis.decide import findings, unexplained, wording
+from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
-from invdyn_cli.diagnosis.support import judged
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
+from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.effects.description import ExtendedModel

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from invdyn_cli.diagnosis.recording import Recording
+from invdyn_cli.diagnosis.columns.recording import Recording
 
 ALIKE = 0.02
 """Share of a joint's range by which two recordings of one motion may differ, RMS."""

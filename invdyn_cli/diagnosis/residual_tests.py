@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from invdyn_cli.diagnosis.evidence import Evidence
-from invdyn_cli.diagnosis.judge import RELEVANT
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths import ripple

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.candidates import body_columns
-from invdyn_cli.diagnosis.evidence import Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.findings import Made, gain_of, unit_of
-from invdyn_cli.diagnosis.inquiry import Inquiry
-from invdyn_cli.diagnosis.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
-from invdyn_cli.diagnosis.recording import ROLES
-from invdyn_cli.diagnosis.support import judged
+from invdyn_cli.diagnosis.columns.candidates import body_columns
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.recording import ROLES
+from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
+from invdyn_cli.diagnosis.decide.support import judged
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
 from invdyn_cli.maths import standard, statistics

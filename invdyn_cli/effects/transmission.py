@@ -14,8 +14,8 @@ from invdyn_cli.types import Array
 class TorqueRipple(AbstractTorqueEffect):
     """A periodic torque over the angle: teeth, wave generator, magnets.
 
-    Its cycles are not tried from a list but scanned for in the residual (`diagnosis.noise`), from two periods within
-    the joint's range up to `most`.
+    Its cycles are not tried from a list but scanned for in the residual (`diagnosis.search.noise`), from two periods
+    within the joint's range up to `most`.
     """
 
     most: float = ripple.MOST

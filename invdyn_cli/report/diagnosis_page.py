@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from invdyn_cli.diagnosis.wording import in_table
+from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from invdyn_cli.diagnosis.design import Design
+from invdyn_cli.design.trajectory import Design
 from invdyn_cli.report.canvas import BLUE, GREY, LINE_POINTS, VERMILLION, WIDTH, house_style, plain, save
 
 ROW = 1.1

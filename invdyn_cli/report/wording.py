@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from invdyn_cli.diagnosis.wording import in_table
+from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis, Finding

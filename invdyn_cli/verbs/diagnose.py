@@ -9,10 +9,11 @@ import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from invdyn_cli import store
-from invdyn_cli.diagnosis import Options, diagnose, next_motion
-from invdyn_cli.diagnosis.design import Design
+from invdyn_cli.design import next_motion
+from invdyn_cli.design.trajectory import Design
+from invdyn_cli.diagnosis import Options, diagnose
+from invdyn_cli.diagnosis.columns.recording import Conditioning
 from invdyn_cli.diagnosis.extension import Export, exported
-from invdyn_cli.diagnosis.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
 from invdyn_cli.files import write_file

@@ -10,11 +10,11 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from rich.table import Table
 
 from invdyn_cli import store, untrusted
-from invdyn_cli.diagnosis.causes import Cause
-from invdyn_cli.diagnosis.contest import Side
-from invdyn_cli.diagnosis.design import APART, Design, Told, design
-from invdyn_cli.diagnosis.next_motion import all_open, cause_of, words
-from invdyn_cli.diagnosis.sizes import left_out, refused, unplayable
+from invdyn_cli.design.causes import Cause
+from invdyn_cli.design.contest import Side
+from invdyn_cli.design.next_motion import all_open, cause_of, words
+from invdyn_cli.design.sizes import left_out, refused, unplayable
+from invdyn_cli.design.trajectory import APART, Design, Told, design
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.files import write_file

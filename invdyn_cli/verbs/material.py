@@ -11,7 +11,7 @@ from invdyn_cli.data.conditioning import Conditioning
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.data.selection import SETS, Block, complete, refuse_overlap
-from invdyn_cli.diagnosis.recording import Window
+from invdyn_cli.diagnosis.columns.recording import Window
 from invdyn_cli.errors import LogError, UsageError, listed
 from invdyn_cli.interfaces import Progress
 from invdyn_cli.logfile import CHANNELS, Log, RawTrajectory

@@ -10,9 +10,9 @@ import numpy as np
 from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
-from invdyn_cli.diagnosis.candidates import gather
-from invdyn_cli.diagnosis.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.recording import Conditioning, Recording, prepare
+from invdyn_cli.diagnosis.columns.candidates import gather
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.recording import Conditioning, Recording, prepare
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.robots import load_urdf

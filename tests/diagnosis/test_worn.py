@@ -10,7 +10,7 @@ from experiments.cases import scene_of
 from experiments.confusion import claims
 from experiments.worn import COUNTS, STANDARD, wear
 from invdyn_cli.diagnosis import diagnose, standard
-from invdyn_cli.diagnosis.inquiry import inquire
+from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.maths.standard import link_scales

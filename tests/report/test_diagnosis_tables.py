@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from invdyn_cli.diagnosis.wording import summary
+from invdyn_cli.diagnosis.decide.wording import summary
 from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
 from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, verdict_line
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from experiments.arms import random_arm
 from invdyn_cli import load_model
 from invdyn_cli.data.recorded import RealLog
-from invdyn_cli.diagnosis.recording import Conditioning
+from invdyn_cli.diagnosis.columns.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import silent
 from invdyn_cli.logfile import Log, read_log, write_log

@@ -1,0 +1,211 @@
+"""Evidence: every candidate cause as columns beside the logged torque, filtered alike, as Gram matrices of blocks.
+
+Row j of the arm has a table X_j (rows, columns). Column 0 is the logged torque less the nominal one. A candidate is a
+set of columns: fixed ones, which enter with factor one (a delay of 6 ms, tried), and free ones, whose factors are to be
+fitted (its small correction). All that the search asks can be answered from the tables' Gram matrices, by blocks.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.recording import ROLES, Piece, Recording
+from invdyn_cli.effects.composition import Acting, When, rigid_torque, sign_of
+from invdyn_cli.interfaces import (
+    AbstractEffect,
+    JointState,
+    Parameters,
+)
+from invdyn_cli.types import Array, Robot
+
+BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
+"""Length of a block [s]: longer than what friction, control and filter remember of a residual. Short logs have shorter
+blocks, of SHORTEST at least, to have FEWEST of them; long ones have longer blocks, to have no more than MOST."""
+
+REST_SPEED, REST_SHARE = 0.004, 0.02
+"""Speed [rad/s; m/s], and share of a joint's usual speed (its 90 % quantile), below which the joint rests if it stays
+so for REST_TIME; its friction can then be anything."""
+
+HELD = 0.01
+"""Range [rad; m] within which a joint is held: it creeps, and its friction holds what it likes."""
+
+REST_TIME = 0.05
+DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
+"""Effects that jump where a joint turns back."""
+
+SPARE = 64
+"""Columns for which there is room before a table is copied."""
+
+STICK_TIME = 0.005
+"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
+the jump is allowed for, as a free column of its own."""
+
+ADJOINING = 0.1
+"""[s] between two pieces of a trajectory within which what remembers goes on."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect on a joint with a trial's nonlinear parameters: which columns of which rows it takes.
+
+    `columns[j]` = (fixed columns, free columns) of row j; free columns are in the order of the coefficients, one for
+    each; behind those that the effect reads there may be one that only mends the timing of its reversals. `precision`
+    (k,) is what is known of the coefficients beforehand: 1 / scale^2. `quiet` is the share of a white noise's variance
+    that a channel effect takes away, which is no merit of it. `when` is the window of what comes and goes.
+    """
+
+    effect: AbstractEffect
+    joint: int | None
+    shape: Parameters
+    columns: dict[int, tuple[tuple[int, ...], tuple[int, ...]]]
+    precision: np.ndarray
+    quiet: float = 0.0
+    when: When | None = None
+
+    @cached_property
+    def key(self) -> tuple:
+        """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
+        return Acting(self.effect, self.joint, {}, self.when).key
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether some of its columns are fixed: it does something by itself, whatever the coefficients."""
+        return any(fixed for fixed, _ in self.columns.values())
+
+
+@dataclass
+class Evidence:
+    """Tables of columns, and the candidates that take them; `append` adds columns.
+
+    Attributes:
+        tables: per row (R, columns).
+        valid: (R, n) rows at which a joint moved (its friction is known).
+        block, role, piece: (R,) block number, index into ROLES, piece number.
+        kept: what candidates are made from and is dear to compute.
+    """
+
+    robot: Robot
+    recording: Recording
+    tables: list[np.ndarray]
+    valid: np.ndarray
+    block: np.ndarray
+    role: np.ndarray
+    piece: np.ndarray
+    tau: np.ndarray
+    nominal: np.ndarray
+    candidates: list[Candidate] = field(default_factory=list)
+    states: list[list[JointState]] = field(default_factory=list)
+    reference_rows: np.ndarray | None = None
+    kept: dict[tuple, list] = field(default_factory=dict)
+
+    def left(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
+        """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
+        out = np.column_stack([table[:, 0] for table in self.tables])
+        for c, own in shared_out(candidates, theta):
+            for j, (fixed, free) in c.columns.items():
+                out[:, j] -= self.tables[j][:, list(fixed)].sum(1) + self.tables[j][:, list(free)] @ own
+        return out
+
+    def on_rows(self, name: str) -> np.ndarray:
+        """(R,) or (R, n) of the pieces' `t`, `q`, `qd` or `qdd`."""
+        pieces, filter = self.recording.pieces, self.recording.filter
+        return np.concatenate([getattr(p, name)[..., filter.rows(len(p.t))].T for p in pieces])
+
+    @property
+    def dofs(self) -> int:
+        """Number of joints."""
+        return len(self.tables)
+
+    def append(self, row: int, columns: Sequence[np.ndarray]) -> tuple[int, ...]:
+        """Add columns (R,) to a row's table; their numbers."""
+        if self.reference_rows is not None:
+            columns = [np.where(self.reference_rows, 0.0, x) for x in columns]
+        table, first = self.tables[row], self.tables[row].shape[1]
+        last = first + len(columns)
+        room = table if table.base is None else table.base
+        if last > room.shape[1]:
+            room = np.empty((len(table), last + SPARE))
+            room[:, :first] = table
+        for number, x in enumerate(columns, start=first):
+            room[:, number] = x
+        self.tables[row] = room[:, :last]
+        return tuple(range(first, last))
+
+
+def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[tuple[Candidate, np.ndarray]]:
+    """Every candidate with its own of all coefficients (k,)."""
+    start = 0
+    for c in candidates:
+        yield c, theta[start : start + len(c.precision)]
+        start += len(c.precision)
+
+
+def started(robot: Robot, recording: Recording) -> Evidence:
+    """The evidence of a recording before anybody has an idea: what was logged, and what the nominal model says."""
+    n = robot.dofs
+    rows, states, nominal = [], [], []
+    total = sum(p.t[-1] - p.t[0] for p in recording.pieces)
+    length = max(SHORTEST, min(BLOCK, total / FEWEST), total / MOST)
+    block = 0
+    for number, piece in enumerate(recording.pieces):
+        torque = rigid_torque(robot, piece.motion)
+        nominal.append(torque)
+        states.append(joint_states(piece, torque, recording))
+        kept = recording.filter.rows(len(piece.t))
+        of = block + np.minimum(
+            (piece.t[kept] - piece.t[kept[0]]) // length, _last_block(piece.t[kept], length)
+        ).astype(int)
+        block = of[-1] + 1
+        rows.append((of, np.full(len(kept), ROLES.index(piece.role)), np.full(len(kept), number)))
+    blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
+    tau = filtered(recording, [p.tau for p in recording.pieces])
+    torque = filtered(recording, nominal)
+    angles, speeds = (np.concatenate([getattr(p, x) for p in recording.pieces], axis=1) for x in ("q", "qd"))
+    rest = np.minimum(REST_SPEED, REST_SHARE * np.quantile(np.abs(speeds), 0.9, axis=1))
+    rest[np.ptp(angles, axis=1) < HELD] = np.inf
+    moving = np.concatenate([_moving(p, recording, rest) for p in recording.pieces], axis=1)
+    return Evidence(
+        robot, recording, [np.array((tau[j] - torque[j])[:, None]) for j in range(n)], moving.T, blocks, role, piece_of,
+        tau.T, torque.T, states=states,
+    )  # fmt: skip
+
+
+def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list[JointState]:
+    """Every joint's state; sign(qd) is averaged over a sample's length, and no sharper than the noise of the speed."""
+    step = 1 / recording.filter.rate
+    width = np.maximum(np.abs(piece.qdd) * step / 2, np.maximum(2 * piece.motion_noise, 1e-6)[:, None])
+    sign = sign_of(piece.qd, width)
+    before = [
+        p.q for p in recording.pieces if p.trajectory == piece.trajectory and 0 < piece.t[0] - p.t[-1] < ADJOINING
+    ]
+    return [
+        JointState(piece.t, piece.q[j], piece.qd[j], piece.qdd[j], sign[j], torque[j], before[0][j] if before else None)
+        for j in range(len(torque))
+    ]
+
+
+def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:
+    """(n, rows) where no rest is within the filter's reach."""
+    slow = np.abs(piece.qd) < np.maximum(rest_speed, 4 * piece.motion_noise)[:, None]
+    length = max(2, round(REST_TIME * recording.filter.rate))
+    rest = np.zeros_like(slow)
+    for j in range(len(slow)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], slow[j], [False]]).astype(int)))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            rest[j, start:end] = end - start >= length
+    return ~recording.filter.spread(rest)
+
+
+def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = None) -> np.ndarray:
+    """(..., T) of every piece, filtered as a joint's torque is, one behind the other: (..., R); without a joint
+    (..., n, T) -> (..., n, R)."""
+    arrays = [np.asarray(x) for x in parts]
+    each = [recording.filter(x) if joint is None else recording.filter.of(joint, x) for x in arrays]
+    return np.concatenate(each, axis=-1)
+
+
+def _last_block(t: np.ndarray, length: float) -> int:
+    """Number of the last block of a piece: an incomplete one belongs to the one before."""
+    return max(0, int((t[-1] - t[0] + 1e-9) // length) - 1)

@@ -1,0 +1,89 @@
+"""The time between torque and motion that belongs to no joint: a controller holds its command for a sample, a logger
+reads one channel after the other.
+
+Half a sample of it looks like a negative viscous friction on the heaviest joint. It is taken out before anything is
+named, and what is left of a joint beyond it may then be called a delay.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import linalg
+
+from invdyn_cli.diagnosis.columns.candidates import STEP, body_columns, gravity_columns
+from invdyn_cli.diagnosis.columns.evidence import filtered, joint_states
+from invdyn_cli.diagnosis.columns.recording import Recording
+from invdyn_cli.effects.actuator import shifted
+from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
+from invdyn_cli.types import Robot
+
+MOST = 1.05
+"""Samples of the log that count as the log's own: holding takes half of one, reading in turn up to one."""
+
+
+def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) [s] by which each joint's logged torque leads its motion, and its standard error: the factor of the
+    nominal torque's slope beside all inertials, gravity, encoder offsets, friction and offset."""
+    n = robot.dofs
+    moves = np.eye(10 * n)
+    linear = partial(body_columns, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
+    falling = partial(gravity_columns, kinematics_of(robot), jnp.asarray(robot.inertial), jnp.eye(3))
+    bodies, slopes, extras = [], [], []
+    for piece in recording.pieces:
+        torque = rigid_torque(robot, piece.motion)
+        states = joint_states(piece, torque, recording)
+        motion = piece.q, piece.qd, piece.qdd
+        zeros = [
+            rigid_torque(robot, replace(piece.motion, q=piece.q + STEP * row[:, None])) - torque for row in np.eye(n)
+        ]
+        bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion), zeros]))
+        slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))
+        extras.append(np.stack([[s.sign, s.qd, np.ones_like(s.qd), s.qd * abs(s.qd)] for s in states], axis=1))
+    bodies, slopes, extras = (filtered(recording, x) for x in (bodies, slopes, extras))
+    tau = filtered(recording, [p.tau for p in recording.pieces])
+    lead, error = np.zeros(n), np.full(n, np.inf)
+    for j in range(n):
+        x = np.column_stack([slopes[j], *bodies[:, j], *extras[:, j]])
+        scale = np.sqrt(np.mean(x**2, axis=0))
+        if not scale[0] > 0:
+            continue
+        used = scale > 1e-9 * scale.max()
+        x = x[:, used] / scale[used]
+        values, vectors = linalg.eigh(x.T @ x)
+        kept = values > 1e-11 * values[-1]
+        inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+        theta = inverse @ (x.T @ tau[j])
+        variance = np.sum((tau[j] - x @ theta) ** 2) / max(len(x) - kept.sum(), 1)
+        lead[j] = theta[0] / scale[0]
+        error[j] = np.sqrt(variance * inverse[0, 0]) / scale[0]
+    return lead, error
+
+
+def taken_out(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
+    """The recording with the common time between torque and motion taken out, and that time [s].
+
+    It is the weighted median of the joints' own, as long as it stays within MOST samples; otherwise every joint has a
+    delay of its own, and half a sample is taken (none for a sensor behind the gear).
+    """
+    lead, error = offsets(robot, recording)
+    weight = 1 / np.maximum(error, 0.02 * recording.period) ** 2 * np.isfinite(error)
+    common = _median(lead, weight) if weight.any() else 0.0
+    if abs(common) > MOST * recording.period:
+        common = 0.0 if side == "link" else recording.period / 2
+    return moved(recording, common), float(common)
+
+
+def moved(recording: Recording, lead: float) -> Recording:
+    """The recording with torques later by `lead` [s]."""
+    pieces = tuple(
+        replace(p, tau=np.stack([shifted(x, -lead * recording.filter.rate) for x in p.tau])) for p in recording.pieces
+    )
+    return replace(recording, pieces=pieces)
+
+
+def _median(x: np.ndarray, weight: np.ndarray) -> float:
+    order = np.argsort(x)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(x[order][np.searchsorted(share, 0.5)])

@@ -1,0 +1,396 @@
+"""From a hypothesis to findings: what is named, what stays ambiguous, what this log could not have shown, and in words.
+
+A name is given only where data that did not choose it gain by it, no rival does as well, and what stays unexplained on
+its joint does not outweigh it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.decide import bodies
+from invdyn_cli.diagnosis.decide.intervals import intervals, reach
+from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, that_hold
+from invdyn_cli.diagnosis.search import naming, resting
+from invdyn_cli.diagnosis.search.exact import EDGES, Refined
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.diagnosis.search.late import LATE
+from invdyn_cli.diagnosis.search.realisable import realisable
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
+
+UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
+"""Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
+effect on one joint where the learner predicts more than this share of what is left: something there has no name yet."""
+
+LATE_UNKNOWN = 1e4
+"""The same of a delay or a lag there, which is like the other, like a spring and like a filter to some percent."""
+
+VAGUE = 0.1
+"""Of a ripple's cycles, by which they may be unknown."""
+
+SLIDING = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m s²/rad²": "N s²/m²",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rev": "rad/m",
+}
+"""Units at a joint that turns, and at one that slides."""
+
+GEARS = {name for name, e in EFFECTS.items() if e.point == "gear"}
+
+DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Made:
+    """Findings, the effects behind the claims among them with their terms (R, n), and residuals (R, n): `before` of the
+    nominal model, `residual` of the effects fitted on the data that chose them, both beside what is allowed for;
+    `alone` and `whole` of the effects without that, fitted on the data that chose them and on all."""
+
+    findings: tuple[Finding, ...]
+    acting: tuple[Acting, ...]
+    intervals: tuple[Mapping[str, tuple], ...]
+    terms: tuple[np.ndarray, ...]
+    before: np.ndarray
+    residual: np.ndarray
+    alone: np.ndarray
+    whole: np.ndarray
+    notes: tuple[str, ...]
+
+
+def report(
+    inquiry: Inquiry,
+    effects: Mapping[str, AbstractEffect],
+    examination: Examination,
+    side: str,
+    position_side: str = "unknown",
+) -> Made:
+    """Everything that can be claimed of a log."""
+    evidence, judge = inquiry.evidence, inquiry.judge
+    hypothesis, chosen, dropped = that_hold(inquiry)
+    whole = inquiry.whole
+    if len(hypothesis) < len(inquiry.hypothesis):
+        whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
+    nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
+    whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
+    wanted = intervals(evidence, whole)
+    whole, impossible = realisable(evidence, inquiry.model, whole, bodies.link_names(evidence.robot))
+    whole, rested = resting.edges(evidence, inquiry.model, whole)
+    ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
+    terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
+    claims, acting, shown = [], [], []
+    for i, candidate in enumerate(hypothesis):
+        rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
+        if candidate.key in inquiry.close:
+            rivals = [_late(r, candidate, inquiry.close[candidate.key]) for r in rivals]
+        effect, joint = whole.acting[i].effect, whole.acting[i].joint
+        finding = Finding(
+            effect=effect.name,
+            joint=None if joint is None else evidence.robot.joints[joint],
+            status="named",
+            alternatives=_alternatives(rivals),
+            parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate)),
+            gain=_gains(inquiry, hypothesis, (i,), after),
+            rejected=_rejected(evidence.robot, candidate.key, rivals),
+            advice=effect.advice,
+            evidence=_facts(evidence, terms[i]) | _equals(evidence.robot, rivals),
+            group=effect.group,
+        )
+        if candidate.when is not None:
+            finding = _timed(finding, whole.acting[i], ends[i])
+        partner = _partner(hypothesis, i)
+        if partner is not None and abs(ends[partner][_OFFSET][0]) < ends[i][_COULOMB][0]:
+            finding = _asymmetric(inquiry, hypothesis, whole, finding, i, partner, after)
+            terms[i] = terms[i] + terms[partner]
+            acting += [whole.acting[i], whole.acting[partner]]
+        elif _is_offset_of(hypothesis, i, ends):
+            continue
+        else:
+            acting.append(whole.acting[i])
+        if candidate.key[0] == "coulomb_friction" and ("joint_spring", candidate.joint) in {c.key for c in hypothesis}:
+            # the spring's rest holds what makes friction differ by direction
+            finding = replace(finding, alternatives=(*finding.alternatives, ("asymmetric_coulomb_friction",)))
+        if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
+            finding = replace(finding, alternatives=(*finding.alternatives, ("stribeck_friction",)))
+        finding = bodies.told(finding, evidence.robot, joint, wanted[i])
+        if effect is not candidate.effect and bodies.may_be_payload(wanted[i]):
+            finding = replace(finding, alternatives=(*finding.alternatives, ("payload",)))
+        if _is_vague(finding) or not held_out(evidence):
+            finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
+        if finding.alternatives:
+            finding = replace(finding, status="ambiguous")
+        claims.append(finding)
+        shown.append(terms[i])
+    claims, doubt = bodies.other_robot(claims)
+    dropped += doubt
+    if not held_out(evidence):
+        dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
+    if evidence.reference_rows is not None:
+        dropped += ("Gains are those beside what both logs show alike, which is part of the extended model, too.",)
+    elif len(inquiry.always) > len(inquiry.wear):
+        dropped += ("All errors are those beside what is allowed for, which is not part of the extended model.",)
+    order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -_worth(claims[k])))
+    ordered = tuple(claims[k] for k in order)
+    by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
+    return Made(
+        findings=(*ordered, *unseen(effects, ordered, examination, side, position_side)),
+        acting=tuple(acting),
+        intervals=tuple(by_acting[id(a)] for a in acting),
+        terms=tuple(shown[k] for k in order),
+        before=nothing.residual + inquiry.worn(nothing),
+        residual=chosen.residual + inquiry.worn(chosen),
+        alone=inquiry.model.residual(chosen.acting),
+        whole=inquiry.model.residual(acting),
+        notes=dropped + impossible,
+    )
+
+
+_OFFSET, _COULOMB = "offset", "coulomb"
+
+
+def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
+    """Held-out error of every joint that gains by these candidates, without and with them, which leaves `after`."""
+    evidence = inquiry.evidence
+    before = left(inquiry, tuple(c for k, c in enumerate(hypothesis) if k not in without))
+    own = [hypothesis[k] for k in without]
+    local = all(c.effect.point in ("torque", "channel") for c in own)
+    felt = {c.joint for c in own} if local else range(evidence.dofs)
+    gains = {name: gain_of(evidence, j, before, after) for j, name in enumerate(evidence.robot.joints) if j in felt}
+    return {name: gain for name, gain in gains.items() if gain is not None}
+
+
+def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -> Gain | None:
+    """Held-out error of a joint from the residuals (R, n) before and after; None where it is the same. The interval
+    comes from blocks drawn with replacement."""
+    rows = judged(evidence)
+    numbers, of = np.unique(evidence.block[rows], return_inverse=True)
+    draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
+    b, a, tau = (x[rows, j] for x in (before, after, evidence.tau))
+    rms = [float(np.sqrt(np.mean(x**2))) for x in (b, a)]
+    if abs(rms[0] - rms[1]) < 1e-3 * max(rms[0], 1e-12):
+        return None
+    per_block = [np.bincount(of, x**2, len(numbers)) for x in (b, a)]
+    size = draws @ np.bincount(of, minlength=len(numbers))
+    step = np.sqrt(draws @ per_block[0] / size) - np.sqrt(draws @ per_block[1] / size)
+    variance = max(float(np.var(tau)), 1e-300)
+    low, high = np.quantile(step, [0.025, 0.975])
+    return Gain(rms[0], rms[1], rms[0] ** 2 / variance, rms[1] ** 2 / variance, (float(low), float(high)))
+
+
+def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
+    """A delay's lag, or a lag's delay, judged by their exact formulas."""
+    if rival.candidate.joint != own.joint or rival.candidate.effect.name not in LATE:
+        return rival
+    why = "does as well" if close else "does worse on the same rows, both taken exactly"
+    return replace(rival, equal=close, why=why)
+
+
+def _worth(finding: Finding) -> float:
+    return max((g.nmse_before - g.nmse_after for g in finding.gain.values()), default=0.0)
+
+
+def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
+    rms, strong = (np.sqrt(np.mean(x**2, axis=0)) for x in (term, evidence.tau))
+    share = rms / np.maximum(strong, 1e-300)
+    names = evidence.robot.joints
+    return {
+        "rms_of_term_N_m": {n: float(x) for n, x, s in zip(names, rms, share, strict=True) if s > 1e-4},
+        "share_of_torque": {n: float(s) for n, s in zip(names, share, strict=True) if s > 1e-4},
+    }
+
+
+def _term(inquiry: Inquiry, acting: Sequence[Acting], i: int) -> np.ndarray:
+    """(R, n) what one effect adds to the torque, the others staying as they are."""
+    others = [a for k, a in enumerate(acting) if k != i]
+    return inquiry.model.residual(others) - inquiry.model.residual(acting)
+
+
+def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool) -> dict[str, Quantity]:
+    return {
+        name: Quantity(_plain(value), unit_of(effect, name, slides), [_plain(low), _plain(high)])
+        for name, (value, low, high) in ends.items()
+        if name in effect.parameters
+    }
+
+
+def _timed(finding: Finding, acting: Acting, ends: Mapping[str, tuple]) -> Finding:
+    """A finding with its window, seconds from the trajectory's first sample."""
+    assert acting.when is not None
+    edges = [[_plain(x) for x in ends[name][1:]] for name in EDGES]
+    return replace(
+        finding,
+        trajectory=acting.when.trajectory,
+        window=(acting.when.start, acting.when.end),
+        evidence={**finding.evidence, "window_interval95": edges},
+    )
+
+
+def unit_of(effect: AbstractEffect, name: str, slides: bool) -> str:
+    """The unit of a parameter at a joint that turns, or slides."""
+    unit = effect.parameters[name].unit
+    return SLIDING.get(unit, unit) if slides and name != "phase" else unit
+
+
+def _slides(robot: Robot, candidate: Candidate) -> bool:
+    return candidate.effect.point != "body" and candidate.joint is not None and robot.prismatic[candidate.joint]
+
+
+def _plain(value: Any) -> Any:
+    return np.asarray(value, float).tolist()
+
+
+def _alternatives(rivals: Sequence[naming.Rival]) -> tuple[tuple[str, ...], ...]:
+    return tuple(dict.fromkeys((r.candidate.effect.name,) for r in rivals if r.equal))
+
+
+def _equals(robot: Robot, rivals: Sequence[naming.Rival]) -> dict[str, Any]:
+    """The rivals that do as well, where and with which parameters."""
+    equal = [
+        {
+            "effect": r.candidate.effect.name,
+            "joint": None if r.candidate.joint is None else robot.joints[r.candidate.joint],
+            "parameters": {k: _plain(v) for k, v in r.parameters.items()},
+        }
+        for r in rivals
+        if r.equal
+    ]
+    return {"rivals": equal} if equal else {}
+
+
+def _rejected(robot: Robot, key: tuple[str, int | None], rivals: Sequence[naming.Rival]) -> tuple[tuple[str, str], ...]:
+    out = []
+    for r in rivals:
+        joint = r.candidate.joint
+        where = "" if joint in (None, key[1]) else f"on {robot.joints[joint]}: "
+        if not r.equal:
+            out.append((r.candidate.effect.name, where + r.why))
+    return tuple(out[:6])
+
+
+def _partner(hypothesis: Hypothesis, i: int) -> int | None:
+    """Place of the torque offset beside a Coulomb friction."""
+    if hypothesis[i].effect.name != "coulomb_friction":
+        return None
+    return next((k for k, c in enumerate(hypothesis) if c.key == ("torque_offset", hypothesis[i].joint)), None)
+
+
+def _is_offset_of(hypothesis: Hypothesis, i: int, ends: Sequence[Mapping[str, tuple]]) -> bool:
+    """Whether a torque offset is told with the Coulomb friction of its joint."""
+    if hypothesis[i].effect.name != "torque_offset":
+        return False
+    k = next((k for k, c in enumerate(hypothesis) if c.key == ("coulomb_friction", hypothesis[i].joint)), None)
+    return k is not None and abs(ends[i][_OFFSET][0]) < ends[k][_COULOMB][0]
+
+
+def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, partner: int, after) -> Finding:
+    """Coulomb friction beside an offset: the same torque as friction that differs by direction."""
+    asymmetric = EFFECTS["asymmetric_coulomb_friction"]
+    at = {(number, name): k for k, (number, name, _) in enumerate(whole.labels)}
+    both = at[(i, "coulomb")], at[(partner, "offset")]
+    level = {}
+    for name, sign in (("positive", 1.0), ("negative", -1.0)):
+        value = whole.theta[both[0]] + sign * whole.theta[both[1]]
+        each = whole.replicas[:, both[0]] + sign * whole.replicas[:, both[1]]
+        error = float(reach(each, whole.unknown[:, both[0]] + sign * whole.unknown[:, both[1]]))
+        level[name] = (value, value - error, value + error)
+    return replace(
+        finding,
+        effect=asymmetric.name,
+        alternatives=(("coulomb_friction", "torque_offset"), *(a for a in finding.alternatives)),
+        parameters=_quantities(asymmetric, level, _slides(inquiry.evidence.robot, hypothesis[i])),
+        gain=_gains(inquiry, hypothesis, (i, partner), after),
+        advice=asymmetric.advice,
+        evidence={
+            **finding.evidence,
+            "coulomb": float(whole.theta[both[0]]),
+            "offset": float(whole.theta[both[1]]),
+        },
+    )
+
+
+def _is_vague(finding: Finding) -> bool:
+    """Whether a ripple's cycles are hardly known: another bend of the torque over the angle would do."""
+    cycles = finding.parameters.get("cycles")
+    return cycles is not None and cycles.interval95[1] - cycles.interval95[0] > 2 * VAGUE * cycles.value
+
+
+def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) -> Made:
+    """With further claims, and what each adds to the torque (R, n), behind those that are there."""
+    claimed = {(x.effect, x.joint) for x in found}
+    count = len(made.terms)
+    unseen = (x for x in made.findings[count:] if (x.effect, x.joint) not in claimed)
+    together = (*made.findings[:count], *found, *unseen)
+    return replace(made, findings=together, terms=(*made.terms, *terms))
+
+
+def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Finding, ...]:
+    """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
+    by what is left there: something else is at work, and may be all of it.
+
+    Args:
+        learned: {joint: share of the residual's variance that the learner predicts}.
+    """
+    out = []
+    for one in found:
+        saved = sum((g.rmse_before / max(g.rmse_after, 1e-300)) ** 2 - 1 for g in one.gain.values())
+        shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
+        unknown = sum(shares.values())
+        near = [x for j, x in shares.items() if j == one.joint or one.effect not in GEARS]
+        mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
+        least = (LATE_UNKNOWN if one.effect in LATE else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
+        if one.status == "named" and saved < least * unknown:
+            advice = "what else may act on this joint: most of what the model misses there is still unknown"
+            one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
+        out.append(one)
+    return tuple(out)
+
+
+def unseen(
+    effects: Mapping[str, AbstractEffect],
+    claims: Sequence[Finding],
+    examination: Examination,
+    side: str,
+    position_side: str,
+) -> list[Finding]:
+    """What this log could not have shown: no claims, but where not to look for absence."""
+    claimed = {(f.effect, f.joint) for f in claims}
+    out = [
+        Finding(
+            name,
+            None,
+            "not_observable",
+            advice=f"a torque from the {' or '.join(s for s in e.sides if s != 'unknown')} side",
+            evidence={"why": f"a torque taken at the {side} does not contain it"},
+        )
+        for name, e in effects.items()
+        if side not in e.sides
+    ]
+    out += [
+        Finding(
+            name,
+            None,
+            "not_observable",
+            advice="angles of the motor, or of both sides of the gear",
+            evidence={"why": f"angles taken at the {position_side} do not contain it"},
+        )
+        for name, e in effects.items()
+        if position_side not in e.position_sides and side in e.sides
+    ]
+    for joint, numbers in examination.excitation.items():
+        for name, why in dict(numbers.get("cannot_show", {})).items():
+            if (name, joint) in claimed or name not in effects or name in {f.effect for f in out if f.joint is None}:
+                continue
+            advice = effects[name].advice
+            out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))
+    return out

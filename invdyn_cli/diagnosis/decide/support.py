@@ -1,0 +1,177 @@
+"""What supports a claim: data that did not choose it gain by it, its exact formula holds there, and what stays
+unexplained on its joint does not outweigh it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Evidence, shared_out
+from invdyn_cli.diagnosis.columns.recording import ROLES
+from invdyn_cli.diagnosis.search import naming
+from invdyn_cli.diagnosis.search.exact import Refined, refine
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
+from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
+from invdyn_cli.diagnosis.search.late import LATE
+from invdyn_cli.effects.composition import Acting
+
+OUTWEIGHED = 1.0
+"""Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
+a column that is nearly orthogonal to an unknown cause still picks up a few percent of it, and one that the arm's answer
+to it goes with, more."""
+
+PICKED_UP = 0.2
+"""And so much more for every further coefficient, each of which picks up as much."""
+
+FEIGNED = 0.5
+"""Of the squares that are left on its joints, what an effect must save: a controller answers to the noise and the
+rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
+
+FELT = 0.1
+"""Share of an effect's weighted squares that a joint must have to feel it."""
+
+RARE = 0.1
+"""Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
+
+
+def judged(evidence: Evidence) -> np.ndarray:
+    """Rows (R,) bool that chose nothing; all but the reference's where there are none."""
+    test = evidence.role == ROLES.index("test")
+    return test if held_out(evidence) else evidence.role != ROLES.index("reference")
+
+
+def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
+    """Rows (R,) bool on which an effect is judged that makes `squares` (R,) of them: all where it hardly comes up on
+    those that chose nothing."""
+    rows = judged(evidence)
+    return rows if np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
+
+
+def held_out(evidence: Evidence) -> bool:
+    """Whether there are rows that chose nothing."""
+    return bool(np.any(evidence.role == ROLES.index("test")))
+
+
+def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Refined:
+    return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.beside(acting))
+
+
+def exactly(inquiry: Inquiry, hypothesis: Hypothesis) -> Refined:
+    """The exact parameters of a hypothesis on the data that chose it."""
+    return refitted(inquiry, acting_of(inquiry.judge, inquiry.beside(hypothesis), hypothesis), inquiry.judge.rows)
+
+
+def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
+    """The candidates that gain on data that did not choose them, and explain more than what stays unknown, their
+    parameters, refined anew whenever one is dropped; and a sentence for each of the others."""
+    hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
+    if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
+        chosen = exactly(inquiry, hypothesis)
+    while hypothesis:
+        worst, after = None, left(inquiry, hypothesis)
+        for i in range(len(hypothesis)):
+            why = _fails(inquiry, hypothesis, chosen, i, after)
+            if why is not None and (worst is None or why[0] < worst[1][0]):
+                worst = i, why
+        if worst is None and inquiry.wear:
+            worst = _vague(inquiry, hypothesis)
+        if worst is None:
+            break
+        out = hypothesis[worst[0]]
+        where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
+        said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
+        hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
+        around = inquiry.beside(hypothesis)
+        hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
+        chosen = exactly(inquiry, hypothesis)
+    return hypothesis, chosen, tuple(said)
+
+
+def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, tuple[float, str]] | None:
+    """The candidate beside the standard model in whose place an effect does best for which theory does not take it, if
+    there is one: what so different effects explain alike is too little to have a name."""
+    found: list[tuple[int, tuple[float, str]]] = []
+    for i, one in enumerate(hypothesis):
+        like = {one.effect.name, *(name for names in one.effect.confounders for name in names)}
+        rivals = naming.rivals(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool)
+        foreign = [r for r in rivals if r.equal and r.candidate.effect.name not in like]
+        if foreign:
+            best = min(foreign, key=lambda r: r.excess)
+            found.append(
+                (i, (best.excess, f"{best.candidate.effect.title} would explain as much, and is another thing"))
+            )
+    return min(found, key=lambda x: x[1][0], default=None)
+
+
+def _fails(
+    inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int, after: np.ndarray
+) -> tuple[float, str] | None:
+    """Why a candidate may not be claimed, with how much it explains; None if it may. `after` is what the hypothesis
+    leaves, `chosen` its exact parameters."""
+    evidence, weights = inquiry.evidence, inquiry.noise.weights
+    others = hypothesis[:i] + hypothesis[i + 1 :]
+    before = left(inquiry, others)
+    rows = _judging(evidence, (((after - before) * evidence.valid) ** 2) @ weights)
+    valid = evidence.valid & rows[:, None]
+    own = [j in hypothesis[i].columns for j in range(evidence.dofs)]
+    squares = np.sum((before**2 - after**2) * valid, axis=0) * own
+    unknown = naming.structure(evidence, after, valid)
+    gain = float(np.sum(weights * squares)) + _strain(inquiry, others) - _strain(inquiry, hypothesis)
+    if gain <= 0:
+        return gain, "it does not hold on data that did not choose it"
+    everywhere = np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0) @ own  # rows at rest count too
+    if everywhere <= 0 and _acts_at_rest(inquiry, hypothesis, i):
+        return gain, "with it its joints are predicted worse, rests among it, on data that did not choose it"
+    rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
+    needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
+    if 0 < gain < needed * rest:
+        return gain, "most of what it would explain is something else that this catalogue does not know"
+    name = hypothesis[i].effect.name
+    if name in LATE:
+        value = acting_of(inquiry.judge, inquiry.always, hypothesis)[i].parameters[LATE[name][0]]
+        if value < evidence.recording.period:
+            return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
+    sure, share = _exactly(inquiry, hypothesis, chosen, i)
+    if not sure:
+        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
+    if share < FEIGNED:
+        return gain, "it is small beside what is left, and a controller that answers to its encoders' noise feigns it"
+    return None
+
+
+def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
+    """Whether an effect is there while joints rest: of one that is not they say nothing, but of what friction bears."""
+    evidence, every = inquiry.evidence, (*inquiry.always, *hypothesis)
+    own = [theta for _, theta in shared_out(every, inquiry.judge.verdict(every).theta)][len(inquiry.always) + i]
+    term = (evidence.left((), own) - evidence.left((hypothesis[i],), own)) ** 2 * inquiry.noise.weights
+    at_rest = ~evidence.valid
+    return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
+
+
+def _exactly(inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int) -> tuple[bool, float]:
+    """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
+    as they are; and by how much, as a share of what is left on the joints that feel it. Columns of a channel
+    effect act on the measured torque, and calm its noise; the formula does not.
+    An effect that hardly comes up on the held-out rows is judged on all."""
+    evidence, model, weights = inquiry.evidence, inquiry.model, inquiry.noise.weights
+    others = [a for a in chosen.acting if a.key != hypothesis[i].key]
+    after = chosen.residual * evidence.valid
+    change = (model.residual(others) - model.residual(chosen.acting)) * evidence.valid
+    rows = _judging(evidence, change**2 @ weights)
+    saved = ((2 * after + change) * change) @ weights
+    per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
+    total = float(per_block.sum())
+    of_joint = np.sum(change[rows] ** 2, axis=0) * weights
+    felt = of_joint > FELT * of_joint.sum()
+    remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
+    return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(remains, 1e-300)
+
+
+def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
+    """Residual (R, n) of a hypothesis fitted on the data that chose."""
+    every = (*inquiry.always, *hypothesis)
+    return inquiry.evidence.left(every, inquiry.judge.verdict(every).theta)
+
+
+def _strain(inquiry: Inquiry, hypothesis: Hypothesis) -> float:
+    """`judge.strain` beside a hypothesis."""
+    return strain(inquiry.always, inquiry.judge.verdict((*inquiry.always, *hypothesis)).theta)

@@ -1,0 +1,109 @@
+"""The verdict, in one word and in two sentences."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from invdyn_cli.diagnosis.decide.findings import Made
+from invdyn_cli.types import Diagnosis, Finding
+
+PREDICTABLE, SMALL = 0.15, 0.15
+"""What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
+than this share of the nominal model's error, in N m."""
+
+
+def verdict(
+    made: Made,
+    learned: np.ndarray,
+    restless: np.ndarray,
+    structured: np.ndarray,
+    floor: np.ndarray | None,
+    extended: Mapping[str, Mapping[str, float]],
+) -> str:
+    """explained, partly_explained or nothing_found.
+
+    Args:
+        learned: share of the residual (n,) that a learner predicts.
+        restless: whether (n,) it is no noise.
+        structured: RMS torque (n,) of what residual tests find in it.
+    """
+    if not any(f.status in ("named", "ambiguous") for f in made.findings):
+        return "nothing_found"
+    before = np.sqrt(np.mean(made.before**2, axis=0))
+    after = np.array([x["rmse"] for x in extended.values()])
+    left = np.maximum(np.where(restless, 1.0, np.sqrt(np.nan_to_num(learned))) * after, structured)
+    fine = ~(restless | (learned > PREDICTABLE) | (structured > 0)) | (left < SMALL * before)
+    if floor is not None:
+        fine |= after < 1.2 * np.sqrt(2) * floor
+    return "explained" if np.all(fine) else "partly_explained"
+
+
+def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
+    """The verdict in two or three sentences.
+
+    Args:
+        titles: of the effects, by name.
+    """
+    still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
+    said = _summary(diagnosis, titles)
+    return f"{said} Not judged, as hardly moving in this log: {', '.join(still)}." if still else said
+
+
+def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
+    claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
+    before, after = (
+        np.sqrt(np.mean([x["rmse"] ** 2 for x in table.values()])) for table in (diagnosis.baseline, diagnosis.extended)
+    )
+    rest = _rest(diagnosis)
+    if not claims:
+        first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
+        return f"{first} {rest or 'What is left looks like noise.'}"
+    usual = in_table(diagnosis)
+    shown = [f for f in claims if not any(f is x for x in usual)]
+    said = [
+        f"{titles[f.effect]}{' or its rivals' if f.status == 'ambiguous' else ''}"
+        + (f" on {f.joint}" if f.joint else "")
+        for f in shown[:4]
+    ]
+    said += [f"{len(shown) - 4} more"] if len(shown) > 4 else []
+    if usual:
+        joints = len({f.joint for f in usual})
+        said.append(f"what every arm has (friction and the like) on {joints} joint{'s' * (joints > 1)}")
+    first = f"The simulation lacks {_listed(said)}; with that its held-out error falls from {before:.3g} to "
+    first += f"{after:.3g} N m RMS over all joints."
+    if diagnosis.verdict == "explained" and rest:
+        return f"{first} What is left is small beside that."
+    return f"{first} {rest or 'What is left looks like noise.'}"
+
+
+def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Claims that stand in the table of what every arm has: named terms of the standard model."""
+    rows = ((joint, terms) for joint, terms in diagnosis.standard.items() if joint != "inertials")
+    there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"]}
+    lasting = (x for x in diagnosis.findings if x.status == "named" and x.window is None)
+    return tuple(x for x in lasting if (x.effect, x.joint) in there)
+
+
+def _rest(diagnosis: Diagnosis) -> str:
+    """What is left and is no noise, "" if there is none."""
+    shares = {j: share for j, share in diagnosis.unexplained.items() if share > PREDICTABLE}
+    swings = [j for j in diagnosis.details.get("beyond_noise", ()) if j not in shares]
+    said = []
+    if shares:
+        most = f"a learner still predicts up to {100 * max(shares.values()):.0f} % of the residual"
+        said.append(f"Something unknown remains on {', '.join(shares)}: {most}.")
+    if swings:
+        said.append(f"What is left on {', '.join(swings)} is no noise, though no learner predicts it from the motion.")
+    goes: dict[str, list[str]] = {}
+    for x in diagnosis.tests:
+        if not x.passed:
+            goes.setdefault(x.joint, []).append(x.against.replace("_", " "))
+    if goes and not said:
+        said += [
+            f"What is left on {joint} is no noise by the tests of {_listed(names)}." for joint, names in goes.items()
+        ]
+    return " ".join(said)
+
+
+def _listed(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -1,0 +1,238 @@
+"""What comes and goes: windows of time in which another effect would explain what is left, found by trying them all.
+
+Sums over rows are kept cumulatively, so that what an effect explains in any window is one small solve. Windows on a
+coarse grid first, then each edge at every row; the exact refinement moves the edges on from there.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.candidates import beforehand, passing_candidate, passing_columns
+from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
+from invdyn_cli.diagnosis.columns.recording import ROLES
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT
+from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.effects.composition import When
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
+
+GRID, CELL = 120, 0.1
+"""Edges of windows that are tried in a trajectory, and the shortest step between them [s]."""
+
+SHORTEST = 0.4
+"""[s] of a window: what is shorter is a blow, of which nothing is known but its momentum."""
+
+PRICE = 40.0
+"""Noise variances that a window must explain, beyond the price of its coefficients, to be tried: the best of ten
+thousand in white noise has 25 (one coefficient) to 50 (ten)."""
+
+SHARE, LARGE = 0.01, 0.2
+"""Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there; and
+before anything else was looked for."""
+
+WITHIN = 0.2
+"""The same of what is left in the window beyond noise: what comes and goes is there all the time between."""
+
+EVEN = 0.35
+"""Share of the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
+and the like leave pulses."""
+
+MOST, ROUNDS = 3, 3
+"""Windows that are looked for in one residual, and how often, with what was found taken out."""
+
+SAME = 0.05
+"""[s] by which edges of windows together may differ, and they are the same."""
+
+EDGE = 1.0
+"""[s] from an end of its trajectory within which a window begins or ends there; if it does both it is none."""
+
+PARTS, FINEST = 6, 0.2
+"""Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge; at least
+TURN of them."""
+
+TURN = 3
+"""Every so many blocks one judges."""
+
+
+Windows = Mapping[When, Sequence[Candidate]]
+"""Windows of time, with every effect that may come and go in each."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """An effect that may come and go, on a joint: its columns (k, n, R) and what is known of their factors (k,)."""
+
+    effect: AbstractEffect
+    joint: int | None
+    columns: np.ndarray
+    precision: np.ndarray
+
+
+def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str) -> list[Place]:
+    """Every effect that comes and goes, wherever it would be felt; what is felt alike at several joints is taken at the
+    outermost of them."""
+    made: list[Place] = []
+    loud = np.sqrt(np.mean(evidence.tau**2))
+    for effect in effects.values():
+        if not effect.passing or side not in effect.sides:
+            continue
+        whole = isinstance(effect, AbstractBodyEffect)
+        own: list[Place] = []
+        for joint in (None,) if whole else reversed(range(evidence.dofs)):
+            columns = passing_columns(evidence, effect, joint, None)
+            precision = beforehand(evidence.robot, effect, joint, len(columns))
+            felt = np.abs(columns).max() > 1e-6 * loud
+            if felt and not any(np.allclose(columns, x.columns, atol=1e-6 * np.abs(columns).max()) for x in own):
+                own.append(Place(effect, joint, columns, precision))
+        made += own
+    return made
+
+
+def proposed(
+    evidence: Evidence,
+    everywhere: Sequence[Place],
+    residuals: Sequence[np.ndarray],
+    measured: Noise,
+    known: Sequence[When] = (),
+    share: float = SHARE,
+) -> Windows:
+    """For each window in which something comes and goes, every effect that may be it; the windows that explain most
+    first.
+
+    Args:
+        residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
+        known: windows that need not be proposed.
+        share: of a residual's squares that a window must explain.
+    """
+    made: list[When] = []
+    first = 1 + max((when.number for when in known), default=-1)
+    weights = measured.weights
+    for residual in residuals:
+        left = residual.copy()
+        least = max(PRICE, share * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
+        for _ in range(MOST):
+            tries = [_window(evidence, p, left, measured) for p in everywhere]
+            value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
+            if value <= least or when is None:
+                break
+            left = left - explained
+            for one in (when, *_other_end(evidence, when)):
+                if not any(_alike(one, other) for other in (*known, *made)):
+                    made.append(one._replace(number=first + len(made)))
+    return {when: [passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made}
+
+
+def _alike(one: When, other: When) -> bool:
+    """Whether two windows are the same but for their edges' last row or two."""
+    apart = abs(one.start - other.start) + abs(one.end - other.end)
+    return one.trajectory == other.trajectory and apart < SAME
+
+
+def _other_end(evidence: Evidence, when: When) -> list[When]:
+    """What is left of the trajectory, if the window is at one of its ends: a change until then is one from then on."""
+    t = np.concatenate([p.t for p in evidence.recording.pieces if p.trajectory == when.trajectory])
+    if when.start - t[0] < EDGE < t[-1] - when.end:
+        return [when._replace(start=when.end, end=float(t[-1]))]
+    if t[-1] - when.end < EDGE < when.start - t[0]:
+        return [when._replace(start=float(t[0]), end=when.start)]
+    return []
+
+
+def interleaved(evidence: Evidence, windows: Iterable[When]) -> Evidence:
+    """The evidence with blocks that choose and judge in turn, in every window and outside: what comes once must be in
+    both."""
+    block, role = evidence.block.copy(), evidence.role.copy()
+    t, first, outside = evidence.on_rows("t"), 0, 0
+    for number, piece in enumerate(evidence.recording.pieces):
+        at = evidence.piece == number
+        own = [w for w in windows if w.trajectory == piece.trajectory]
+        edges = np.unique([-np.inf, *(x for w in own for x in (w.start, w.end)), np.inf])
+        part = np.searchsorted(edges, t[at], side="right") - 1
+        mine = np.zeros(at.sum(), int)
+        turns = np.zeros(at.sum(), int)
+        for segment in np.unique(part):
+            here = part == segment
+            time = t[at][here]
+            inside = any(w.start < time.mean() < w.end for w in own)
+            length = time[-1] - time[0] + 1e-9
+            count = max(1, int(length / BLOCK))
+            if inside:
+                count = max(TURN, min(PARTS, int(length / FINEST)), count)
+            turn = np.minimum((time - time[0]) / length * count, count - 1).astype(int)
+            mine[here], turns[here] = first + turn, turn if inside else outside + turn
+            first += count
+            outside += 0 if inside else count  # short stretches between windows take turns too
+        block[at] = mine
+        if piece.role != "reference":
+            role[at] = np.where(turns % TURN == TURN - 1, ROLES.index("test"), ROLES.index("train"))
+    return replace(evidence, block=block, role=role)
+
+
+def _window(
+    evidence: Evidence, place: Place, left: np.ndarray, measured: Noise
+) -> tuple[float, When | None, np.ndarray]:
+    """What an effect explains in its best window, less its price; the window, and its torque (R, n)."""
+    t, k = evidence.on_rows("t"), len(place.columns)
+    names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    used = evidence.valid * measured.weights
+    best: tuple[float, When | None, np.ndarray] = -np.inf, None, left
+    for name in dict.fromkeys(names):
+        rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
+        if len(rows) < 2 * k:
+            continue
+        x, w, y, time = place.columns[:, :, rows], used[rows].T, left[rows].T, t[rows]
+        normal = np.concatenate([np.zeros((1, k, k)), np.cumsum(np.einsum("anr,bnr,nr->rab", x, x, w), axis=0)])
+        moment = np.concatenate([np.zeros((1, k)), np.cumsum(np.einsum("anr,nr->ra", x, y * w), axis=0)])
+        prior = np.diag(place.precision) + 1e-9 * np.diag(np.diag(normal[-1]) + 1e-300)
+
+        def gain(a, b, normal=normal, moment=moment, prior=prior):
+            m = moment[b] - moment[a]
+            return np.einsum("wa,wa->w", m, np.linalg.solve(normal[b] - normal[a] + prior, m[..., None])[..., 0])
+
+        step = max(CELL, (time[-1] - time[0]) / GRID)
+        grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
+        a, b = (grid[i] for i in np.triu_indices(len(grid), 1))
+        long = time[b - 1] - time[a] >= SHORTEST
+        long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
+        a, b = a[long], b[long]
+        if not len(a):
+            continue
+        at = int(np.argmax(gain(a, b)))
+        a, b = _sharpened(gain, a[at], b[at], time, 2 * step)
+        value = float(gain(np.array([a]), np.array([b]))[0]) - PRICE_OF_COEFFICIENT * k
+        ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
+        if value <= best[0] or ends:
+            continue
+        factors = np.linalg.solve(normal[b] - normal[a] + prior, moment[b] - moment[a])
+        explained = np.zeros_like(left)
+        explained[rows[a:b]] = np.tensordot(factors, x[:, :, a:b], 1).T
+        there, own = rows[a:b], used[rows[a:b]]
+        gained = np.sum(own * (left[there] ** 2 - (left - explained)[there] ** 2), axis=1)
+        felt = np.abs(explained).max(axis=0) > 0
+        excess = np.sum((own * (left[there] ** 2 - measured.deviation**2))[:, felt])
+        if value > WITHIN * excess and _spread(gained) > EVEN:
+            start = time[0] if not a else (time[a - 1] + time[a]) / 2
+            end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
+            best = value, When(str(name), float(start), float(end)), explained
+    return best
+
+
+def _spread(gained: np.ndarray) -> float:
+    """Over how much of a window it is that something was gained at its rows: 1 all over alike, less for blows."""
+    parts = np.array([x.sum() for x in np.array_split(gained, PARTS)])
+    return float(parts.sum() ** 2 / max(PARTS * np.sum(parts**2), 1e-300))
+
+
+def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:
+    """Edges of a window moved to the rows that explain most, each in turn; it stays as long as SHORTEST."""
+    for _ in range(2):
+        near = np.flatnonzero(np.abs(time - time[min(a, len(time) - 1)]) <= reach)
+        near = near[time[near] <= time[b - 1] - SHORTEST]
+        if len(near):
+            a = int(near[np.argmax(gain(near, np.full(len(near), b)))])
+        near = np.flatnonzero(np.abs(time - time[b - 1]) <= reach) + 1
+        near = near[time[near - 1] >= time[a] + SHORTEST]
+        if len(near):
+            b = int(near[np.argmax(gain(np.full(len(near), a), near))])
+    return a, b

@@ -1,0 +1,394 @@
+"""The inquiry: search and exact refinement in turn, until the set of causes stays the same."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from invdyn_cli.diagnosis import known
+from invdyn_cli.diagnosis.columns.candidates import gear_candidate, load_on, trial_at
+from invdyn_cli.diagnosis.columns.evidence import STICK_TIME, Candidate, Evidence
+from invdyn_cli.diagnosis.columns.recording import ROLES
+from invdyn_cli.diagnosis.search import events, naming, noise, realisable, resting
+from invdyn_cli.diagnosis.search.events import Windows
+from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.search.judge import Hypothesis, Judge, parameters_of, read_all
+from invdyn_cli.diagnosis.search.late import told_apart
+from invdyn_cli.diagnosis.search.steps import WHOLE, search
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
+
+ROUNDS = 3
+"""Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
+
+WORTH = 0.97
+"""Of what was left before a round beyond ROUNDS, or before windows, what it must come below for another to follow."""
+
+CROWDED = 1
+"""Causes a joint, above which there seem to be many because what comes and goes is not among them."""
+
+ABSORBING = ("torque_saturation", "asymmetric_coulomb_friction")
+"""Effects that take up much of what comes and goes."""
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """What the search came to: the hypothesis with its trials, its exact parameters on the data that chose (`chosen`)
+    and on all data (`whole`), and all that rivals are judged with. `close` says of a delay or lag whether the other
+    does as well; `wear` are the last of `always`: the standard model, friction, offsets, rotors and links that are some
+    percent off, if it is part of every hypothesis."""
+
+    evidence: Evidence
+    judge: Judge
+    model: Model
+    noise: noise.Noise
+    always: Hypothesis
+    hypothesis: Hypothesis
+    pool: Sequence[Candidate]
+    chosen: Refined
+    whole: Refined
+    close: Mapping[tuple[str, int | None], bool]
+    wear: Hypothesis
+
+    def beside(self, found: Sequence[Candidate | Acting]) -> Hypothesis:
+        """`always` as it is refined beside these."""
+        return _beside(self.always, self.wear, found)
+
+    def worn(self, refined: Refined) -> np.ndarray:
+        """(R, n) torque of the standard model beside these effects, which is not in their residual."""
+        wear = _apart(self.wear, refined.acting)
+        theta = refined.allowed[len(refined.allowed) - sum(len(c.precision) for c in wear) :]
+        return self.evidence.left((), theta) - self.evidence.left(wear, theta)
+
+
+def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
+    """What is always there, the standard model (the last of it) only as far as it is no part of what was found."""
+    return (*always[: len(always) - len(wear)], *_apart(wear, found))
+
+
+def _apart(wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
+    """The standard model but for special cases of what was found: a Stribeck friction has its own Coulomb level."""
+    return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in found))
+
+
+def inquire(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    compares: bool,
+    side: str = "unknown",
+    parted: bool = True,
+    wear: Hypothesis = (),
+    start: Hypothesis = (),
+) -> Inquiry:
+    """What acts always, and then what comes and goes beside it.
+
+    Args:
+        effects: the causes to look for.
+        allowed: (effect, joint or None for all) that are allowed for and not reported.
+        most: effects at most.
+        compares: whether the recording has a reference beside it.
+        side: the torque's.
+        parted: whether a user said what chooses and what judges; it then stays so.
+        wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
+            rotor of every joint; none of these is looked for.
+        start: what a search without wear came to, from which this one starts as well as from nothing.
+    """
+    everywhere = [] if compares else events.places(evidence, effects, side)
+    gears = [c for c in evidence.candidates if c.effect.point == "gear"]
+    nominal = evidence.left((), np.zeros(0))
+
+    def looked(
+        evidence: Evidence, windows: Windows, gears: Sequence[Candidate], starts: Sequence[Hypothesis], rounds: int
+    ) -> tuple[Inquiry, Windows]:
+        """What a search among what lasts, these gears and windows came to; and the windows that it made use of."""
+        lasting = [c for c in evidence.candidates if c.when is None and c.effect.point != "gear"]
+        if windows and not parted:
+            evidence = events.interleaved(evidence, windows)
+        taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
+        one = _searched(taken, effects, allowed, most, compares, starts, rounds, wear)
+        numbers = {c.when.number for c in one.hypothesis if c.when is not None}
+        return one, {when: own for when, own in windows.items() if when.number in numbers}
+
+    def proposed(inquiry: Inquiry, held: Windows) -> Windows:
+        """All windows anew, now that the rest is known; at first what lasts may have taken up half of what does not."""
+        acting = inquiry.whole.acting
+        refined = [a.when for a in acting if a.when is not None]
+        residuals = [inquiry.whole.residual]
+        if refined:
+            without = inquiry.model.residual([a for a in acting if a.when is None])
+            residuals.append(without - inquiry.worn(inquiry.whole))
+        elif not wear:
+            residuals.append(nominal)
+        return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined])
+
+    inquiry: Inquiry | None = None
+    held: Windows = {}
+    found = _at_first(evidence, everywhere, nominal, most) if everywhere and not wear else {}
+    if found:  # what a gear carries is known when what comes and goes is
+        inquiry, held = looked(evidence, found, [], [()], 1)
+        if held:
+            evidence, found = inquiry.evidence, proposed(inquiry, held)
+        else:
+            inquiry, found = None, {}
+    first = [tuple(c for c in start if c.when is None and c.effect.group != "standard")] if wear else []
+    for turn in range(1 + events.ROUNDS - bool(held)):
+        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [*first, ()])]
+        again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
+        if turn and inquiry and kept.keys() == held.keys():
+            break
+        full = bool(held or found) and len(again.hypothesis) >= most  # and nobody knows what is missing
+        idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
+        inquiry, evidence, held = again, again.evidence, kept
+        found = {} if full or idle else proposed(inquiry, held)
+        if not found:
+            break
+    assert inquiry is not None
+    return inquiry
+
+
+def _left(inquiry: Inquiry, other: Inquiry) -> float:
+    """Squares that an inquiry leaves of all data, in another's noise variances."""
+    return float(np.sum((inquiry.whole.residual * inquiry.evidence.valid) ** 2 @ other.noise.weights))
+
+
+def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int) -> Windows:
+    """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
+    measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
+    judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
+    judge.refresh()
+    lasting = [c for c in evidence.candidates if c.effect.name not in ABSORBING]
+    found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
+    judge.refresh()
+    if found and _outdoes(judge, [c for own in found.values() for c in own], lasting):
+        return found
+    crowd = search(judge, lasting, most=most)
+    if len(crowd) <= CROWDED * evidence.dofs:
+        return {}
+    left = evidence.left(crowd, judge.quick(crowd)[1])
+    return events.proposed(evidence, everywhere, [left, nominal], measured)
+
+
+def _outdoes(judge: Judge, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
+    """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
+    lasts."""
+    nothing = judge.quick(())[0]
+    losses, own = judge.extended((), passing)
+    possible = [x for x, c, o in zip(losses, passing, own, strict=True) if not judge.impossible(c, o)]
+    best: dict[int | None, float] = {}
+    for loss, c in zip(judge.extended((), lasting)[0], lasting, strict=True):
+        place = c.joint if len(c.columns) == 1 else None
+        best[place] = max(best.get(place, 0.0), nothing - loss)
+    arm = best.pop(None, 0.0)
+    return nothing - min(possible, default=nothing) > max(arm, sum(best.values()))
+
+
+def _searched(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    compares: bool,
+    starts: Sequence[Hypothesis],
+    rounds: int,
+    wear: Hypothesis,
+) -> Inquiry:
+    """Search from each of `starts`, refine the best, search again with the nonlinear parameters that were found, some
+    rounds at most."""
+    new = evidence.role == ROLES.index("train")
+    choosing = new | (evidence.role == ROLES.index("reference"))
+    measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
+    ripple = effects.get(TorqueRipple.name)
+    if isinstance(ripple, TorqueRipple) and not any(starts):
+        lines = noise.ripples(evidence, measured, choosing, ripple)
+        if lines:  # nor is a ripple
+            evidence.candidates += lines
+            measured = noise.measure(evidence, new)
+    pool = [c for c in evidence.candidates if c.effect.name != "asymmetric_coulomb_friction"]
+    always = known.allowed_for(pool, allowed)
+    pool = [c for c in pool if not known.is_allowed(c, allowed)]
+    if compares:
+        common, pool = known.compared(evidence, pool, ROLES.index("reference"))
+        always += common
+    usual: Hypothesis = ()
+    if wear:
+        usual = (*(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect), *wear)
+        pool = [c for c in pool if c.effect.group != "standard"]
+        always += usual
+
+    beside = partial(_beside, always, usual)
+
+    def simplified(hypothesis: Hypothesis) -> Hypothesis:
+        return naming.simplified(judge, beside(hypothesis), hypothesis, pool, usual)
+
+    last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
+    if any(c.effect.name == "payload" for c in pool):
+        pool = [c for c in pool if c.key != ("link_inertia_error", last)]
+    pool += [c for start in starts for c in start if not any(c is p for p in pool)]
+    judge = Judge(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
+    judge.refresh()
+    model = Model(evidence)
+    found = [search(judge, pool, always, start, most) for start in starts]
+    hypothesis = min(found, key=lambda one: judge.loss((*always, *one)))
+    seen: list[set[tuple]] = []
+    loss = np.inf
+    loads: dict[int, list[np.ndarray]] = {}
+    for number in range(rounds):
+        pool += _sharpened(judge, always, hypothesis, pool)
+        judge.refresh()
+        seen.append({c.key for c in hypothesis})
+        around = beside(hypothesis)
+        refined = refine(evidence, model, acting_of(judge, around, hypothesis), choosing, measured.weights, around)
+        unlikely = _unlikely(evidence, model, measured, refined)
+        if unlikely:
+            pool = [c for c in pool if c.key not in unlikely]
+            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
+            continue
+        trials = tuple(trial_at(evidence, a, _others(refined.acting, a)) for a in refined.acting)
+        more = [*trials, *_geared(evidence, refined.acting, loads)]
+        pool = [*pool, *(c for c in more if not any(c is p for p in pool))]
+        judge.refresh()
+        hypothesis = simplified(search(judge, pool, always, trials, most))
+        before, loss = loss, judge.loss((*always, *hypothesis))
+        if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
+            break
+    while True:
+        around = beside(hypothesis)
+        acting = acting_of(judge, around, hypothesis)
+        model.scanned.clear()  # gears once more from far and near, now that all of their load is known
+        chosen = refine(evidence, model, acting, choosing, measured.weights, around)
+        hypothesis, chosen, close = told_apart(judge, model, effects, around, hypothesis, chosen)
+        chosen, timed = resting.edges(evidence, model, chosen)
+        hypothesis = tuple(
+            trial_at(evidence, a) if edges else c for c, a, edges in zip(hypothesis, chosen.acting, timed, strict=True)
+        )
+        judge.refresh()
+        whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, around)
+        unlikely = _unlikely(evidence, model, measured, chosen) | _unlikely(evidence, model, measured, whole)
+        if not unlikely:
+            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close, usual)
+        pool = [c for c in pool if c.key not in unlikely]
+        hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
+        hypothesis = simplified(hypothesis)
+
+
+def _others(acting: Sequence[Acting], one: Acting) -> list[Acting]:
+    """The other effects that reach more than a joint of their own."""
+    return [a for a in acting if a is not one and a.effect.point in WHOLE]
+
+
+ALIKE = 0.02
+"""Of the load that a gear carries, what must have changed for it to be tried anew."""
+
+
+def _geared(evidence: Evidence, acting: Sequence[Acting], tried: dict[int, list[np.ndarray]]) -> list[Candidate]:
+    """The trials of every gear that might be on a joint where one was found, with what else it was found to carry, if
+    that is another load than it was tried with."""
+    made = []
+    for one in acting:
+        others = _others(acting, one)
+        if one.effect.point == "gear" and one.joint is not None and others:
+            loads = tried.setdefault(one.joint, [load_on(evidence, one.joint)])
+            load = load_on(evidence, one.joint, others)
+            if min(np.std(load - x) for x in loads) < ALIKE * np.std(load):
+                continue
+            loads.append(load)
+            made += [
+                gear_candidate(evidence, c.effect, one.joint, c.shape, others)
+                for c in evidence.candidates
+                if isinstance(c.effect, AbstractGearEffect) and c.joint == one.joint
+            ]
+    return made
+
+
+def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
+    """The effects of a hypothesis with the parameters that its columns have on the data that chose it."""
+    theta = judge.verdict((*hypothesis, *always)).theta
+    return [Acting(c.effect, c.joint, p, c.when) for c, p in read_all(judge.evidence, hypothesis, theta)]
+
+
+CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
+"""Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
+the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it; and
+how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
+
+DROP = 1.1
+"""Of the Coulomb level, what the static one is at least in any gear that has two."""
+
+PERIODS = 1.5
+"""Of a ripple, below which it is no ripple but any bend of the torque over the angle."""
+
+NEARLY = 0.9
+"""Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
+
+
+def _unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
+    """Effects and joints whose parameters came out as no such effect has them."""
+    odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
+    return odd | realisable.beyond(evidence, refined)
+
+
+def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
+    """Whether an effect with these parameters can be told from what only looks like it."""
+    one = refined.acting[place]
+    if one.effect.name == "torque_saturation":
+        return _is_a_limit(evidence, model, measured, refined, place)
+    if one.effect.name == "torque_ripple":
+        return one.parameters["cycles"] * float(np.ptp(evidence.on_rows("q")[:, one.joint])) > 2 * np.pi * PERIODS
+    if one.effect.name == "stribeck_friction":
+        stuck = STICK_TIME * float(
+            np.std(evidence.on_rows("qdd"), axis=0)[one.joint]
+        )  # its speed changes so much meanwhile
+        return one.parameters["velocity"] > stuck and one.parameters["static"] > DROP * one.parameters["coulomb"]
+    return True
+
+
+def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
+    """Whether a saturation is one: the torque that moved the joint stays within its limit, for the nominal model too,
+    and what was asked for beyond is more than what swings on either side of every model."""
+    saturation = refined.acting[place]
+    j, limit = saturation.joint, saturation.parameters["limit"]
+    assert j is not None
+    used = evidence.valid[:, j]
+    others = [a for k, a in enumerate(refined.acting) if k != place]
+    beyond = np.abs(model.residual(others) - model.residual(refined.acting))[used, j]
+    left = refined.residual[used, j]
+    clipped = beyond > CLIPPED * beyond.max()
+    if not 0 < clipped.mean() < SELDOM or np.mean(beyond[clipped] ** 2) < BEYOND**2 * np.mean(left[~clipped] ** 2):
+        return False
+    if np.mean(beyond**2) > PLAIN**2 * np.mean(left**2):
+        return True
+    reach = min(
+        float(np.quantile(np.abs(x[used, j]), 0.99)) for x in (evidence.tau - refined.residual, evidence.nominal)
+    )
+    return limit > 0.75 * reach and limit > 3 * measured.deviation[j]
+
+
+def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
+    """Encoder offsets and base tilts, taken anew at their own sizes, that nearly do what a body or motion effect of the
+    hypothesis does: others bend where their straight line does not."""
+    made: list[Candidate] = []
+    allowed = {c.key for c in pool}
+    bent: dict[tuple, list[Candidate]] = {}
+    for c in judge.evidence.candidates:
+        if c.key in allowed and (c.effect.point == "motion" or c.effect.name == "base_tilt"):
+            bent.setdefault(c.key, []).append(c)
+    now = judge.quick((*always, *hypothesis))[0]
+    for found in hypothesis:
+        for key, trials in bent.items():
+            if found.effect.point not in WHOLE or key == found.key:
+                continue
+            others = (*always, *(e for e in hypothesis if e is not found and e.key != key))
+            without = judge.quick(others)[0]
+            tried: list[tuple[float, Acting]] = []
+            for c in trials:
+                value, theta = judge.quick((*others, c))
+                parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
+                if not c.effect.refuse(parameters) and without - value > NEARLY * (without - now):
+                    tried.append((value, Acting(c.effect, c.joint, parameters)))
+            if tried:
+                made.append(trial_at(judge.evidence, min(tried, key=lambda x: x[0])[1]))
+    return made

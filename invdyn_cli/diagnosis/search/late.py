@@ -1,0 +1,74 @@
+"""Delay or lag: told apart where neither is favoured by noise.
+
+To first order both add time x slope of the torque; the second order tells them, and it is small. A lag's column on the
+measured torque smooths its noise; one on the model's torque carries the noise of positions, thrice differentiated. In
+the lowest part of a joint's band, where the arm moves, both are quiet.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.candidates import trial_at
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search import naming
+from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.search.judge import Hypothesis, Judge
+from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.maths.signals import lowpass, settling
+from invdyn_cli.maths.statistics import autocorrelation_time
+
+SLOW = 0.25
+"""Part of a joint's band in which delay and lag are told apart."""
+
+LATE = {"torque_delay": ("delay", "actuator_lag"), "actuator_lag": ("time_constant", "torque_delay")}
+"""Delay and lag: each one's parameter, and the other one."""
+
+
+def told_apart(
+    judge: Judge,
+    model: Model,
+    effects: Mapping[str, AbstractEffect],
+    always: Hypothesis,
+    hypothesis: Hypothesis,
+    chosen: Refined,
+) -> tuple[Hypothesis, Refined, dict[tuple[str, int | None], bool]]:
+    """Delays and lags decided by their formulas on the model's torque, where a lag does not smooth the noise of the
+    measured one: the better one of both, and whether the other does as well."""
+    close: dict[tuple[str, int | None], bool] = {}
+    evidence, rows = judge.evidence, judge.rows
+    for i, one in enumerate(chosen.acting):
+        if one.effect.name not in LATE or LATE[one.effect.name][1] not in effects:
+            continue
+        name, other = LATE[one.effect.name]
+        swapped = replace(one, effect=effects[other], parameters={LATE[other][0]: one.parameters[name]})
+        others = chosen.acting[:i], chosen.acting[i + 1 :]
+        trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
+        assert one.joint is not None
+        slow = [_slow(evidence, x, one.joint)[rows] for x in (trial, chosen)]
+        best = min(slow, key=lambda x: float(x @ x))
+        unit = float(np.mean(best**2)) * autocorrelation_time(best)  # of a loss: noise variance x correlation time
+        numbers, of = np.unique(evidence.block[rows], return_inverse=True)
+        losses = [np.bincount(of, x**2, len(numbers)) for x in slow]
+        step = (losses[0] - losses[1]) / max(unit, 1e-300)
+        if step.sum() < 0:
+            chosen, step = trial, -step
+            candidate = trial_at(evidence, trial.acting[i])
+            judge.refresh()
+            hypothesis = (*hypothesis[:i], candidate, *hypothesis[i + 1 :])
+        close[hypothesis[i].key] = naming.chance(step, 0.0) > naming.DOUBT
+    return hypothesis, chosen, close
+
+
+def _slow(evidence: Evidence, refined: Refined, joint: int) -> np.ndarray:
+    """(R,) a joint's residual in the lowest part of its band. A lag's column carries the slope of the model's torque,
+    and with it the noise of positions thrice differentiated, which a delay's does not; down there both are quiet."""
+    rate = evidence.recording.filter.rate / evidence.recording.filter.keep
+    cutoff = min(SLOW * evidence.recording.filter.cutoffs[joint], 0.45 * rate)
+    out = np.zeros(len(refined.residual))
+    for number in np.unique(evidence.piece):
+        at = evidence.piece == number
+        x = refined.residual[at, joint] * evidence.valid[at, joint]
+        out[at] = lowpass(x, rate, cutoff) if len(x) > settling(rate, cutoff) else 0.0
+    return out

@@ -1,0 +1,173 @@
+"""Before a name is given: every rival has tried to take its place, and what is left unexplained must not outweigh it.
+
+A rival does as well if the held-out loss with it in the effect's place is within the noise of that with the effect. The
+noise is that of the difference, block by block, so that what both leave alike does not count (Vuong 1989).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge, parameters_of, strain
+from invdyn_cli.diagnosis.search.steps import clash, free_beside
+from invdyn_cli.interfaces import Parameters
+
+DOUBT = 0.005
+"""Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
+
+SURE = 4.0
+"""Standard errors by which a general case must do better than the special one: its bolder shape bends to much else."""
+
+LEAST_DIFFERENCE = 10.0
+"""And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
+
+UNDENIED, CONTRADICTED = 100.0, 0.03
+"""Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
+
+MEMORY, LAGS = 0.8, 6
+"""Of 1 / cut-off: how long a low-pass remembers noise; and how many times that is looked at: something structured comes
+back within it, if only as its opposite."""
+
+TYPICAL_STRIBECK = 1.3
+"""Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
+
+TYPICAL_VELOCITY = 0.028
+"""[rad/s] Stribeck velocity to try it at."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, and
+    the parameters that it then has."""
+
+    candidate: Candidate
+    excess: float
+    error: float
+    equal: bool
+    why: str
+    parameters: Parameters
+
+
+def simplified(
+    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate], usual: Hypothesis = ()
+) -> Hypothesis:
+    """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
+    simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
+    being part of it."""
+    simpler = _simplified(judge, always, hypothesis, [*pool, *usual])
+    return tuple(c for c in simpler if not any(c is u for u in usual))
+
+
+def _simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+    for i, general in enumerate(hypothesis):
+        for c in pool:
+            if clash(general, c) and not any(c.key == e.key for e in hypothesis):
+                simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
+                step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
+                extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
+                unsure = step.sum() + extra < SURE * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
+                if unsure or chance(step, extra) > DOUBT:
+                    return _simplified(judge, always, simpler, pool)
+        if general.effect.name == "link_inertia_error":  # ten coefficients do what fewer of another effect do as well
+            for rival in rivals(judge, always, hypothesis, i, pool):
+                if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
+                    return _simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
+    return hypothesis
+
+
+def rivals(
+    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
+) -> list[Rival]:
+    """The best trial of every other effect in the place of one, by effect and joint, the strongest first."""
+    now = judge.verdict(always + hypothesis)
+    own, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
+    without = judge.verdict(always + others)
+    whole = float(np.sum(without.blocks - now.blocks))
+    mine = judge.by_row(always + hypothesis)
+    best: dict[tuple, tuple[float, Candidate]] = {}
+    # what another joint alone feels is no rival
+    free = [c for c in free_beside(others, pool) if c.key[:2] != own.key[:2]]
+    near = [c for c in free if not c.columns.keys().isdisjoint(own.columns)]
+    for value, c in zip(judge.extended((*always, *others), near)[0], near, strict=True):
+        value = float(value) - judge.price((c,)) + PRICE_OF_COEFFICIENT * judge.freedom(c)
+        if c.key not in best or value < best[c.key][0]:
+            best[c.key] = value, c
+    made = []
+    for _, c in sorted(best.values(), key=lambda x: x[0])[:12]:
+        other = judge.verdict((*always, *others, c))
+        # what a rival gains on joints that the effect does not touch is not to its credit
+        rows = judge.by_row((*always, *others, c)) - mine
+        elsewhere = [j for j in range(len(rows)) if j not in own.columns]
+        step = other.blocks - now.blocks - sum(np.minimum(rows[j].sum(), 0.0) / rows.shape[1] for j in elsewhere)
+        dearer = strain(always, other.theta) - strain(always, now.theta)
+        excess = float(step.sum() + dearer + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
+        error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
+        refused = judge.refused((*always, *others, c), other.theta)
+        equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
+        share = 1 - float(step.sum()) / whole if whole > 0 else 0.0
+        why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} does on held-out data"
+        if refused:
+            why, equal = f"{refused} (it {why})", False
+        elif equal and clash(c, own):
+            why, equal = f"is the general case, and the data ask for no more than {own.effect.title}", False
+        elif not equal:
+            why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
+        parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
+        made.append(Rival(c, excess, error, equal, why, parameters))
+    return made
+
+
+def chance(step: np.ndarray, extra: float) -> float:
+    """Share of draws of as many blocks, with replacement, on which a rival is as good (bootstrap, fixed draws)."""
+    if undenied(step, extra):
+        return 0.0
+    draws = np.random.default_rng(0).integers(len(step), size=(4000, len(step)))
+    return float(np.mean(step[draws].sum(1) + extra < LEAST_DIFFERENCE))
+
+
+def undenied(step: np.ndarray, extra: float) -> bool:
+    """Whether what comes up in few blocks is contradicted by none: many draws would miss it, and it is sure."""
+    against = -np.minimum(step, 0).sum()
+    return bool(step.sum() + extra > UNDENIED and against < CONTRADICTED * np.maximum(step, 0).sum())
+
+
+def blind_to_stribeck(
+    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
+) -> bool:
+    """Whether an ordinary drop of friction with speed could hide behind a Coulomb friction on this log."""
+    own = hypothesis[place]
+    if own.effect.name != "coulomb_friction":
+        return False
+    trials = [c for c in pool if c.key == ("stribeck_friction", own.joint)]
+    if not trials:
+        return False
+    typical = min(trials, key=lambda c: abs(np.log(c.shape["velocity"] / TYPICAL_VELOCITY)))
+    _, r, normal = judge.sums((*always, *hypothesis[:place], *hypothesis[place + 1 :], typical))
+    k = len(typical.precision)
+    total = normal.sum(0) + 1e-9 * np.diag(np.diag(normal.sum(0)))
+    theta = np.linalg.lstsq(total, r.sum(0), rcond=None)[0]
+    variance = np.linalg.pinv(total)
+    coulomb, drop = theta[-k], theta[-k + 1]
+    error = np.sqrt(max(variance[-k + 1, -k + 1], 0))
+    return bool(drop + 2 * error > (TYPICAL_STRIBECK - 1) * coulomb)
+
+
+def structure(evidence: Evidence, residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Variance (n,) of what is not noise in a residual (R, n): its largest autocovariance, of either sign, beyond the
+    memory of the joint's own filter, and beyond what white noise has there by chance."""
+    filter, piece = evidence.recording.filter, evidence.piece
+    out = np.zeros(residual.shape[1])
+    for j in range(len(out)):
+        used = valid[:, j]
+        if used.sum() < 50:
+            continue
+        x = np.where(used, residual[:, j] - np.mean(residual[used, j]), 0.0)
+        first = int(np.ceil(MEMORY * filter.rate / filter.keep / filter.cutoffs[j]))
+        by_chance = 3 * np.mean(x[used] ** 2) / np.sqrt(used.sum() / max(first / 2, 1))
+        for lag in range(first, LAGS * first + 1):
+            both = used[lag:] & used[:-lag] & (piece[lag:] == piece[:-lag])
+            if both.sum() > 20:
+                out[j] = max(out[j], abs(float(np.mean(x[lag:][both] * x[:-lag][both]))) - by_chance)
+    return out

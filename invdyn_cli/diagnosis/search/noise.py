@@ -1,0 +1,135 @@
+"""What is noise: the residual of a model that may use every column at once, joint by joint; and hidden regularities in
+it that no list of trials can name, the ripples."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from invdyn_cli.diagnosis.columns.candidates import torque_candidate
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.maths import ripple
+from invdyn_cli.maths.statistics import autocorrelation_time
+
+FLOOR = 5e-4
+"""Share of a joint's RMS torque (or of a fifth of the strongest joint's) below which nothing is known: interpolation,
+clocks and rounding of a log."""
+
+MOVES = 0.05
+"""Share of the rows on which a joint must move to be judged: one that is held still says nothing but its noise."""
+
+RIDGE = 1e-10
+"""Of the mean square of all columns: what tells those that say the same from none at all."""
+
+STRETCHES, PLAINLY = 4, 0.5
+"""Of time, one of which is quiet if something comes or goes; and what share of the noise of all of them is less."""
+
+PEAKS = 3
+PEAK = 20.0
+"""Ripples that are taken up as candidates: so many of the highest lines, at least so many noise variances high: of a
+thousand lines in white noise one in twenty logs has one."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Per joint: standard deviation of the residual's noise on filtered rows [N m; N], its autocorrelation time in
+    rows, and the residual (R, n) of the model that may use everything."""
+
+    deviation: np.ndarray
+    time: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def weights(self) -> np.ndarray:
+        """1 / (variance x autocorrelation time), (n,); 0 for a joint that never moves."""
+        return np.where(self.deviation > 0, 1 / np.maximum(self.deviation**2 * self.time, 1e-300), 0.0)
+
+
+def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
+    """The noise of the chosen rows (R,) bool."""
+    n = evidence.dofs
+    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
+    deviation, time, residual = np.zeros(n), np.ones(n), np.zeros(evidence.tau.shape)
+    for j in range(n):
+        used = rows & evidence.valid[:, j]
+        if used.sum() < max(50, MOVES * rows.sum()):
+            continue
+        columns = sorted({i for c in evidence.candidates if _plain(c, j) for i in _free(c, j)})
+        x, y = evidence.tables[j][:, columns], evidence.tables[j][:, 0]
+        scale = np.sqrt(np.mean(x[used] ** 2, axis=0))
+        x = x[:, scale > 0] / scale[scale > 0]
+        # the channel may be at fault as well: the trial that leaves least counts
+        trials = [c for c in evidence.candidates if c.effect.point == "channel" and j in c.columns and c.columns[j][0]]
+        targets = y[:, None] - evidence.tables[j][:, [0, *(c.columns[j][0][0] for c in trials)]] * (
+            np.arange(len(trials) + 1) > 0
+        )
+        normal = x[used].T @ x[used]
+        least = RIDGE * np.trace(normal) / max(len(normal), 1)
+        inverse = linalg.inv(normal + least * np.eye(len(normal)), assume_a="pos")
+        left = targets - x @ (inverse @ (x[used].T @ targets[used]))
+        freedom = len(normal) - least * np.trace(inverse)
+        loud = np.array([1.0, *(max(1 - c.quiet, 0.05) for c in trials)])
+        spread = np.sum(left[used] ** 2, axis=0) / max(used.sum() - freedom, 1) / loud
+        best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread))
+        residual[:, j] = left[:, best]
+        variance = spread[best]
+        deviation[j] = np.sqrt(variance + (FLOOR * max(strongest[j], strongest.max() / 5)) ** 2)
+        time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
+    return Noise(deviation, time, residual)
+
+
+def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
+    """The noise of the chosen rows (R,) bool when something may have come or gone meanwhile: of every joint, that of
+    the quietest stretch of time, if it is plainly less than that of all of them; the residual is that of all."""
+    quietest = measure(evidence, rows)
+    for own in np.array_split(np.flatnonzero(rows), STRETCHES):
+        stretch = np.zeros_like(rows)
+        stretch[own] = True
+        one = measure(evidence, stretch)
+        better = (one.deviation > 0) & (one.deviation < PLAINLY * quietest.deviation)
+        deviation = np.where(better, one.deviation, quietest.deviation)
+        quietest = replace(quietest, deviation=deviation, time=np.where(better, one.time, quietest.time))
+    return quietest
+
+
+def _plain(candidate: Candidate, joint: int) -> bool:
+    """Whether a candidate belongs to the model that may use everything: all but the many trials of one effect."""
+    if joint not in candidate.columns:
+        return False
+    name, shape = candidate.effect.name, candidate.shape
+    if candidate.effect.point == "gear":
+        return candidate.joint == joint
+    if name == "stribeck_friction":
+        return 0.02 < shape["velocity"] < 0.1
+    return name not in ("torque_delay", "actuator_lag", "torque_saturation")  # their columns hold the noise itself
+
+
+def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
+    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
+    fixed, free = candidate.columns[joint]
+    return fixed if candidate.effect.point == "gear" else free
+
+
+def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
+    """Candidates for every line that stands out in the residual over a joint's angle."""
+    made = []
+    angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
+    for j in range(evidence.dofs):
+        used = rows & evidence.valid[:, j]
+        if used.sum() < 50 or not noise.deviation[j]:
+            continue
+        q, qd = angle[used, j], speed[used, j]
+        if not np.ptp(q) > 0.05:
+            continue
+        passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
+        grid = ripple.grid(q, effect.most)
+        power = ripple.power(noise.residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
+        for _ in range(PEAKS):
+            best = int(np.argmax(power)) if len(power) else 0
+            if not len(power) or power[best] < PEAK:
+                break
+            cycles, _ = ripple.sharpened(noise.residual[used, j], q, float(grid[best]), **passed)
+            made.append(torque_candidate(evidence, effect, j, {"cycles": cycles}))
+            power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
+    return made

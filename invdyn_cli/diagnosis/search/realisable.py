@@ -1,0 +1,214 @@
+"""Bodies that can be: payloads and changed links that were found, moved to inertials that some body has, and a word
+where the data wanted otherwise.
+
+A log shows a few combinations of a link's ten parameters; the rest is free, and what a fit leaves there is rarely a
+body. The freedom is used first. Where it does not suffice, the misfit rises; by more than chance, it is said.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.exact import Model, Refined, moved, precision_of
+from invdyn_cli.diagnosis.search.judge import RELEVANT
+from invdyn_cli.maths import pseudo_inertia
+from invdyn_cli.maths.pseudo_inertia import consistent
+
+LOADS = ("payload", "payload_change")
+BODIES = (*LOADS, "link_inertia_error")
+
+CHANCE = 1e-3
+"""How often a fit of true inertials wants other ones by more than the cost from which it is said."""
+
+SEEN = 1.0
+"""Times what was known beforehand, above which the data show a combination of parameters."""
+
+LIGHT = 1e-3
+"""Share of the arm's mass below which a link of the URDF is a stand-in that says nothing of the real one."""
+
+FAR = 100.0
+"""Times what chance would cost, above which inertials that no body has are no wrong inertials: the weights of noise may
+be off by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
+
+SURE = 2.0
+"""Standard errors by which a mass is below zero to be said so."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A payload, or a link with its change.
+
+    Attributes:
+        name: what a sentence calls it.
+        places: (10,) where its coordinates stand among all refined ones.
+        base: (10,) the row that they are added to: none for a payload, the link's nominal one.
+        reference: (10,) the body that it is taken for where the data show nothing.
+    """
+
+    name: str
+    places: np.ndarray
+    base: np.ndarray
+    reference: np.ndarray
+
+
+def realisable(
+    evidence: Evidence, model: Model, refined: Refined, names: Sequence[str]
+) -> tuple[Refined, tuple[str, ...]]:
+    """The refined effects with payloads and links that can be, and a sentence for each that the data wanted otherwise.
+
+    A body that can be already stays, and nothing moves where all can. Other effects go with the bodies that move as far
+    as the data tie them. A link that is no body in the URDF already may stay so by as much: what is changed is the
+    nearest body.
+
+    Args:
+        names: of the links, (n,).
+    """
+    bodies, notes = _bodies(evidence, refined, names)
+    after, moving = refined, [False] * len(bodies)
+    while True:
+        impossible = [not _can_be(after, body) for body in bodies]
+        if not any(i and not m for i, m in zip(impossible, moving, strict=True)):
+            break
+        moving = [i or m for i, m in zip(impossible, moving, strict=True)]
+        after, said = _moved(evidence, model, refined, [b for b, m in zip(bodies, moving, strict=True) if m])
+    return after, (notes + said if any(moving) else notes)
+
+
+def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
+    """Links (the keys of their effects) that the data want to be what no body is, by far more than chance: something
+    else looks like them. A payload may be less than none: then the last link is lighter than its model."""
+    found = set()
+    for body in _bodies(evidence, refined, evidence.robot.joints)[0]:
+        one = refined.acting[refined.labels[body.places[0]][0]]
+        if one.effect.name in LOADS or _can_be(refined, body):
+            continue
+        wanted, known, beforehand = _known(evidence, refined, [body])
+        _, cost, chance = _change(body.reference[None], wanted, known, beforehand)
+        if cost > FAR * chance:
+            found.add(one.key)
+    return found
+
+
+def _moved(
+    evidence: Evidence, model: Model, refined: Refined, bodies: Sequence[Body]
+) -> tuple[Refined, tuple[str, ...]]:
+    """The refined effects with these bodies moved to where they can be, and what is to be said of it."""
+    at = np.concatenate([b.places for b in bodies])
+    reference = np.array([b.reference for b in bodies])
+    wanted, known, beforehand = _known(evidence, refined, bodies)
+    change, cost, chance = _change(reference, wanted, known, beforehand)
+    move = change @ np.linalg.lstsq(refined.unknown[:, at], refined.unknown, rcond=None)[0]
+    move[at] = change
+    after = moved(evidence, model, refined, move)
+    if not _matters(evidence, refined, after):
+        return after, ()
+    said = []
+    for i, body in enumerate(bodies):
+        own = slice(10 * i, 10 * i + 10)
+        _, alone, by_chance = _change(reference[[i]], wanted[[i]], _alone(known, own), beforehand[own])
+        if alone > by_chance:
+            said.append(_sentence(evidence, refined, after, [body], alone, by_chance))
+    if not said and cost > chance:
+        said.append(_sentence(evidence, refined, after, bodies, cost, chance))
+    return after, tuple(said)
+
+
+def _known(evidence: Evidence, refined: Refined, bodies: Sequence[Body]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The wanted rows (n, 10) of bodies, their inverse covariance (10 n, 10 n), and what was known of them beforehand
+    (10 n,)."""
+    at = np.concatenate([b.places for b in bodies])
+    # the rows of `unknown` are a root of the covariance, in which all that is no body of these is marginalised
+    root = np.linalg.inv(np.linalg.qr(refined.unknown[:, at], mode="r"))
+    wanted = np.array([_row(refined, b) for b in bodies])
+    return wanted, root @ root.T, precision_of(evidence, refined.acting, refined.labels)[at]
+
+
+def _change(
+    reference: np.ndarray, wanted: np.ndarray, known: np.ndarray, beforehand: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """What bodies (n, 10) change by to be some (10 n,), what that costs in noise variances, and what it costs at most
+    but for a share CHANCE of true bodies: the truth can be, so that the best fit that can is no farther from the free
+    one than the truth is (chi-square of what the data show).
+
+    Args:
+        known: (10 n, 10 n) inverse covariance of the wanted rows, with what was known `beforehand` (10 n,).
+    """
+    change = (consistent(reference, wanted, known).rows - wanted).ravel()
+    unit = np.sqrt(beforehand)
+    values, vectors = np.linalg.eigh(known / np.outer(unit, unit))
+    shown = np.maximum(values - 1, 0)  # what the data say themselves
+    freedom = max(int(np.sum(shown > SEEN)), 1)
+    return change, float(shown @ ((unit * change) @ vectors) ** 2), float(stats.chi2.ppf(1 - CHANCE, freedom))
+
+
+def _matters(evidence: Evidence, before: Refined, after: Refined) -> bool:
+    """Whether the torque of a joint is another one by more than an honest log leaves."""
+    change, tau = (np.mean(x**2, axis=0) for x in (after.residual - before.residual, evidence.tau))
+    return bool(np.any(change > RELEVANT**2 * tau))
+
+
+def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple[list[Body], tuple[str, ...]]:
+    """The bodies among refined effects, and a note for each whose URDF has none."""
+    bodies, notes = [], []
+    nominal = np.asarray(evidence.robot.inertial)
+    for number, one in enumerate(refined.acting):
+        if one.effect.name not in BODIES:
+            continue
+        places = np.array([k for k, (of, name, _) in enumerate(refined.labels) if of == number and not name])
+        if one.effect.name in LOADS:
+            mass, *moment = refined.theta[places[:4]]
+            ball = pseudo_inertia.ball(abs(mass), np.array(moment) / mass)
+            bodies.append(Body("the payload", places, np.zeros(10), ball))
+            continue
+        assert one.joint is not None
+        own, name = nominal[one.joint], names[one.joint]
+        base = pseudo_inertia.realisable(own)
+        if not pseudo_inertia.is_realisable(own):
+            notes.append(
+                f"The URDF's own inertials of {name} are those of no body; what was found is taken for a change of the "
+                "nearest ones that a body can have, and the link stays as far from these as it is."
+            )
+        like = own if own[0] > LIGHT * nominal[:, 0].sum() else base + refined.theta[places]
+        bodies.append(Body(name, places, base, pseudo_inertia.realisable(like, pseudo_inertia.ROUND)))
+    return bodies, tuple(notes)
+
+
+def _row(refined: Refined, body: Body) -> np.ndarray:
+    return body.base + refined.theta[body.places]
+
+
+def _can_be(refined: Refined, body: Body) -> bool:
+    return pseudo_inertia.is_realisable(_row(refined, body))
+
+
+def _alone(information: np.ndarray, own: slice) -> np.ndarray:
+    """Information on one body, the others being anything (Schur's complement)."""
+    other = np.ones(len(information), bool)
+    other[own] = False
+    if not other.any():
+        return information
+    cross = information[other][:, own]
+    return information[own, own] - cross.T @ np.linalg.lstsq(information[np.ix_(other, other)], cross, rcond=1e-12)[0]
+
+
+def _sentence(
+    evidence: Evidence, before: Refined, after: Refined, bodies: Sequence[Body], cost: float, chance: float
+) -> str:
+    """That bodies were wanted to be what they cannot, and what it costs that they are not."""
+    rows = np.maximum(evidence.valid.sum(0), 1)
+    free, bound = (np.sum((x.residual * evidence.valid) ** 2, axis=0) / rows for x in (before, after))
+    worst = int(np.argmax(bound - free))
+    why = ""
+    for body in bodies:
+        mass, error = _row(before, body)[0], float(np.linalg.norm(before.unknown[:, body.places[0]]))
+        if mass < -SURE * error:
+            why = f" (a mass of {mass:.3g} ± {SURE * error:.1g} kg)"
+    return (
+        f"The data want inertials of {' and '.join(b.name for b in bodies)} that no body has{why}; the nearest that "
+        f"one can have cost {cost:.3g} noise variances, chance at most {chance:.3g}: RMSE {bound[worst] ** 0.5:.3g} "
+        f"instead of {free[worst] ** 0.5:.3g} N m on {evidence.robot.joints[worst]}. Something else may be at work "
+        "that looks like it."
+    )

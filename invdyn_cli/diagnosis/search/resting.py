@@ -1,0 +1,116 @@
+"""Edges of windows while the arm rests: friction bears whatever it can, no row counts, and an edge is known by what
+friction cannot bear.
+
+At rest a joint's torque less that of the links is between the levels of its friction. Before a load comes this holds
+without it, and afterwards with it; where one of them would ask more of the friction than it has, the edge is not there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.candidates import passing_columns, passing_torque
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.exact import EDGES, Model, Refined, coordinates
+from invdyn_cli.effects.composition import Acting, joint_terms
+from invdyn_cli.interfaces import AbstractChannelEffect, JointState
+
+SHORTEST = 0.05
+"""[s] of a rest that hides an edge: shorter ones are bridged by the rows on either side."""
+
+BEYOND = 9.0
+"""Noise variances more than at the best place, by which an edge is not at another: three standard errors."""
+
+ANSWER = 0.05
+"""[s] until a controller has caught what friction no longer bears: an edge is so much earlier than its sign."""
+
+MARGIN = 0.1
+"""Share of a friction by which it may bear more at rest than it costs in motion."""
+
+
+def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, list[dict[str, tuple]]]:
+    """The same with every edge that falls into a rest in the middle of where it can be; and for each effect {edge:
+    (value, lower, upper)} of these."""
+    acting, known, left = list(refined.acting), [{} for _ in refined.acting], _left(evidence, refined)
+    for i, one in enumerate(refined.acting):
+        if one.when is None or isinstance(one.effect, AbstractChannelEffect):
+            continue
+        columns = passing_columns(evidence, one.effect, one.joint, None)
+        always = np.tensordot(_factors(evidence, one), columns, 1).T
+        telling = np.any(evidence.valid & (np.abs(always) > left), axis=1)
+        for edge in EDGES:
+            rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
+            if rest is not None:
+                low, high = _bearable(evidence, model, refined, i, edge, *rest)
+                at_end = [x for x in ends if low <= x <= high]  # what may have been there from the start, or still is
+                known[i][edge] = (at_end[0] if at_end else (low + high) / 2, low, high)
+        when = one.when._replace(**{edge: value for edge, (value, *_) in known[i].items()})
+        acting[i] = replace(one, when=when)
+    return replace(refined, acting=tuple(acting)), known
+
+
+def _left(evidence: Evidence, refined: Refined) -> np.ndarray:
+    """RMS (n,) [N m; N] of what is left on the rows that count."""
+    used = evidence.valid
+    return np.sqrt(np.sum(refined.residual**2 * used, axis=0) / np.maximum(used.sum(axis=0), 1))
+
+
+def _rest(
+    evidence: Evidence, one: Acting, edge: float, telling: np.ndarray
+) -> tuple[tuple[float, float] | None, tuple[float, float]]:
+    """From when to when [s] no row of a trajectory tells of what comes or goes, around an edge; None: they do. And the
+    trajectory's ends."""
+    assert one.when is not None
+    pieces = [p for p in evidence.recording.pieces if p.trajectory == one.when.trajectory]
+    ends = float(min(p.t[0] for p in pieces)), float(max(p.t[-1] for p in pieces))
+    names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    row = evidence.recording.filter.keep / evidence.recording.filter.rate
+    t = evidence.on_rows("t")[telling & (names == one.when.trajectory)]
+    for start, end in pairwise([ends[0], *t, ends[1]]):
+        if end - start > SHORTEST and start - 2 * row <= edge <= end + 2 * row:
+            return (float(start), float(end)), ends
+    return None, ends
+
+
+def _bearable(
+    evidence: Evidence, model: Model, refined: Refined, place: int, edge: str, start: float, end: float
+) -> tuple[float, float]:
+    """From when to when [s] within a rest an edge asks no more of any joint's friction than it can bear."""
+    one, others = refined.acting[place], [a for k, a in enumerate(refined.acting) if k != place]
+    assert one.when is not None
+    left = _left(evidence, refined)
+    loads = passing_torque(evidence, replace(one, when=None), _factors(evidence, one))
+    bare = [model.unfiltered([a for a in others if a.effect.point != "torque"], j) for j in range(evidence.dofs)]
+    times, asked = [], []
+    for number, piece in enumerate(evidence.recording.pieces):
+        at = (piece.t >= start) & (piece.t <= end) & (piece.trajectory == one.when.trajectory)
+        if not at.any():
+            continue
+        borne = np.array([x[number] for x in bare])
+        low, high = np.array([_levels(others, j, s) for j, s in enumerate(evidence.states[number])]).swapaxes(0, 1)
+        noise = np.hypot(left, 1.05 * np.median(np.abs(np.diff(borne)), axis=1))[:, None]  # white noise, its answer too
+        slack = MARGIN * (high - low) / 2 + 2 * left[:, None]
+        over = [np.maximum(np.maximum(x - high, low - x) - slack, 0.0) / noise for x in (borne, borne - loads[number])]
+        times.append(piece.t[at])
+        asked.append(np.sum(np.square(over)[:, :, at], axis=1))
+    if not times:  # a gap of the log
+        return start, end
+    t, (before, after) = np.concatenate(times), np.concatenate(asked, axis=1)[:: 1 if edge == "start" else -1]
+    cost = np.append(0.0, np.cumsum(before)) + np.append(np.cumsum(after[::-1])[::-1], 0.0)
+    possible = np.flatnonzero(cost <= cost.min() + BEYOND)  # the k-th: between the samples before and at k
+    low, high = np.append(start, t)[possible[0]] - ANSWER, np.append(t, end)[possible[-1]]
+    return float(max(start, low)), float(min(end, high + 1 / evidence.recording.filter.rate))
+
+
+def _levels(acting: Sequence[Acting], joint: int, state: JointState) -> tuple[np.ndarray, np.ndarray]:
+    """(T,) each: the least and the most of a joint's friction, springs and offsets, whichever way it is pushed."""
+    either_way = [state._replace(sign=0 * state.qd + sign) for sign in (-1.0, 1.0)]
+    levels = np.array([0 * state.qd + sum(joint_terms(acting, joint, x)) for x in either_way])
+    return levels.min(axis=0), levels.max(axis=0)
+
+
+def _factors(evidence: Evidence, one: Acting) -> np.ndarray:
+    """What its columns are multiplied by."""
+    return np.array(coordinates(evidence, one))

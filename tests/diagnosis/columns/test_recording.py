@@ -1,0 +1,168 @@
+"""A log made ready: nothing is invented by a filter, a clock, or the other half of the data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from invdyn_cli.diagnosis.columns.evidence import filtered
+from invdyn_cli.errors import LogError
+from invdyn_cli.logfile import RawTrajectory
+from tests.diagnosis.analytic import arm, column, evidence_of, log_of, moved, on, raw, recording_of
+from tests.diagnosis.sick import motion
+
+FRICTION = on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd) + 0.5 * qd)
+
+
+def least_squares(columns: list[np.ndarray], y: np.ndarray) -> np.ndarray:
+    return np.linalg.lstsq(np.column_stack(columns), y)[0]
+
+
+@pytest.mark.parametrize("cutoff", [5.0, 20.0])
+def test_torque_and_columns_pass_one_filter(cutoff):
+    """Coulomb 2.0 and viscous 0.5 without noise come out within 0.1 % (DESIGN, section 7.2), whatever the cut-off; with
+    the sign of the filtered velocity beside the filtered torque the Coulomb friction is off by ten times that."""
+    names = ["coulomb_friction", "viscous_friction"]
+    evidence = evidence_of(log_of(raw(*moved(rate=1000.0), FRICTION)), names, cutoffs=(cutoff,))
+    y = evidence.tables[1][:, 0]
+    got = least_squares([column(evidence, x, 1) for x in names], y)
+    np.testing.assert_allclose(got, [2.0, 0.5], rtol=1e-3)
+    speed = filtered(evidence.recording, [s[1].qd for s in evidence.states], 1)
+    wrong = least_squares([np.sign(speed), speed], y)
+    assert abs(wrong[0] - 2.0) > 0.02
+
+
+def test_derivatives_are_those_of_the_motion():
+    """Velocities and accelerations of a noise-free log are the analytic ones to 1e-4 inside, from positions alone."""
+    t, m = moved(rate=1000.0)
+    for piece in recording_of(log_of(raw(t, m))).pieces:
+        rows = np.searchsorted(t, piece.t - 1e-6)[100:-100]
+        for got, true in ((piece.qd, m.qd), (piece.qdd, m.qdd)):
+            assert np.abs(got[:, 100:-100] - true[rows].T).max() < 1e-4 * np.abs(true).max()
+
+
+def test_roles_do_not_mix():
+    """Whatever stands in the part that judges, every number of the part that chooses is the same, and no time is in
+    both."""
+    t, m = moved()
+    good = raw(t, m, FRICTION)
+    bad = replace(good, tau=np.where(t[:, None] < 28.0, good.tau, 100.0), q=np.where(t[:, None] < 28.0, good.q, 0.0))
+    windows = {"train": [("run", -np.inf, 28.0)], "test": [("run", 28.0, np.inf)]}
+    one, other = (recording_of(log_of(x), windows, cutoffs=(10.0,)).pieces for x in (good, bad))
+    assert [p.role for p in one] == ["train", "test"]
+    for name in ("t", "q", "qd", "qdd", "tau"):
+        assert np.array_equal(getattr(one[0], name), getattr(other[0], name))
+    assert one[0].t[-1] < one[1].t[0]
+
+
+def test_the_first_share_of_every_trajectory_chooses():
+    """Without windows the first 70 % of each trajectory's time chooses and the rest judges."""
+    twice = log_of(raw(*moved(seconds=20)), replace(raw(*moved(seconds=30)), name="more"))
+    pieces = recording_of(twice).pieces
+    assert [(p.trajectory, p.role) for p in pieces] == [
+        ("run", "train"), ("run", "test"), ("more", "train"), ("more", "test"),
+    ]  # fmt: skip
+    np.testing.assert_allclose([len(p.t) / 250 for p in pieces], [14, 6, 21, 9], atol=0.02)
+
+
+def test_a_gap_parts_a_trajectory():
+    """A step of more than 0.1 s ends a piece: nothing is interpolated over it."""
+    one = raw(*moved())
+    kept = (one.t < 10.0) | (one.t > 10.3)
+    cut = replace(one, t=one.t[kept], q=one.q[kept], tau=one.tau[kept])
+    pieces = recording_of(log_of(cut)).pieces
+    assert [p.role for p in pieces] == ["train", "train", "test"]
+    assert not any(p.t[0] < 10.1 < p.t[-1] for p in pieces)
+
+
+def test_a_jittered_clock_is_made_even():
+    """Samples at uneven times give the same motion on an even clock, to 1e-5 rad, and the torque of even ones to 2 % of
+    its peak (between samples it is a straight line)."""
+    t, _ = moved()
+    draw = np.random.default_rng(0)
+    uneven = t + 0.0005 * draw.uniform(-1, 1, len(t))
+    pieces = [recording_of(log_of(raw(x, motion(arm(), x, 0))), cutoffs=(10.0,)).pieces[0] for x in (t, uneven)]
+    assert np.ptp(np.diff(pieces[1].t)) < 1e-9
+    shared = slice(100, min(len(p.t) for p in pieces) - 100)
+    even = motion(arm(), uneven[0] + pieces[1].t, 0)
+    assert np.abs(pieces[1].q - even.q.T)[:, shared].max() < 1e-5
+    assert np.abs(pieces[1].tau[:, shared] - pieces[0].tau[:, shared]).max() < 0.02 * np.abs(pieces[0].tau).max()
+
+
+@pytest.mark.parametrize("answer", [0.0, 300.0])
+def test_noise_is_told_at_the_log_s_own_rate(answer):
+    """Both standard deviations come out within 10 %, a feedback of 300 N m/rad on the noise of the positions or not."""
+    t, m = moved()
+    one = raw(t, m, torque=0.05, position=5e-5)
+    log = log_of(replace(one, tau=one.tau - answer * (one.q - m.q)))
+    recording = recording_of(log)
+    np.testing.assert_allclose(recording.position_noise, 5e-5, rtol=0.1)
+    np.testing.assert_allclose(recording.torque_noise, 0.05, rtol=0.1)
+
+
+def test_the_cut_off_falls_with_the_noise_of_positions():
+    """The noisier the encoders, the lower every joint's cut-off; without noise it is the highest of the list."""
+    levels = [
+        recording_of(log_of(raw(*moved(seconds=20), torque=0.02, position=x))).filter.cutoffs
+        for x in (0.0, 1e-6, 1e-5, 1e-4, 1e-3)
+    ]
+    assert levels[0] == (40.0,) * 3
+    assert np.all(np.diff(levels, axis=0) <= 0)
+    assert max(levels[-1]) < min(levels[0]) / 4
+
+
+def test_the_filter_is_the_one_that_it_says():
+    """A zero-phase Butterworth of order 4 at the joint's own cut-off: the same as SciPy's on the whole piece."""
+    recording = recording_of(log_of(raw(*moved(seconds=20))), cutoffs=(8.0,))
+    common, piece = recording.filter, recording.pieces[0]
+    wanted = sosfiltfilt(butter(4, 8.0, fs=250.0, output="sos"), piece.tau, axis=1)[:, common.rows(len(piece.t))]
+    np.testing.assert_allclose(common(piece.tau), wanted, atol=0.01 * np.abs(wanted).max())
+    inner = slice(20, -20)
+    np.testing.assert_allclose(common(piece.tau)[:, inner], wanted[:, inner], atol=1e-6 * np.abs(wanted).max())
+
+
+def test_of_a_long_log_stretches_are_looked_at():
+    """Of 60 s with at most 20 s looked at, stretches from all over make up about 20 s, and a sentence says so."""
+    recording = recording_of(log_of(raw(*moved(seconds=60, rate=250.0))), longest=20.0, stretch=5.0)
+    total = sum(p.t[-1] - p.t[0] for p in recording.pieces)
+    assert 15 < total <= 20.5
+    assert recording.pieces[0].t[0] < 1 and recording.pieces[-1].t[-1] > 45
+    assert "60 s long" in recording.notes[0]
+
+
+def test_too_little_is_refused():
+    """A log too short for its own filter is refused with the length that is needed."""
+    with pytest.raises(LogError, match="s are needed"):
+        recording_of(log_of(raw(*moved(seconds=1.0))), cutoffs=(3.0,))
+
+
+def test_time_counts_from_the_start_of_a_trajectory():
+    """A clock that began in 1970 gives the times of one that began with the log, within a millisecond: its own steps
+    are of 0.24 us."""
+    one = raw(*moved(seconds=20))
+    since, then = (recording_of(log_of(x), cutoffs=(10.0,)).pieces for x in (one, replace(one, t=one.t + 1.7e9)))
+    for a, b in zip(since, then, strict=True):
+        np.testing.assert_allclose(a.t, b.t, atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def handful():
+    """Forty trajectories of 3 s."""
+    t, m = moved(seconds=120)
+    parts = [slice(k * 1500, (k + 1) * 1500) for k in range(40)]
+    return [RawTrajectory(f"run_{k}", t[p], m.q[p], 0 * m.q[p]) for k, p in enumerate(parts)]
+
+
+def test_many_short_trajectories_are_thinned_whole(handful):
+    """Of more log than is looked at, short trajectories are left out or kept whole, in both roles."""
+    pieces = recording_of(log_of(*handful), longest=30.0, cutoffs=(10.0,)).pieces
+    length = {role: sum(p.t[-1] - p.t[0] for p in pieces if p.role == role) for role in ("train", "test")}
+    assert 15 < length["train"] < 27 and (length["test"] == 0.0 or 5 < length["test"] < 12)
+    assert len({p.trajectory for p in pieces}) > 5
+
+
+def test_trajectories_too_short_to_be_parted_judge_as_wholes(handful):
+    """Where no part of a trajectory is long enough to judge, the last trajectories do."""
+    pieces = recording_of(log_of(*handful[:10]), cutoffs=(3.0,)).pieces
+    assert [p.role for p in pieces] == ["train"] * 7 + ["test"] * 3

@@ -1,0 +1,143 @@
+"""Windows of what comes and goes: found to a row where there is something, nowhere else, and parted so that some rows
+of each choose and others judge."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.recording import ROLES
+from invdyn_cli.diagnosis.search import events
+from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import When
+from tests.diagnosis.analytic import Term, arm, evidence_of, log_of, moved, nothing, raw
+
+NOISE = 0.02
+PASSING = {name: effect for name, effect in EFFECTS.items() if effect.passing}
+WINDOW = 3.1, 5.3
+
+
+def payload(t, m) -> np.ndarray:
+    """A body of 0.8 kg, 0.1 m beyond the last frame, by Pinocchio."""
+    inertial = np.array(arm().inertial)
+    inertial[-1, 0] += 0.8
+    inertial[-1, 3] += 0.08
+    inertial[-1, 4] += 0.008
+    inertial[-1, 6] += 0.008
+    heavier = replace(arm(), inertial=inertial)
+    return inverse_dynamics(heavier, m.q, m.qd, m.qdd) - inverse_dynamics(arm(), m.q, m.qd, m.qdd)
+
+
+def gain(t, m) -> np.ndarray:
+    """A drive of the second joint that gives 0.8 of what is logged."""
+    return (1 / 0.8 - 1) * inverse_dynamics(arm(), m.q, m.qd, m.qdd) * (np.arange(3) == 1)
+
+
+def contact(t, m) -> np.ndarray:
+    """A body of 0.5 kg that hangs at the origin of the last frame, at rest: a force."""
+    inertial = np.array(arm().inertial)
+    inertial[-1, 0] += 0.5
+    heavier = replace(arm(), inertial=inertial)
+    return inverse_dynamics(heavier, m.q, 0 * m.qd, 0 * m.qdd) - inverse_dynamics(arm(), m.q, 0 * m.qd, 0 * m.qdd)
+
+
+HIDDEN = {"payload_change": payload, "torque_gain_change": gain, "external_contact": contact}
+
+
+def within(term: Term) -> Term:
+    """The term in the window alone."""
+    return lambda t, m: term(t, m) * ((t > WINDOW[0]) & (t < WINDOW[1]))[:, None]
+
+
+def seen(term: Term = nothing, seed: int = 0, seconds: float = 10.0) -> Evidence:
+    """A log of the arm in white noise, at its own 100 Hz."""
+    return evidence_of(log_of(raw(*moved(seconds, 100.0, seed), term, torque=NOISE, seed=seed)), ())
+
+
+def looked_for(evidence: Evidence) -> events.Windows:
+    """The windows that are proposed for all that the nominal model leaves."""
+    left = evidence.tau - evidence.nominal
+    deviation = np.std(left[evidence.on_rows("t") < 2.5], axis=0)
+    measured = Noise(deviation, np.ones(3), left)
+    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), [left], measured)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_window_is_found_to_a_row(name):
+    """The first window that is proposed begins and ends where the event does, to a row; the effect that was hidden is
+    among the candidates, and no other window explains more."""
+    evidence = seen(within(HIDDEN[name]))
+    t = np.unique(evidence.on_rows("t"))
+    row = 1.01 * np.diff(t).max()
+    found = looked_for(evidence)
+    when = next(iter(found))
+    assert when.trajectory == "run" and when.number == 0
+    assert (when.start, when.end) == pytest.approx(WINDOW, abs=row)
+    assert name in {c.effect.name for c in found[when]} and all(c.when == when for c in found[when])
+    assert [window.number for window in found] == list(range(len(found)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_comes_and_goes_in_white_noise(seed):
+    """No window is proposed where there is nothing but noise."""
+    assert not looked_for(seen(seed=seed))
+
+
+def test_a_blow_is_no_window():
+    """What is over after a tenth of a second gets no window: it fills none that is long enough to know an event by."""
+
+    def blow(t, m):
+        return 3.0 * np.outer((t > 4.0) & (t < 4.1), [0, 1, 0])
+
+    assert not looked_for(seen(blow))
+
+
+def test_a_contact_stands_where_it_differs():
+    """Every joint at which a force would be felt differently from those behind it is a place, and a payload and a gain
+    of each joint; a torque that was taken behind the gear knows no gain of the drive, if the effect says so."""
+    evidence = seen()
+    told = [(p.effect.name, p.joint) for p in events.places(evidence, PASSING, "unknown")]
+    assert ("payload_change", None) in told
+    assert [j for name, j in told if name == "torque_gain_change"] == [2, 1, 0]
+    forces = [p.columns for p in events.places(evidence, PASSING, "unknown") if p.effect.name == "external_contact"]
+    assert 1 <= len(forces) <= 2  # the first frame does not move
+    deaf = {name: effect for name, effect in PASSING.items() if "link" not in effect.sides}
+    assert not events.places(evidence, deaf, "link")
+
+
+WINDOWS = {
+    "one": [(3.1, 5.3)],
+    "as short as may be": [(3.1, 3.31)],
+    "to the end": [(12.0, 20.0)],
+    "many": [(x, x + 0.3) for x in (0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5)],
+    "overlapping": [(2.0, 5.0), (4.0, 7.0)],
+}
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_some_rows_of_a_window_judge(name):
+    """In every window, and outside of all, some rows choose and others judge; no block of rows does both, or lies on
+    both sides of an edge."""
+    windows = [When("run", *edges, number) for number, edges in enumerate(WINDOWS[name])]
+    evidence = events.interleaved(seen(seconds=20.0), windows)
+    t, train, test = evidence.on_rows("t"), ROLES.index("train"), ROLES.index("test")
+    inside = np.zeros(len(t), bool)
+    for w in windows:
+        at = (t > w.start) & (t < w.end)
+        inside |= at
+        assert set(evidence.role[at]) == {train, test}
+    assert set(evidence.role[~inside]) == {train, test}
+    for block in np.unique(evidence.block):
+        rows = evidence.block == block
+        assert len(set(evidence.role[rows])) == 1
+        for w in windows:
+            assert len(set(((t > w.start) & (t < w.end))[rows])) == 1
+
+
+def test_other_trajectories_keep_to_their_blocks():
+    """A window of another trajectory parts nothing here: blocks of two seconds take turns."""
+    evidence = events.interleaved(seen(), [When("another", 1.0, 2.0)])
+    assert {np.ptp(evidence.on_rows("t")[evidence.block == b]) > 1.9 for b in np.unique(evidence.block)} == {True}

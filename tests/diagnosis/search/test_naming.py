@@ -1,0 +1,118 @@
+"""Rivals: who takes an effect's place, and when the simpler name is given."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.recording import Filter
+from invdyn_cli.diagnosis.search import naming, noise
+from invdyn_cli.diagnosis.search.judge import Judge
+from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw
+from tests.diagnosis.sick import motion
+
+NAMES = ["viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_friction", "torque_offset"]
+
+
+def judged(term, speed: float = 1.0, torque: float = 0.05):
+    """Evidence and judge of a log with a term on the second joint, of a motion so many times as fast."""
+    t, _ = moved()
+    slow = motion(arm(), speed * t, 0)
+    m = type(slow)(slow.q, speed * slow.qd, speed**2 * slow.qdd)
+    evidence = evidence_of(log_of(raw(t, m, on(1, term), torque=torque)), NAMES, cutoffs=(20.0,))
+    rows = evidence.role == 0
+    measured = noise.measure(evidence, rows)
+    judge = Judge(evidence, rows, measured.weights, measured.deviation)
+    judge.refresh()
+    return evidence, judge
+
+
+def stribeck(t, q, qd, qdd):
+    return (1.0 + 0.8 * np.exp(-((qd / 0.08) ** 2))) * np.sign(qd)
+
+
+@pytest.fixture(scope="module")
+def dry():
+    """Coulomb friction of 1 N m."""
+    return judged(lambda t, q, qd, qdd: np.sign(qd))
+
+
+@pytest.fixture(scope="module")
+def dropping():
+    """A static level of 1.8 N m that drops to 1."""
+    return judged(stribeck)
+
+
+def test_no_drop_no_stribeck(dry):
+    """Where friction does not drop with speed, the simpler Coulomb friction takes Stribeck's place."""
+    evidence, judge = dry
+    whole = (candidate(evidence, "stribeck_friction", 1, velocity=0.08),)
+    assert [c.key for c in naming.simplified(judge, (), whole, evidence.candidates)] == [("coulomb_friction", 1)]
+
+
+def test_a_drop_keeps_stribeck(dropping):
+    """Where it drops, Stribeck stays."""
+    evidence, judge = dropping
+    whole = (candidate(evidence, "stribeck_friction", 1, velocity=0.08),)
+    assert naming.simplified(judge, (), whole, evidence.candidates) == whole
+
+
+def test_rivals_of_what_is_there_are_rejected(dry):
+    """No other effect does as well as Coulomb friction on its joint, the nearest says by how much it is worse, and the
+    general case is told as such."""
+    evidence, judge = dry
+    made = naming.rivals(judge, (), (candidate(evidence, "coulomb_friction", 1),), 0, evidence.candidates)
+    assert not any(r.equal for r in made)
+    why = {r.candidate.key: r.why for r in made}
+    assert "general case" in why["stribeck_friction", 1]
+    assert "standard errors" in why["viscous_friction", 1]
+    assert ("coulomb_friction", 1) not in why
+
+
+def test_a_rival_that_does_as_well_is_equal():
+    """Viscous and quadratic friction of a joint whose speed hardly changes are the same: each is the other's equal."""
+    t = np.arange(20_000) / 500
+    rows = 0.8 + 0.002 * np.sin(0.7 * t)  # one way only: 0.8 rad/s, 0.2 % up and down
+    q = np.cumsum(rows) / 500 - 16
+    still = np.zeros_like(q)
+    _, m = moved()
+    both = type(m)(*(np.column_stack([x[:, 0], y, x[:, 2]]) for x, y in ((m.q, q), (m.qd, rows), (m.qdd, still))))
+    log = log_of(raw(t, both, on(1, lambda t, q, qd, qdd: 1.0 * qd), torque=0.05))
+    evidence = evidence_of(log, NAMES, cutoffs=(20.0,))
+    choosing = evidence.role == 0
+    measured = noise.measure(evidence, choosing)
+    judge = Judge(evidence, choosing, measured.weights, measured.deviation)
+    judge.refresh()
+    made = naming.rivals(judge, (), (candidate(evidence, "viscous_friction", 1),), 0, evidence.candidates)
+    assert {"quadratic_friction", "coulomb_friction"} <= {r.candidate.effect.name for r in made if r.equal}
+
+
+@pytest.mark.parametrize(("speed", "blind"), [(1.0, False), (6.0, True)])
+def test_fast_motion_cannot_tell_stribeck(speed, blind):
+    """In the same noise a motion that crosses low speeds in no time cannot exclude an ordinary drop, a slow one can."""
+    evidence, judge = judged(lambda t, q, qd, qdd: np.sign(qd), speed=speed, torque=0.3)
+    friction = (candidate(evidence, "coulomb_friction", 1),)
+    assert naming.blind_to_stribeck(judge, (), friction, 0, evidence.candidates) == blind
+
+
+def test_chance():
+    """Blocks that all speak against a rival leave it none; blocks that speak half and half leave it much."""
+    draw = np.random.default_rng(0)
+    assert naming.chance(20 + draw.normal(size=20), 0.0) == 0.0
+    assert naming.chance(draw.normal(size=20), 0.0) > 0.5
+    assert naming.chance(np.append(np.zeros(19), 500.0), 0.0) == 0.0  # one block, denied by none
+    assert naming.chance(np.append(-50 * np.ones(5), 300.0), 0.0) > naming.DOUBT  # one block, denied by five
+
+
+def test_structure_is_what_is_no_noise():
+    """White noise has none (to 5 % of its variance, 4,000 rows), a slow wave has its own variance, apart by joints; a
+    wave on rows that are not valid does not count."""
+    rows = np.arange(4000)
+    noise_, wave = np.random.default_rng(0).normal(size=4000), 2 * np.sin(rows / 50)
+    valid, piece = np.ones((4000, 3), bool), np.zeros(4000, int)
+    valid[:, 2] = False
+    rows = SimpleNamespace(recording=SimpleNamespace(filter=Filter(250.0, (40.0,) * 3, 2)), piece=piece)
+    got = naming.structure(cast(Evidence, rows), np.column_stack([noise_, noise_ + wave, wave]), valid)
+    assert got[0] < 0.05 and got[1] == pytest.approx(2.0, rel=0.1) and got[2] == 0.0

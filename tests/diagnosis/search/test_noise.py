@@ -1,0 +1,61 @@
+"""What is noise, and what stands out of it."""
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis.search import noise
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.transmission import TorqueRipple
+from tests.diagnosis.analytic import evidence_of, log_of, moved, nothing, on, raw
+
+NAMES = [n for n in EFFECTS if n != "torque_ripple"]
+SIGMA = 0.1
+
+
+def measured(term=nothing, torque=SIGMA):
+    evidence = evidence_of(log_of(raw(*moved(), term, torque=torque)), NAMES, cutoffs=(10.0,))
+    rows = evidence.role == 0
+    return evidence, rows, noise.measure(evidence, rows)
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    """Noise alone."""
+    return measured()
+
+
+def test_the_deviation_is_that_of_the_noise(quiet):
+    """What is measured is what white noise leaves behind the filter, within 10 % (some 300 independent rows)."""
+    evidence, rows, found = quiet
+    clean = evidence_of(log_of(raw(*moved())), ["viscous_friction"], cutoffs=(10.0,))
+    alone = (evidence.tau - clean.tau)[rows]
+    np.testing.assert_allclose(found.deviation, alone.std(axis=0), rtol=0.1)
+
+
+def test_effects_are_no_noise(quiet):
+    """Friction, an offset and another load change the measured noise by less than 15 %."""
+    term = on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd) + qd + 0.3 + 0.2 * qdd)
+    np.testing.assert_allclose(measured(term)[2].deviation, quiet[2].deviation, rtol=0.15)
+
+
+def test_weights_count_correlation(quiet):
+    """A row weighs 1 / (variance x autocorrelation time); a joint without torque and motion weighs nothing."""
+    found = quiet[2]
+    np.testing.assert_allclose(found.weights, 1 / (found.deviation**2 * found.time))
+    assert np.all(found.time >= 1)
+    silent = noise.Noise(np.array([0.0, 1.0]), np.ones(2), np.zeros((1, 2)))
+    assert silent.weights.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("cycles", [7.0, 23.0])
+def test_a_ripple_is_found_by_its_cycles(cycles):
+    """A ripple as large as the noise becomes a candidate, its cycles right to a fifth of what the range can resolve."""
+    evidence, rows, found = measured(on(1, lambda t, q, qd, qdd: SIGMA * np.sin(cycles * q + 1.0)))
+    trials = [c.shape["cycles"] for c in noise.ripples(evidence, found, rows, TorqueRipple()) if c.joint == 1]
+    q = np.concatenate([s[1].q for s in evidence.states])
+    assert trials and abs(trials[0] - cycles) < 0.2 * 2 * np.pi / np.ptp(q)
+
+
+def test_noise_has_no_ripples(quiet):
+    """In noise alone no line stands out."""
+    assert noise.ripples(*(quiet[i] for i in (0, 2, 1)), TorqueRipple()) == []
