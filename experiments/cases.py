@@ -7,7 +7,7 @@ of the torque that the joint has anyway, so that they suit every arm.
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,13 @@ from experiments.arms import random_arm
 from invdyn_cli.logfile import Log
 from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.simulation import plant
-from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.hidden import Hidden, assemble
 from invdyn_cli.simulation.references import AbstractReference, ConstantSpeed, Multisine, PickPlace
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Robot
+
+STANDSTILL = 0.2
+"""Share of a joint's RMS speed, below which dry friction is not counted."""
 
 WHOLE_ARM = ("payload", "payload_change", "base_tilt")
 """Effects without a joint."""
@@ -119,7 +122,7 @@ def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> C
     noise = Noise(position=float(np.exp(draw.uniform(np.log(1e-6), np.log(1.5e-5)))), torque=tuple(torque))
     options: dict[str, Any] = {"duration": scene.duration, "seed": scene.seed, "position_side": "motor"}
     log = plant.record(scene.robot, [scene.reference], hidden, noise=noise, **options)
-    share = _excess(scene.robot, log, hidden) / torque
+    share = excess(scene.robot, log, hidden) / torque
     said = f"{scene.robot.name} {scene.robot.dofs} joints, {type(scene.reference).__name__} {scene.duration:g} s"
     return Case(scene.robot, log, tuple(hidden), float(share.max()), said)
 
@@ -143,22 +146,28 @@ def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_j
     raise RuntimeError(f"no stable case from seed {seed} for {names}")
 
 
-def _excess(robot: Robot, log: Log, hidden: Sequence[Hidden]) -> np.ndarray:
-    """RMS torque (n,) by which a log's torque differs from the nominal one, above its noise [N m]: at 20 Hz, where the
-    noise of 1 kHz is a seventh; noise is put back to its full size by the caller's ratio. The rotor that a gear brings
-    with it is not counted: it may be found, and is not what was hidden."""
+def excess(robot: Robot, log: Log, hidden: Sequence[Hidden], wear: Sequence[Hidden] = ()) -> np.ndarray:
+    """RMS torque (n,) by which a log's torque differs from that of an arm with nothing but its `wear` (wrong links,
+    Coulomb and viscous friction), above its noise [N m]: at 20 Hz, where the noise of 1 kHz is a seventh; noise is put
+    back to its full size by the caller's ratio. The rotor that a gear brings with it is not counted: it may be found,
+    and is not what was hidden. Nor are samples near standstill, where friction is what it must be."""
     raw = log.trajectories[0]
     sections = butter(4, 20.0, fs=log.rate, output="sos")
     q = sosfiltfilt(sections, raw.q, axis=0)[::5]
     tau = sosfiltfilt(sections, raw.tau, axis=0)[::5]
     spline = make_interp_spline(raw.t[::5], q, k=5)
     qdd = spline.derivative(2)(raw.t[::5])
-    nominal = inverse_dynamics(robot, q, spline.derivative(1)(raw.t[::5]), qdd)
+    qd, built = spline.derivative(1)(raw.t[::5]), assemble(robot, wear)
+    known = inverse_dynamics(replace(robot, inertial=built.inertial), q, qd, qdd)
+    known += built.damping * qd + built.friction * np.sign(qd)
     for one in hidden:
         if "rotor" in one.parameters:
             j = robot.joints.index(str(one.joint))
-            nominal[:, j] += one.parameters["rotor"] * qdd[:, j]
-    return np.sqrt(np.mean((tau - nominal)[40:-40] ** 2, axis=0))
+            known[:, j] += one.parameters["rotor"] * qdd[:, j]
+    speed = abs(qd[40:-40])
+    moves = speed > STANDSTILL * np.sqrt(np.mean(speed**2, axis=0)) * (built.friction > 0)
+    left = np.where(moves, (tau - known)[40:-40], 0.0)
+    return np.sqrt(np.sum(left**2, axis=0) / np.maximum(moves.sum(0), 1))
 
 
 def _share(draw: np.random.Generator) -> float:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
-from experiments.cases import SIZES, Scene, draw_effect, draw_scene, felt, scene_of
+from experiments.cases import SIZES, Scene, draw_effect, draw_scene, excess, felt, scene_of
 from experiments.confusion import claims, matches
 from experiments.options import only_of, options_of
 from experiments.results import tell
@@ -53,6 +53,9 @@ ANOMALIES = (
     "presliding_hysteresis",
     "torque_gain_change",
 )
+LOUD = 3.0
+"""Times the noise of a joint's torque, above which an anomaly is to be found."""
+
 COUNTS, RIGHT = 0.03, 0.1
 """Share of a joint's torque above which a standard term counts, and its largest relative error."""
 
@@ -94,12 +97,14 @@ class Options:
 
 @dataclass(frozen=True)
 class Counted:
-    """One log: what was hidden beside the wear, how it was spoken of, anomalies that were claimed beside it, and the
-    relative error of each standard term that counts."""
+    """One log: what was hidden beside the wear and how many times the noise it makes on the joint that feels it most,
+    how it was spoken of, anomalies that were claimed beside it, and the relative error of each standard term that
+    counts."""
 
     seed: int
     said: str
     hidden: str
+    times: float
     result: str
     named: tuple[str, ...]
     false: tuple[str, ...]
@@ -146,8 +151,9 @@ def _damping(draw: np.random.Generator, one: Hidden, scene: Scene, j: int) -> fl
     return float(2 * ratio * np.sqrt(one.parameters["stiffness"] * one.parameters["rotor"]))
 
 
-def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None, str]:
-    """A log that a controller survived, with its scene, its wear, its anomaly and what is to be said of its plant."""
+def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None, str, float]:
+    """A log that a controller survived, with its scene, its wear, its anomaly, what is to be said of its plant, and how
+    many times the noise of a joint's torque the anomaly makes there at most."""
     for attempt in range(20):
         draw = np.random.default_rng([seed, attempt, zlib.crc32(name.encode()), 9])
         scene = draw_scene(draw)
@@ -174,7 +180,8 @@ def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None
             continue
         kind = type(scene.reference).__name__
         said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"
-        return scene, log, worn, anomaly, said
+        times = float(np.max(excess(scene.robot, log, [anomaly], worn) / hiss)) if anomaly else 0.0
+        return scene, log, worn, anomaly, said, times
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
 
 
@@ -218,7 +225,7 @@ def _usual(finding: Finding) -> bool:
 def count(seed: int, name: str) -> Counted | str:
     """One log; a traceback where it ends in one."""
     try:
-        scene, log, worn, anomaly, said = drawn(seed, name)
+        scene, log, worn, anomaly, said, times = drawn(seed, name)
         started = time.perf_counter()
         diagnosis = diagnose(log, scene.robot)
         seconds = time.perf_counter() - started
@@ -227,7 +234,8 @@ def count(seed: int, name: str) -> Counted | str:
         names = tuple(_said(f) for f in found if f.effect not in STANDARD)
         errors = tuple(term_errors(scene, worn, anomaly, diagnosis))
         hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
-        return Counted(seed, said, hidden, result, names, tuple(map(_said, false)), errors, diagnosis.verdict, seconds)
+        false = tuple(map(_said, false))
+        return Counted(seed, said, hidden, times, result, names, false, errors, diagnosis.verdict, seconds)
     except Exception:
         return f"seed {seed}, {name}: {traceback.format_exc()}"
 
@@ -246,13 +254,15 @@ def table(counted: Sequence[Counted]) -> str:
         lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
     errors = np.array([e for c in counted for e in c.errors])
     worn = [c for c in counted if c.hidden != "none"]
-    right = sum(c.result in ("named", "ambiguous") for c in worn)
+    loud = [c for c in worn if c.times > LOUD]
+    right, plain = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud))
     seconds = sorted(c.seconds for c in counted)
     return "\n".join(
         [
             *lines,
             "",
-            f"Anomalies: {right} of {len(worn)} right or rightly ambiguous; "
+            f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
+            f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise; "
             f"{sum(bool(c.false) for c in counted)} of {len(counted)} logs with a false one beside it.",
             f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
             f"{100 * np.median(errors) if len(errors) else 0:.2g} %.",
@@ -276,7 +286,8 @@ def main(argv: Sequence[str]) -> int:
                 continue
             counted.append(one)
             print(
-                f"{one.result}: {one.seed} {one.hidden} -> {one.named} ({one.said}; {one.seconds:.0f} s, "
+                f"{one.result}: {one.seed} {one.hidden} ({one.times:.1f} times the noise) -> {one.named} "
+                f"({one.said}; {one.seconds:.0f} s, "
                 f"{one.verdict}, terms {100 * max(one.errors, default=0):.0f} %)",
                 flush=True,
             )

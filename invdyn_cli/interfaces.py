@@ -202,6 +202,8 @@ class AbstractEffect(abc.ABC):
     """What to record to tell it from its confounders."""
     picture: ClassVar[str] = "t"
     """Over what its picture is drawn: t, q, qd, qdd, load, slope (d torque / dt) or body."""
+    loaded: ClassVar[bool] = False
+    """Whether its columns hang on the torque that the joint transmits."""
     group: ClassVar[str] = "anomaly"
     """"standard" for what every arm has beside its URDF, "anomaly" for what only some have."""
     shows: ClassVar[tuple[str, ...]] = ()
@@ -251,6 +253,8 @@ class AbstractChannelEffect(AbstractEffect):
     """An effect between the logged torque of a joint and what the joint receives."""
 
     point = "channel"
+    invertible: ClassVar[bool] = True
+    """Whether what was logged follows from what reached the joint; if not, models are compared with the latter."""
 
     @abc.abstractmethod
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
@@ -262,7 +266,7 @@ class AbstractChannelEffect(AbstractEffect):
 
     @abc.abstractmethod
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        """What is logged where tau (T,) at `rate` [Hz] reaches the joint."""
+        """What is logged where tau (T, …) at `rate` [Hz] reaches the joint."""
 
 
 class AbstractBodyEffect(AbstractEffect):
@@ -302,6 +306,7 @@ class AbstractGearEffect(AbstractEffect):
     """An effect between motor and link, that lets the link move against the motor whose angle is logged."""
 
     point = "gear"
+    loaded = True
     position_sides = ("motor", "unknown")
 
     @abc.abstractmethod

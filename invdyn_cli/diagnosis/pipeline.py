@@ -98,14 +98,14 @@ def diagnose(
     most = 3 * robot.dofs if options.most is None else options.most
     compares = any("reference" in p.role for p in recording.pieces)
 
-    def asked(wear: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
+    def asked(evidence: Evidence, wear: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
         return inquire(evidence, pool, allowed, most, compares, side, windows is not None, wear, start)
 
-    inquiry, columns = asked(), standard.columns_of(evidence, side)
-    share = None if compares else standard.wear_of(columns, inquiry)
-    if share is not None:
+    inquiry, columns = asked(evidence), standard.columns_of(evidence, side)
+    wear = None if compares else standard.wear_of(columns, inquiry)
+    if wear is not None:
         progress(0.65, "search beside worn links")
-        again = asked(standard.worn_links(columns, inquiry, share), inquiry.hypothesis)
+        again = asked(*standard.beside_wear(columns, inquiry, wear))
         inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence
     progress(0.75, "names")
@@ -113,7 +113,7 @@ def diagnose(
     more = standard.beside(columns, evidence, made)
     if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings
         there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}
-        made = findings.joined(made, *standard.claims(evidence, columns, more, there))
+        made = findings.joined(made, *standard.claims(evidence, more, there))
     left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged

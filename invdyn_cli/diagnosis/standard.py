@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import body_columns
+from invdyn_cli.diagnosis.columns.candidates import body_columns, trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.decide.support import judged
-from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
@@ -60,6 +61,11 @@ class Columns:
     terms: tuple[str, ...]
     links: np.ndarray
     own: np.ndarray
+
+    def behind(self, acting: Sequence[Acting]) -> "Columns":
+        """The same as they are logged behind the channels among these effects."""
+        links, own = (self.evidence.logged(acting, x.swapaxes(1, 2)).swapaxes(1, 2) for x in (self.links, self.own))
+        return replace(self, links=links, own=own)
 
     @property
     def inertial(self) -> np.ndarray:
@@ -118,6 +124,7 @@ class Beside:
     """What stands in the written model beside the findings: nothing where the evidence is for them alone.
 
     Attributes:
+        columns: the standard model's, as they are logged behind the channels that were found.
         acting: all of it and the findings' effects; a standard term of a joint where one was found is added to it.
         asked: whether the log asks for more than the findings.
         intervals: like `acting`, {parameter: (value, lower, upper)}.
@@ -130,6 +137,7 @@ class Beside:
         worth: (n,) RMS torque of the links' change [N m; N].
     """
 
+    columns: Columns
     acting: tuple[Acting, ...]
     asked: bool
     intervals: tuple[Mapping[str, tuple], ...]
@@ -187,13 +195,14 @@ def columns_of(evidence: Evidence, side: str) -> Columns:
     return Columns(evidence, terms, links, own)
 
 
-def worn_links(columns: Columns, inquiry: Inquiry, share: float) -> Hypothesis:
+def worn_links(columns: Columns, weights: np.ndarray, share: float) -> Hypothesis:
     """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
-    their parameters, in units of the share, that make FELT noise variances of torque at least."""
-    evidence, n = inquiry.evidence, inquiry.evidence.dofs
+    their parameters, in units of the share, that make FELT noise variances of torque at least, `weights` (n,) being
+    the inverse of a row's."""
+    evidence, n = columns.evidence, columns.evidence.dofs
     scale = share * standard.link_scales(evidence.robot).ravel()
     rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]
-    normal = np.sum([w * x @ x.T for w, x in zip(inquiry.noise.weights, rows, strict=True)], axis=0)
+    normal = np.sum([w * x @ x.T for w, x in zip(weights, rows, strict=True)], axis=0)
     values, vectors = np.linalg.eigh(normal)
     moves = vectors[:, values > FELT].T * scale
     where = {j: ((), evidence.append(j, list(moves @ columns.links[:, j]))) for j in range(n)}
@@ -228,13 +237,24 @@ def _volume(judge: Judge, hypothesis: Hypothesis) -> float:
     return float(np.linalg.slogdet(np.eye(len(scale)) + normal)[1])
 
 
-def wear_of(columns: Columns, inquiry: Inquiry) -> float | None:
-    """The share by which the log asks links to be off, beside all that was found but errors of single links; None where
-    it does not, or asks for none of the standard model beside that."""
+def wear_of(columns: Columns, inquiry: Inquiry) -> Standard | None:
+    """The standard model beside all that was found but errors of single links, if the log asks for it and for links
+    that are off by a share of their scales; else None."""
     acting = [a for a in inquiry.chosen.acting if a.effect is not LINK]
     choosing = inquiry.evidence.role == ROLES.index("train")
-    fitted = columns.fit(inquiry.model.residual(acting), choosing, _least(columns, acting))
-    return fitted.share if min(fitted.gain, fitted.of_inertial) > 0 and fitted.share > WORN else None
+    fitted = columns.behind(acting).fit(inquiry.model.residual(acting), choosing, _least(columns, acting))
+    return fitted if min(fitted.gain, fitted.of_inertial) > 0 and fitted.share > WORN else None
+
+
+def beside_wear(columns: Columns, inquiry: Inquiry, wear: Standard) -> tuple[Evidence, Hypothesis, Hypothesis]:
+    """The evidence with links as the standard model has them, `worn_links`, and what was found among anomalies that
+    last, as trials there."""
+    evidence, found = columns.evidence, [a for a in inquiry.chosen.acting if a.when is None]
+    changed = np.asarray(evidence.robot.inertial) + wear.theta[: len(columns.links)].reshape(-1, 10)
+    links = worn_links(columns, inquiry.noise.weights, wear.share)
+    worn = with_links(evidence, changed)
+    start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
+    return worn, links, tuple(start)
 
 
 def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
@@ -244,19 +264,21 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
     if evidence.reference_rows is not None:  # beside which what was found is a change
         before, chosen, choosing = evidence.left((), np.zeros(0)), made.alone, choosing | evidence.reference_rows
     least = _least(columns, acting)
+    alone, friction = columns.of(columns.fit(before, choosing).theta), columns.of(columns.line(before, choosing))
+    columns = columns.behind(acting)
     learned = columns.fit(chosen, choosing, least)
-    alone = columns.fit(before, choosing)
     found = columns.fit(whole, np.ones_like(choosing), least)
     asked = learned.gain > 0
     together, ends = _merged(evidence, columns.terms, found, acting, intervals) if asked else (acting, intervals)
     return Beside(
+        columns=columns,
         acting=tuple(together),
         asked=asked,
         intervals=tuple(ends),
         residual=chosen - columns.of(learned.theta) if asked else chosen,
         baselines={
-            "friction": before - columns.of(columns.line(before, choosing)),
-            "standard": before - columns.of(alone.theta),
+            "friction": before - friction,
+            "standard": before - alone,
         },
         before=before,
         learned=learned,
@@ -267,7 +289,7 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
 
 
 def claims(
-    evidence: Evidence, columns: Columns, more: Beside, named: Collection[tuple[str, str | None]]
+    evidence: Evidence, more: Beside, named: Collection[tuple[str, str | None]]
 ) -> tuple[tuple[Finding, ...], tuple[np.ndarray, ...]]:
     """The standard terms that the log proves, the largest gain first: away from zero by an interval that counts the
     autocorrelation, worth CLAIMED of their joint's torque, and missed on data that did not choose them; and what each
@@ -276,7 +298,7 @@ def claims(
     Args:
         named: (effect, joint) of the anomalies that were claimed; a special case of one is part of it.
     """
-    n, rows, made = evidence.dofs, judged(evidence), []
+    n, rows, columns, made = evidence.dofs, judged(evidence), more.columns, []
     value, std = (x[10 * n :].reshape(-1, n) for x in (more.found.theta, np.sqrt(np.diag(more.found.covariance))))
     learned = more.learned.theta[10 * n :].reshape(-1, n)
     special = {(x, joint) for name, joint in named if name in EFFECTS for x in EFFECTS[name].contains}

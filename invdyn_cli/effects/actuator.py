@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import signal
-from scipy.interpolate import make_interp_spline
+from scipy import ndimage, signal
 
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
@@ -105,6 +104,7 @@ class TorqueGainError(AbstractChannelEffect):
     name = "torque_gain_error"
     title = "torque gain error"
     equation = "delivered = gain · logged"
+    loaded = True
     reference = "Gautier and Briot, ASME JDSMC 2014"
     parameters = {"gain": Parameter("-", 0.4, 2.5)}
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
@@ -206,6 +206,7 @@ class TorqueSaturation(AbstractChannelEffect):
 
     name = "torque_saturation"
     title = "torque saturation"
+    invertible = False  # what was asked for beyond the limit, no model can know
     equation = "delivered = clip(logged, ±limit)"
     reference = "data sheets of drives"
     parameters = {"limit": Parameter("N m", 0.0)}
@@ -230,9 +231,9 @@ class TorqueSaturation(AbstractChannelEffect):
 
 
 def shifted(x: Array, samples: float) -> np.ndarray:
-    """x (T,) at the times `samples` later (cubic spline; the end values go on): shifted(x, 1)[i] is x[i + 1]."""
-    x = np.asarray(x)
+    """x (T, …) at the times `samples` later (cubic spline; the end values go on): shifted(x, 1)[i] is x[i + 1]."""
+    x = np.asarray(x, float)
     if not samples or len(x) < 4:
         return x
-    ticks = np.arange(len(x), dtype=float)
-    return make_interp_spline(ticks, x, k=3)(np.clip(ticks + samples, 0, len(x) - 1))
+    rows = [ndimage.shift(row, -samples, order=3, mode="nearest") for row in x.reshape(len(x), -1).T]
+    return np.transpose(rows).reshape(x.shape)

@@ -176,11 +176,12 @@ def joint_terms(acting: Sequence[Acting], joint: int, state: JointState) -> list
 
 
 def channel(acting: Sequence[Acting], joint: int, tau: Array, stretch: Stretch) -> Array:
-    """What is logged where tau (T,) reaches a joint."""
+    """What is logged where tau (T, …) reaches a joint."""
     for one in acting:
         if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:
             logged = one.effect.logged(one.parameters, tau, stretch.rate)
-            tau = logged if one.when is None else tau + weight(one.when, stretch) * (logged - tau)
+            share = np.reshape(weight(one.when, stretch), (-1, *(1,) * (tau.ndim - 1)))
+            tau = logged if one.when is None else tau + share * (logged - tau)
     return tau
 
 

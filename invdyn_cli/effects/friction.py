@@ -153,6 +153,7 @@ class LoadDependentFriction(AbstractTorqueEffect):
     name = "load_dependent_friction"
     title = "load-dependent friction"
     equation = "mu |transmitted torque| sign(qd)"
+    loaded = True
     reference = "Gogoussis and Donath, ICRA 1988; Hamon, Gautier and Garrec, IROS 2010"
     parameters = {"mu": Parameter("-", 0.0, 1.0)}
     confounders = (("coulomb_friction",), ("torque_gain_error",))

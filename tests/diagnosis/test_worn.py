@@ -33,7 +33,7 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
     evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
     columns = standard.columns_of(evidence, "unknown")
-    (worn,) = standard.worn_links(columns, inquiry, share)
+    (worn,) = standard.worn_links(columns, inquiry.noise.weights, share)
     scale = share * link_scales(evidence.robot).ravel()
     assert 0 < len(worn.precision) < len(scale)
     draw, left = np.random.default_rng(0), []
@@ -63,8 +63,8 @@ def test_wear_is_asked_for_where_links_are_off(off):
 
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
-    share = standard.wear_of(standard.columns_of(evidence, "unknown"), inquiry)
-    assert (share is None) == (off == 0.0)
+    wear = standard.wear_of(standard.columns_of(evidence, "unknown"), inquiry)
+    assert (wear is None) == (off == 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

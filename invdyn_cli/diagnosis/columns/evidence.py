@@ -10,10 +10,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy import signal
 
 from invdyn_cli.diagnosis.columns.recording import ROLES, Piece, Recording
-from invdyn_cli.effects.composition import Acting, When, rigid_torque, sign_of
+from invdyn_cli.effects.composition import Acting, Stretch, When, channel, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
+    AbstractChannelEffect,
     AbstractEffect,
     JointState,
     Parameters,
@@ -84,6 +86,7 @@ class Evidence:
         valid: (R, n) rows at which a joint moved (its friction is known).
         block, role, piece: (R,) block number, index into ROLES, piece number.
         kept: what candidates are made from and is dear to compute.
+        base: of every piece what the nominal torque (n, T) has more than that of `robot`, if that has other links.
     """
 
     robot: Robot
@@ -99,6 +102,7 @@ class Evidence:
     states: list[list[JointState]] = field(default_factory=list)
     reference_rows: np.ndarray | None = None
     kept: dict[tuple, list] = field(default_factory=dict)
+    base: list[np.ndarray] | None = None
 
     def left(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
@@ -106,6 +110,23 @@ class Evidence:
         for c, own in shared_out(candidates, theta):
             for j, (fixed, free) in c.columns.items():
                 out[:, j] -= self.tables[j][:, list(fixed)].sum(1) + self.tables[j][:, list(free)] @ own
+        return out
+
+    def logged(self, acting: Sequence[Acting], columns: np.ndarray) -> np.ndarray:
+        """Torque (m, R, n) that reaches the joints as it is logged, behind the channels among `acting`: at the full
+        rate again, since rows are so few that a slope between them is none."""
+        out, filter = columns, self.recording.filter
+        through = [a for a in acting if isinstance(a.effect, AbstractChannelEffect) and a.effect.invertible]
+        for j in {a.joint for a in through if len(columns)}:
+            out = out.copy() if out is columns else out
+            for number, piece in enumerate(self.recording.pieces):
+                at = np.flatnonzero(self.piece == number)
+                if self.reference_rows is not None and self.reference_rows[at].any():
+                    continue
+                fine = signal.resample_poly(columns[:, at, j].T, filter.keep, 1, padtype="line")
+                t = piece.t[filter.rows(len(piece.t))[0] :][: len(fine)]
+                fine = channel(through, j, fine, Stretch(piece.trajectory, t, filter.rate))
+                out[:, at, j] = np.asarray(fine)[:: filter.keep].T
         return out
 
     def on_rows(self, name: str) -> np.ndarray:

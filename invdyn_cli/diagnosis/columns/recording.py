@@ -102,6 +102,10 @@ class Filter:
         """Which samples are kept."""
         return np.arange(self.inset, max(self.inset, samples - self.inset), self.keep)
 
+    def independent(self, joint: int) -> float:
+        """Samples of filtered white noise that a row counts for, one at most: twice the bandwidth for a second."""
+        return min(1.0, 2 * self.cutoffs[joint] * self.keep / self.rate)
+
     def of(self, joint: int, x: np.ndarray) -> np.ndarray:
         """A joint's columns (..., T) -> (..., rows)."""
         return self._passed(self.cutoffs[joint], np.asarray(x))

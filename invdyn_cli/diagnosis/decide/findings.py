@@ -15,7 +15,8 @@ from invdyn_cli.diagnosis.decide import bodies
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, that_hold
 from invdyn_cli.diagnosis.search import naming, resting
-from invdyn_cli.diagnosis.search.exact import EDGES, Refined
+from invdyn_cli.diagnosis.search.coordinates import EDGES
+from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.late import LATE
@@ -213,7 +214,7 @@ def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
 def _term(inquiry: Inquiry, acting: Sequence[Acting], i: int) -> np.ndarray:
     """(R, n) what one effect adds to the torque, the others staying as they are."""
     others = [a for k, a in enumerate(acting) if k != i]
-    return inquiry.model.residual(others) - inquiry.model.residual(acting)
+    return inquiry.model.without(inquiry.whole, others) - inquiry.model.without(inquiry.whole, acting)
 
 
 def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool) -> dict[str, Quantity]:
@@ -301,7 +302,7 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
     level = {}
     for name, sign in (("positive", 1.0), ("negative", -1.0)):
         value = whole.theta[both[0]] + sign * whole.theta[both[1]]
-        each = whole.replicas[:, both[0]] + sign * whole.replicas[:, both[1]]
+        each = [x[:, both[0]] + sign * x[:, both[1]] for x in whole.replicas]
         error = float(reach(each, whole.unknown[:, both[0]] + sign * whole.unknown[:, both[1]]))
         level[name] = (value, value - error, value + error)
     return replace(

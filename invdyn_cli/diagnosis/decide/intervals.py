@@ -1,12 +1,14 @@
 """How sure the sizes are: intervals that blocks of the log give the parameters that were refined."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.search.exact import EDGES, Refined, with_parameters
+from invdyn_cli.diagnosis.search.coordinates import EDGES, with_parameters
+from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.effects.composition import Acting
 
 BOUNDLESS = 1e100
@@ -25,21 +27,21 @@ that turns back sticks."""
 
 def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
     """Every effect's parameters, and the edges of its window, with the ends of their intervals, {name: (value, lower,
-    upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone leaves
-    unknown; angles do not jump."""
-    replicas = [with_parameters(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
-    moved = [with_parameters(evidence, refined.acting, refined.labels, refined.theta + row) for row in refined.unknown]
+    upper)}: jackknife over blocks, and over recordings, each replica turned into parameters, and no less than what the
+    noise alone leaves unknown; angles do not jump."""
+    moved = [refined.theta + row for row in refined.unknown]
+    ways = [
+        [with_parameters(evidence, refined.acting, refined.labels, row) for row in rows]
+        for rows in (moved, *refined.replicas)
+    ]
     out = []
     for number, a in enumerate(refined.acting):
         row = {}
         for name, value in _told(a).items():
-            away = [
-                np.array([np.asarray(_told(r[number])[name], float) - value for r in rows])
-                for rows in (replicas, moved)
-            ]
+            away = [np.array([np.asarray(_told(r[number])[name], float) - value for r in rows]) for rows in ways]
             if name in ("azimuth", "phase"):
                 away = [(x + np.pi) % (2 * np.pi) - np.pi for x in away]
-            error = np.hypot(reach(away[0], away[1], share), 2 * _systematic(evidence, a, name, value))
+            error = np.hypot(reach(away[1:], away[0], share), 2 * _systematic(evidence, a, name, value))
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
     return out
@@ -51,14 +53,15 @@ def _told(acting: Acting) -> dict[str, Any]:
     return {**acting.parameters, **edges}
 
 
-def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
-    """Half of the interval of replicas (B, …): jackknife, Student's t (Tukey 1958); at least that of the moves (m, …)
-    that the noise leaves unknown."""
-    replicas, unknown = (np.clip(x, -BOUNDLESS, BOUNDLESS) for x in (replicas, unknown))
-    count = len(replicas)
-    spread = np.sqrt((count - 1) / count * np.sum((replicas - replicas.mean(0)) ** 2, axis=0))
-    by_noise = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(unknown**2, axis=0))
-    return np.maximum(stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread, by_noise)
+def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
+    """Half of the widest interval of replicas (B, …) of some kinds: jackknife, Student's t (Tukey 1958); at least that
+    of the moves (m, …) that the noise leaves unknown."""
+    widest = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(np.clip(unknown, -BOUNDLESS, BOUNDLESS) ** 2, axis=0))
+    for one in replicas:
+        one, count = np.clip(one, -BOUNDLESS, BOUNDLESS), len(one)
+        spread = np.sqrt((count - 1) / count * np.sum((one - one.mean(0)) ** 2, axis=0))
+        widest = np.maximum(widest, stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread)
+    return widest
 
 
 def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:

@@ -55,9 +55,11 @@ def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Re
     return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.beside(acting))
 
 
-def exactly(inquiry: Inquiry, hypothesis: Hypothesis) -> Refined:
-    """The exact parameters of a hypothesis on the data that chose it."""
-    return refitted(inquiry, acting_of(inquiry.judge, inquiry.beside(hypothesis), hypothesis), inquiry.judge.rows)
+def exactly(inquiry: Inquiry, hypothesis: Hypothesis, before: Refined) -> Refined:
+    """The exact parameters of a hypothesis on the data that chose it, from where they were `before` if they were."""
+    known = {a.key: a for a in before.acting}
+    start = acting_of(inquiry.judge, inquiry.beside(hypothesis), hypothesis)
+    return refitted(inquiry, [known.get(a.key, a) for a in start], inquiry.judge.rows)
 
 
 def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
@@ -65,7 +67,7 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     parameters, refined anew whenever one is dropped; and a sentence for each of the others."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
     if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
-        chosen = exactly(inquiry, hypothesis)
+        chosen = exactly(inquiry, hypothesis, chosen)
     while hypothesis:
         worst, after = None, left(inquiry, hypothesis)
         for i in range(len(hypothesis)):
@@ -82,7 +84,7 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
-        chosen = exactly(inquiry, hypothesis)
+        chosen = exactly(inquiry, hypothesis, chosen)
     return hypothesis, chosen, tuple(said)
 
 
@@ -148,22 +150,25 @@ def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
 
 
 def _exactly(inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int) -> tuple[bool, float]:
-    """Whether the logged torque is predicted better on held-out rows with an effect than without it, the others staying
-    as they are; and by how much, as a share of what is left on the joints that feel it. Columns of a channel
+    """Whether the logged torque is predicted better with an effect than without it, the others staying as they are: on
+    held-out rows, and on draws of blocks of all rows by more than the effect costs for having been chosen on some of
+    them; and by how much on the former, as a share of what is left on the joints that feel it. Columns of a channel
     effect act on the measured torque, and calm its noise; the formula does not.
     An effect that hardly comes up on the held-out rows is judged on all."""
     evidence, model, weights = inquiry.evidence, inquiry.model, inquiry.noise.weights
     others = [a for a in chosen.acting if a.key != hypothesis[i].key]
     after = chosen.residual * evidence.valid
-    change = (model.residual(others) - model.residual(chosen.acting)) * evidence.valid
+    change = (model.without(chosen, others) - chosen.residual) * evidence.valid
     rows = _judging(evidence, change**2 @ weights)
     saved = ((2 * after + change) * change) @ weights
-    per_block = np.bincount(evidence.block[rows], saved[rows])[np.unique(evidence.block[rows])]
-    total = float(per_block.sum())
+    every = evidence.role != ROLES.index("reference")
+    per_block = np.bincount(evidence.block[every], saved[every])[np.unique(evidence.block[every])]
+    doubt = naming.chance(per_block, -inquiry.judge.price((hypothesis[i],)))
+    total = float(saved[rows].sum())
     of_joint = np.sum(change[rows] ** 2, axis=0) * weights
     felt = of_joint > FELT * of_joint.sum()
     remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
-    return total > 0 and naming.chance(per_block, 0.0) < naming.DOUBT, total / max(remains, 1e-300)
+    return total > 0 and doubt < naming.DOUBT, total / max(remains, 1e-300)
 
 
 def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:

@@ -6,18 +6,20 @@ and nothing is straightened any more. Gauss and Newton's steps with numerical sl
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import beforehand, gear_columns, passing_columns, passing_torque
+from invdyn_cli.diagnosis.columns.candidates import gear_columns, passing_columns, passing_torque
 from invdyn_cli.diagnosis.columns.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates, flat, inside, precision_of, with_parameters
+from invdyn_cli.diagnosis.search.edges import summed, within
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
+from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.steps import WHOLE
 from invdyn_cli.effects.composition import Acting, channel, identity, joint_terms, link_torque
 from invdyn_cli.interfaces import (
-    AbstractBodyEffect,
     AbstractChannelEffect,
-    AbstractForceEffect,
     AbstractGearEffect,
     AbstractTorqueEffect,
 )
@@ -32,11 +34,11 @@ FACTORS = (0.6, 0.67, 0.75, 0.82, 0.9, 1.0, 1.1, 1.21, 1.33, 1.5, 1.7)
 NEAR = 0.06
 """Share of it by which it differs from one that was found like that, and is not tried again."""
 
+RECORDINGS = 3
+"""Of a log, from which on sizes are also compared between them: two say nothing of how they scatter."""
+
 MOTIONS = 40
 """Of links behind gears that are kept of every piece, so that one gear more or less is not all of them."""
-
-EDGES = ("start", "end")
-"""Coordinates of a window [s]."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +48,21 @@ class Refined:
     Attributes:
         acting: the effects.
         theta: (k,) all parameters in one row; `labels` (effect number, parameter, index) says which.
-        replicas: (B, k) parameters with one block left out each: their spread is the uncertainty (jackknife).
+        replicas: parameters (B, k) with one block left out each, and (B, k) with one recording where there are some:
+            their spread is the uncertainty (jackknife).
         unknown: (m, k) independent moves of the parameters by a standard error each, from the noise alone and what was
             known beforehand: what the data do not show moves as far as it may.
         residual: (R, n) logged less modelled torque, filtered, without what is allowed for.
-        allowed: (m,) coefficients of what is allowed for.
+        allowed: (m,) coefficients of what is allowed for, `always`.
     """
 
     acting: tuple[Acting, ...]
     theta: np.ndarray
     labels: tuple[tuple[int, str, int], ...]
-    replicas: np.ndarray
+    replicas: tuple[np.ndarray, ...]
     unknown: np.ndarray
     residual: np.ndarray
+    always: Hypothesis = ()
     allowed: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
@@ -68,6 +72,7 @@ class Model:
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
         self.rate = evidence.recording.filter.rate
+        self._base = evidence.base or [np.zeros_like(p.q) for p in evidence.recording.pieces]
         self._bodies: dict[tuple, list[np.ndarray]] = {}
         self._rows: dict[tuple, np.ndarray] = {}
         self._gears: list[dict] = [{} for _ in evidence.recording.pieces]
@@ -83,6 +88,18 @@ class Model:
             out[compared] = self.residual(())[compared]
         return out
 
+    def without(self, refined: Refined, acting: Sequence[Acting]) -> np.ndarray:
+        """(R, n) what effects leave in place of those that were refined, what is allowed for staying as it is."""
+        return self.residual(acting) - self.allowed(refined, acting)
+
+    def allowed(self, refined: Refined, acting: Sequence[Acting], count: int | None = None) -> np.ndarray:
+        """(R, n) logged torque of what is allowed for, or of the last `count` coefficients of it, where these effects
+        act."""
+        theta = refined.allowed.copy()
+        theta[: 0 if count is None else len(theta) - count] = 0.0
+        torque = np.tensordot(theta, _allowed(self.evidence, refined.always)[0], 1)
+        return self.evidence.logged(acting, torque[None])[0]
+
     def _moved(self, acting: Sequence[Acting]) -> tuple:
         """The key of the inverse dynamics (n, T) of every piece with the effects that reach more than one joint, which
         are there. What comes and goes adds to that of the nominal motion, its columns being at hand; but a gear yields
@@ -96,10 +113,10 @@ class Model:
             if lasting == whole or any(a.effect.point == "gear" for a in whole):
                 robot, recording = self.evidence.robot, self.evidence.recording
                 made = []
-                for piece, kept in zip(recording.pieces, self._gears, strict=True):
+                for piece, kept, base in zip(recording.pieces, self._gears, self._base, strict=True):
                     if len(kept) > MOTIONS:
                         kept.clear()
-                    made.append(link_torque(robot, whole, piece.motion, recording.stretch(piece), kept))
+                    made.append(base + link_torque(robot, whole, piece.motion, recording.stretch(piece), kept))
             else:
                 made = self._bodies[self._moved(lasting)]
                 for one in whole:
@@ -125,17 +142,17 @@ class Model:
     def _parts(self, own: Sequence[Acting], bodies: tuple, j: int) -> list[np.ndarray]:
         parts = []
         pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
-        for piece, states, body in zip(pieces, self.evidence.states, moved, strict=True):
-            state = states[j]._replace(transmitted=body[j])
+        for piece, states, body, base in zip(pieces, self.evidence.states, moved, self._base, strict=True):
+            state = states[j]._replace(transmitted=body[j] - base[j])
             tau = body[j] + sum(joint_terms(own, j, state))
             logged = piece.tau[j]
             for a in own:
                 if not isinstance(a.effect, AbstractChannelEffect):
                     continue
-                if a.effect.name == "torque_saturation":  # what was asked for beyond the limit, no model can know
-                    logged = a.effect.delivered(a.parameters, logged, self.rate)
-                else:
+                if a.effect.invertible:
                     tau = np.asarray(channel([a], j, tau, self.evidence.recording.stretch(piece)))
+                else:
+                    logged = a.effect.delivered(a.parameters, logged, self.rate)
             parts.append(logged - tau)
         return parts
 
@@ -155,72 +172,102 @@ def refine(
 ) -> Refined:
     """The parameters of least weighted squares on the chosen rows (R,) bool, from where they are.
 
-    Friction that jumps has the time of its jump free, as in the search, and so have the columns of `always`; they have
-    no parameter, and the residual is that without the latter.
+    Friction that jumps has the time of its jump free, as in the search, and the columns of `always` have their
+    coefficients; these are no parameters, and the residual is that without the latter.
     """
-    theta, labels = _flat(evidence, acting)
+    theta, labels = flat(evidence, acting)
     if not acting and not always:
-        return Refined((), theta, labels, np.zeros((2, 0)), np.zeros((0, 0)), model.residual(()))
+        return Refined((), theta, labels, (), np.zeros((0, 0)), model.residual(()))
     used = rows[:, None] & evidence.valid
     scale = np.sqrt(weights)[None, :] * used
-    theta, acting = _scanned(evidence, model, acting, theta, labels, scale, rows.sum())
-    timing, timing_precision = _timing(evidence, acting)
-    allowed, allowed_precision = _allowed(evidence, always)
-    timing = np.concatenate([allowed, timing])
-    timing_precision = np.concatenate([allowed_precision, timing_precision])
+    beside = [np.concatenate(x) for x in zip(_allowed(evidence, always), _timing(evidence, acting), strict=True)]
+    timing, timing_precision = beside
+    theta, acting = _scanned(evidence, model, acting, theta, labels, scale, rows.sum(), *beside)
     precision = np.concatenate([precision_of(evidence, acting, labels), timing_precision])
-    extra = np.zeros(len(timing))
+    extra = _fitted(model.residual(acting), evidence.logged(acting, timing), scale, timing_precision)
+
+    def left_by(extra: np.ndarray, there: Sequence[Acting]) -> np.ndarray:
+        return model.residual(there) - evidence.logged(there, np.tensordot(extra, timing, 1)[None])[0]
 
     def weighed(theta: np.ndarray, extra: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        residual = model.residual(with_parameters(evidence, acting, labels, theta))
-        y = ((residual - np.tensordot(extra, timing, 1)) * scale).ravel()
-        return float(y @ y + precision @ np.concatenate([theta, extra]) ** 2), residual, y
+        left = left_by(extra, with_parameters(evidence, acting, labels, theta))
+        y = (left * scale).ravel()
+        return float(y @ y + precision @ np.concatenate([theta, extra]) ** 2), left, y
+
+    def squares(extra: np.ndarray, there: Sequence[Acting]) -> np.ndarray:
+        return np.sum((left_by(extra, there) * scale) ** 2, axis=1)
 
     gears = np.array([acting[n].effect.point == "gear" for n, *_ in labels] + [False] * len(extra))
-    loss, residual, y = weighed(theta, extra)
+    edges = np.array([name in EDGES for _, name, _ in labels] + [False] * len(extra))
+    ways = [~(g & gears | e & edges) for e in {False, bool(edges.any())} for g in {False, bool(gears.any())}]
+    loss, left, y = weighed(theta, extra)
     for _ in range(steps):
-        slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
+        if edges.any():
+            timed = summed(evidence, acting, partial(squares, extra))
+            at = flat(evidence, timed)[0]
+            if (after := weighed(at, extra))[0] < loss:
+                theta, acting, (loss, left, y) = at, timed, after
+        slopes = _jacobian(evidence, model, acting, theta, labels, timing, extra)
         x = (slopes * scale).reshape(len(slopes), -1)
         normal, moment = x @ x.T, x @ y - precision * np.concatenate([theta, extra])
-        for free in (np.ones_like(gears), ~gears):  # a gear's slope may lead astray, and the others with it
+        for free in ways:  # slopes of a gear or an edge may lead astray, and the others with them
             move = np.zeros(len(free))
             move[free] = solved(normal[np.ix_(free, free)], moment[free], precision[free])
-            there = _inside(evidence, acting, labels, theta + move[: len(theta)]), extra + move[len(theta) :]
+            near = within(acting, labels, move[: len(theta)])
+            there = inside(evidence, acting, labels, theta + near), extra + move[len(theta) :]
             after = weighed(*there)
-            if after[0] < loss or not gears.any():
+            if after[0] < loss:
                 break
         if not after[0] < loss:
             break
-        (theta, extra), (loss, residual, y) = there, after
+        (theta, extra), (loss, left, y) = there, after
         acting = with_parameters(evidence, acting, labels, theta)
     model.scanned |= {
         (*acting[n].key, rows.sum()): theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.point == "gear"
     }
-    spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual)
-    left = residual - np.tensordot(extra[: len(allowed)], allowed, 1)
-    return Refined(tuple(acting), theta, labels, *spread, left, extra[: len(allowed)])
+    spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, left)
+    allowed = extra[: sum(len(c.precision) for c in always)]
+    refined = Refined(tuple(acting), theta, labels, *spread, left, tuple(always), allowed)
+    return replace(refined, residual=model.without(refined, acting))
 
 
-def _scanned(evidence: Evidence, model: Model, acting: Sequence[Acting], theta, labels, scale, rows: int):
+def _fitted(residual: np.ndarray, columns: np.ndarray, scale: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Coefficients (m,) of free columns (m, R, n) beside a residual (R, n), rows weighted by `scale` (R, n)."""
+    x = (columns * scale).reshape(-1, scale.size)
+    return solved(x @ x.T, x @ (residual * scale).ravel(), precision)
+
+
+def _scanned(evidence: Evidence, model: Model, acting, theta, labels, scale, rows: int, columns, precision):
     """Parameters and effects with each gear at the best of a few sizes, unless one of these was it before: flanks meet
-    or do not, and slopes say little of what comes next."""
-    for i, (number, *_) in enumerate(labels):
-        before = model.scanned.get((*acting[number].key, rows), np.inf)
-        if acting[number].effect.point == "gear" and abs(theta[i] / before - 1) > NEAR:
-            tried = []
-            for factor in FACTORS:
-                one = theta.copy()
-                one[i] *= factor
-                there = with_parameters(evidence, acting, labels, one)
-                tried.append((float(np.sum((model.residual(there) * scale) ** 2)), one, there))
-            _, theta, acting = min(tried, key=lambda x: x[0])
+    or do not, and slopes say little of what comes next. Free `columns` are fitted beside each."""
+    new = [
+        i
+        for i, (number, *_) in enumerate(labels)
+        if acting[number].effect.point == "gear"
+        and abs(theta[i] / model.scanned.get((*acting[number].key, rows), np.inf) - 1) > NEAR
+    ]
+
+    x = (columns[: len(columns) if new else 0] * scale).reshape(-1, scale.size)
+    normal = x @ x.T
+
+    def left(there: Sequence[Acting]) -> float:
+        y = (model.residual(there) * scale).ravel()
+        return float(np.sum((y - solved(normal, x @ y, precision[: len(x)]) @ x) ** 2))
+
+    for i in new:
+        tried = []
+        for factor in FACTORS:
+            one = theta.copy()
+            one[i] *= factor
+            there = with_parameters(evidence, acting, labels, one)
+            tried.append((left(there), one, there))
+        _, theta, acting = min(tried, key=lambda x: x[0])
     return theta, acting
 
 
 def _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, residual):
-    """`replicas` and `unknown` of what was refined."""
-    slopes = np.concatenate([_jacobian(evidence, model, acting, theta, labels, residual), timing])
-    residual = residual - np.tensordot(extra, timing, 1)
+    """`replicas` and `unknown` of what was refined, and leaves this `residual` (R, n)."""
+    slopes = _jacobian(evidence, model, acting, theta, labels, timing, extra)
     blocks = np.unique(evidence.block[rows])
     normals, moments = [], []
     for b in blocks:
@@ -229,45 +276,56 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
         normals.append(x @ x.T)
         moments.append(x @ (residual[at] * scale[at]).ravel())
     normal, moment = np.array(normals), np.array(moments)
-    centre = solved(normal.sum(0), moment.sum(0), precision)
-    others = ~np.eye(len(blocks), dtype=bool)  # summed anew: of what is in one block alone a difference leaves rounding
-    moves = [solved(normal[o].sum(0), moment[o].sum(0), precision) - centre for o in others]
+    centre, replicas = solved(normal.sum(0), moment.sum(0), precision), []
+    recording = _recordings(evidence)[[np.argmax(evidence.block == b) for b in blocks]]
+    for numbers in [blocks, recording] if len(np.unique(recording)) >= RECORDINGS else [blocks]:
+        others = [
+            numbers != k for k in np.unique(numbers)
+        ]  # summed anew: of what is in one alone a difference leaves rounding
+        moves = [solved(normal[o].sum(0), moment[o].sum(0), precision) - centre for o in others]
+        replicas.append(theta + np.array(moves)[:, : len(theta)])
     curvature = normal.sum(0) + np.diag(precision)
     unit = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
     unknown = (vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / unit[:, None]).T
-    return theta + np.array(moves)[:, : len(theta)], unknown[:, : len(theta)]
+    return tuple(replicas), unknown[:, : len(theta)]
+
+
+def _recordings(evidence: Evidence) -> np.ndarray:
+    """(R,) number of each row's trajectory."""
+    return np.unique([p.trajectory for p in evidence.recording.pieces], return_inverse=True)[1][evidence.piece]
 
 
 def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:
     """The same with parameters moved by (k,), as far as they are physics, replicas and all; windows stay."""
     move = np.where([name in EDGES for _, name, _ in refined.labels], 0.0, move)
-    theta = _inside(evidence, refined.acting, refined.labels, refined.theta + move)
+    theta = inside(evidence, refined.acting, refined.labels, refined.theta + move)
     acting = with_parameters(evidence, refined.acting, refined.labels, theta)
     residual = refined.residual + model.residual(acting) - model.residual(refined.acting)
-    there = refined.replicas + (theta - refined.theta)
-    return replace(refined, acting=acting, theta=theta, replicas=there, residual=residual)
+    replicas = tuple(x + (theta - refined.theta) for x in refined.replicas)
+    return replace(refined, acting=acting, theta=theta, replicas=replicas, residual=residual)
 
 
-def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual) -> np.ndarray:
-    """(k, R, n): change of the modelled torque with each parameter; what reaches more than a joint as it is before the
-    channel, but for gains: a delay or a lag changes its slopes by some percent, and not where they lead."""
-    out = np.zeros((len(theta), *residual.shape))
-    gains = np.ones(evidence.dofs)
-    for a in acting:
-        if a.effect.name == "torque_gain_error":
-            gains[a.joint] /= a.parameters["gain"]
+def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, timing, extra) -> np.ndarray:
+    """(k + m, R, n): change of the modelled torque with each parameter, and with each coefficient `extra` (m,) of the
+    free columns `timing` (m, R, n)."""
+    out = np.zeros((len(theta), *evidence.tau.shape))
+    residual, beside = model.residual(acting), np.tensordot(extra, timing, 1)[None]
+    behind = evidence.logged(acting, beside)[0]
+    unlogged = []  # what was made before the channel
     for i, (number, name, index) in enumerate(labels):
         a = acting[number]
         if not name and a.when is not None:
             if index == 0:
                 passing = passing_columns(evidence, a.effect, a.joint, a.when)
-            out[i] = (gains[:, None] * passing[index]).T
+            out[i] = passing[index].T
+            unlogged.append(i)
             continue
         if not name:  # torque is linear in a body's coordinates, and its columns are there already
             columns = next(c.columns for c in evidence.candidates if c.key == (a.effect.name, a.joint))
             for j, (_, free) in columns.items():
-                out[i, :, j] = gains[j] * evidence.tables[j][:, free[index]]
+                out[i, :, j] = evidence.tables[j][:, free[index]]
+            unlogged.append(i)
             continue
         step = _step(a, name, theta[i], evidence.recording.filter.rate)
         moved = theta.copy()
@@ -276,15 +334,20 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, residual)
         if isinstance(a.effect, AbstractGearEffect):
             others = [x for x in acting if x is not a and x.effect.point in WHOLE]
             softer = a.effect.softness(there[number].parameters) - a.effect.softness(a.parameters)
-            out[i] = (gains[:, None] * gear_columns(evidence, a, others)[1] * softer / step).T
+            out[i] = (gear_columns(evidence, a, others)[1] * softer / step).T
+            unlogged.append(i)
         elif name in EDGES and a.effect.point in WHOLE:
             factors = np.array(coordinates(evidence, a))
             ends = [passing_torque(evidence, x, factors) for x in (there[number], a)]
             change = filtered(evidence.recording, [x - y for x, y in zip(*ends, strict=True)])
-            out[i] = (gains[:, None] * change / step).T
+            out[i] = (change / step).T
+            unlogged.append(i)
         else:
             out[i] = (residual - model.residual(there)) / step
-    return out
+            if isinstance(a.effect, AbstractChannelEffect) and beside.any():
+                out[i] += (evidence.logged(there, beside)[0] - behind) / step
+    out[unlogged] = evidence.logged(acting, out[unlogged])
+    return np.concatenate([out, evidence.logged(acting, timing)])
 
 
 def _step(acting: Acting, name: str, value: float, rate: float) -> float:
@@ -327,70 +390,3 @@ def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, n
         columns.append(column)
         precision.append(1 / STICK_TIME**2)
     return np.array(columns).reshape(len(columns), *evidence.tau.shape), np.array(precision)
-
-
-def _flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
-    """All coordinates in one row, and what each is: (effect number, parameter or "" for what torque is linear in,
-    index)."""
-    values, labels = [], []
-    for number, a in enumerate(acting):
-        row = coordinates(evidence, a)
-        if row is not None:
-            values += row
-            labels += [(number, "", index) for index in range(len(row))]
-        else:
-            values += [float(x) for x in a.parameters.values()]
-            labels += [(number, name, 0) for name in a.parameters]
-        if a.when is not None:
-            values += [a.when.start, a.when.end]
-            labels += [(number, name, 0) for name in EDGES]
-    return np.array(values), tuple(labels)
-
-
-def coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
-    """What the torque is linear in, of bodies and forces."""
-    if isinstance(acting.effect, AbstractBodyEffect):
-        return acting.effect.coefficients(acting.parameters, evidence.robot, acting.joint)
-    if isinstance(acting.effect, AbstractForceEffect):
-        return acting.effect.coefficients(acting.parameters)
-    return None
-
-
-def with_parameters(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
-    """The effects with parameters from one row of coordinates."""
-    made = []
-    for number, a in enumerate(acting):
-        own = {(name, index): x for (k, name, index), x in zip(labels, theta, strict=True) if k == number}
-        linear = [x for (name, _), x in own.items() if not name]
-        if a.when is not None:
-            a = replace(a, when=a.when._replace(**{name: float(own[name, 0]) for name in EDGES}))
-        if isinstance(a.effect, AbstractBodyEffect):
-            made.append(replace(a, parameters=a.effect.read(linear, evidence.robot, a.joint)))
-        elif isinstance(a.effect, AbstractForceEffect):
-            made.append(replace(a, parameters=a.effect.read(linear)))
-        else:
-            made.append(replace(a, parameters={name: float(x) for (name, _), x in own.items() if name not in EDGES}))
-    return tuple(made)
-
-
-def _inside(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
-    """Parameters moved back to where they are physics at all, and windows to their trajectory."""
-    lower, upper = np.full(len(theta), -np.inf), np.full(len(theta), np.inf)
-    for i, (number, name, _) in enumerate(labels):
-        a = acting[number]
-        if name in EDGES and a.when is not None:
-            times = [p.t[[0, -1]] for p in evidence.recording.pieces if p.trajectory == a.when.trajectory]
-            lower[i], upper[i] = np.min(times), np.max(times)
-        elif name in a.effect.parameters:
-            lower[i], upper[i] = a.effect.parameters[name].lower, a.effect.parameters[name].upper
-    return np.clip(theta, lower, upper)
-
-
-def precision_of(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
-    """What is known of coordinates beforehand: what the data do not show of a body or a force stays near zero."""
-    out = np.zeros(len(labels))
-    for number, a in enumerate(acting):
-        own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]
-        if own:
-            out[own] = beforehand(evidence.robot, a.effect, a.joint, len(own))
-    return out

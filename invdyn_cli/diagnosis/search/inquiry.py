@@ -57,10 +57,9 @@ class Inquiry:
         return _beside(self.always, self.wear, found)
 
     def worn(self, refined: Refined) -> np.ndarray:
-        """(R, n) torque of the standard model beside these effects, which is not in their residual."""
+        """(R, n) logged torque of the standard model beside these effects, which is not in their residual."""
         wear = _apart(self.wear, refined.acting)
-        theta = refined.allowed[len(refined.allowed) - sum(len(c.precision) for c in wear) :]
-        return self.evidence.left((), theta) - self.evidence.left(wear, theta)
+        return self.model.allowed(refined, refined.acting, sum(len(c.precision) for c in wear))
 
 
 def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
@@ -95,7 +94,7 @@ def inquire(
         parted: whether a user said what chooses and what judges; it then stays so.
         wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
             rotor of every joint; none of these is looked for.
-        start: what a search without wear came to, from which this one starts as well as from nothing.
+        start: trials of what lasts, from which the search starts as well as from nothing.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.point == "gear"]
@@ -119,8 +118,7 @@ def inquire(
         refined = [a.when for a in acting if a.when is not None]
         residuals = [inquiry.whole.residual]
         if refined:
-            without = inquiry.model.residual([a for a in acting if a.when is None])
-            residuals.append(without - inquiry.worn(inquiry.whole))
+            residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))
         elif not wear:
             residuals.append(nominal)
         return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined])
@@ -134,9 +132,8 @@ def inquire(
             evidence, found = inquiry.evidence, proposed(inquiry, held)
         else:
             inquiry, found = None, {}
-    first = [tuple(c for c in start if c.when is None and c.effect.group != "standard")] if wear else []
     for turn in range(1 + events.ROUNDS - bool(held)):
-        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [*first, ()])]
+        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [start, ()] if start else [()])]
         again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
         if turn and inquiry and kept.keys() == held.keys():
             break
@@ -202,7 +199,7 @@ def _searched(
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
-    if isinstance(ripple, TorqueRipple) and not any(starts):
+    if isinstance(ripple, TorqueRipple) and not any(c.effect is ripple for c in evidence.candidates):
         lines = noise.ripples(evidence, measured, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines
@@ -247,7 +244,7 @@ def _searched(
             pool = [c for c in pool if c.key not in unlikely]
             hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
             continue
-        trials = tuple(trial_at(evidence, a, _others(refined.acting, a)) for a in refined.acting)
+        trials = tuple(trial_at(evidence, a, others_of(refined.acting, a)) for a in refined.acting)
         more = [*trials, *_geared(evidence, refined.acting, loads)]
         pool = [*pool, *(c for c in more if not any(c is p for p in pool))]
         judge.refresh()
@@ -275,7 +272,7 @@ def _searched(
         hypothesis = simplified(hypothesis)
 
 
-def _others(acting: Sequence[Acting], one: Acting) -> list[Acting]:
+def others_of(acting: Sequence[Acting], one: Acting) -> list[Acting]:
     """The other effects that reach more than a joint of their own."""
     return [a for a in acting if a is not one and a.effect.point in WHOLE]
 
@@ -289,7 +286,7 @@ def _geared(evidence: Evidence, acting: Sequence[Acting], tried: dict[int, list[
     that is another load than it was tried with."""
     made = []
     for one in acting:
-        others = _others(acting, one)
+        others = others_of(acting, one)
         if one.effect.point == "gear" and one.joint is not None and others:
             loads = tried.setdefault(one.joint, [load_on(evidence, one.joint)])
             load = load_on(evidence, one.joint, others)
@@ -354,7 +351,7 @@ def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined
     assert j is not None
     used = evidence.valid[:, j]
     others = [a for k, a in enumerate(refined.acting) if k != place]
-    beyond = np.abs(model.residual(others) - model.residual(refined.acting))[used, j]
+    beyond = np.abs(model.without(refined, others) - refined.residual)[used, j]
     left = refined.residual[used, j]
     clipped = beyond > CLIPPED * beyond.max()
     if not 0 < clipped.mean() < SELDOM or np.mean(beyond[clipped] ** 2) < BEYOND**2 * np.mean(left[~clipped] ** 2):

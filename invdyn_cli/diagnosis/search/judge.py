@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import DRY, Candidate, Evidence, shared_out
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, held_out, solved, squares_left, summed
+from invdyn_cli.diagnosis.search.grams import Grams
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -16,9 +16,6 @@ from invdyn_cli.interfaces import (
     AbstractGearEffect,
     AbstractTorqueEffect,
 )
-
-FOLDS = 8
-"""Parts of the blocks that are held out in turn."""
 
 PRICE_OF_EFFECT, PRICE_OF_COEFFICIENT = 12.0, 4.0
 """In units of the noise variance: an effect must gain more. About 2 log(tries) and log(samples), as BIC has it
@@ -34,9 +31,6 @@ FARTHEST = 1.5
 CANCELLED = 3.0
 """Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
 other effects take back: of two that cancel each other, neither is known."""
-
-SPARE = 128
-"""Columns for which there is room before matrices are copied."""
 
 LOCAL = ("torque", "channel", "gear")
 """Points of effects that are worth what they are to their own joint; others to the whole arm."""
@@ -81,8 +75,8 @@ class Judge:
             price of their own (`strain`); then a body's torque itself must be worth something, not what it adds.
 
     Attributes:
-        grams: of every joint (F, C, C), by fold; blocks are held out in turn by folds.
-        totals: the same of all folds (C, C).
+        grams: of the chosen rows, by fold; blocks are held out in turn by folds.
+        count: of blocks.
     """
 
     def __init__(
@@ -95,20 +89,13 @@ class Judge:
         worn: bool = False,
     ) -> None:
         self.evidence, self.rows, self.weights = evidence, rows, weights
-        at = np.flatnonzero(rows)
-        first = np.unique(evidence.block[rows], return_index=True)[1]
-        self.blocks = [slice(at[a], at[b - 1] + 1) for a, b in pairwise([*first, len(at)])]
-        self.used = rows[:, None] & evidence.valid
-        self.count = len(self.blocks)
-        self.folds = np.arange(self.count) % min(FOLDS, self.count)
-        self.grams: list[np.ndarray] = [np.empty((min(FOLDS, self.count), 0, 0))] * evidence.dofs
-        self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
-        worth = weights * np.sum((RELEVANT * evidence.tau) ** 2 * self.used, axis=0)
+        self.grams = Grams.of(evidence, rows)
+        self.count = len(self.grams.blocks)
+        worth = weights * np.sum((RELEVANT * evidence.tau) ** 2 * self.grams.used, axis=0)
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
-        self.rows_worth = weights * self.used.sum(0)
+        self.rows_worth = weights * self.grams.used.sum(0)
         self.deviation = deviation
         self.always, self.worn = always, worn
-        self._room: list[np.ndarray] = list(self.grams)
         self._freedom: dict[int, float] = {}
         self._prices: dict[int, tuple[float, Candidate]] = {}
         self._alike: dict[tuple[int, int, int], _Alike] = {}
@@ -117,34 +104,20 @@ class Judge:
 
     def refresh(self) -> None:
         """Take in the columns that were added to the evidence since."""
-        for j, table in enumerate(self.evidence.tables):
-            known, count = self.grams[j].shape[1], table.shape[1]
-            if count == known:
-                continue
-            new = np.where(self.used[:, j : j + 1], table[:, known:], 0.0)
-            room = self._room[j]
-            if count > room.shape[1]:
-                room = np.zeros((len(room), count + SPARE, count + SPARE))
-                room[:, :known, :known] = self.grams[j]
-                self._room[j] = room
-            for fold, rows in zip(self.folds, self.blocks, strict=True):
-                room[fold, :count, known:count] += table[rows].T @ new[rows]
-            room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
-            self.grams[j] = room[:, :count, :count]
-            self.totals[j] = self.grams[j].sum(0)
+        self.grams.refresh()
 
     def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, ...]:
         """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
-        return summed([self._of_row(hypothesis, j) for j in range(len(self.grams))])
+        return summed([self._of_row(hypothesis, j) for j in range(self.evidence.dofs)])
 
     def _of_row(self, hypothesis: Sequence[Candidate], j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`sums` of one row of the arm."""
         fixed, free, place, k = _columns(hypothesis, j)
-        table, used = self.evidence.tables[j], self.used[:, j]
+        table, used = self.evidence.tables[j], self.grams.used[:, j]
         y = np.where(used, table[:, 0] - table[:, fixed].sum(1), 0.0)
         x = np.where(used[:, None], table[:, free], 0.0)
         s, r, normal = np.zeros(self.count), np.zeros((self.count, k)), np.zeros((self.count, k, k))
-        for b, rows in enumerate(self.blocks):
+        for b, rows in enumerate(self.grams.blocks):
             s[b] = y[rows] @ y[rows]
             r[b, place] = y[rows] @ x[rows]
             normal[b, place[:, None], place] = x[rows].T @ x[rows]
@@ -168,7 +141,7 @@ class Judge:
 
     def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
         """Loss with prices on the data that fits the hypothesis, and its coefficients."""
-        s, r, normal = self._assembled(hypothesis, self.totals)
+        s, r, normal = self._assembled(hypothesis, self.grams.totals)
         theta = solved(normal, r, _precision(hypothesis))
         return float(s - theta @ r) + self.price(hypothesis), theta
 
@@ -181,7 +154,7 @@ class Judge:
         What is in the hypothesis is projected out of every column (Schur's complement of its normal matrix), so that
         each candidate is a small problem of its own.
         """
-        s, r, normal = self._assembled(base, self.totals)
+        s, r, normal = self._assembled(base, self.grams.totals)
         prior = _precision(base)
         inverse = np.linalg.inv(normal + np.diag(prior + LEAST_PRECISION * np.diag(normal) + 1e-300))
         theta = inverse @ r
@@ -224,7 +197,9 @@ class Judge:
         vars(alike).pop("arrays", None)
         alike.joints.append(list(c.columns))
         alike.columns.append(columns)
-        squares = [self.weights[j] * self.totals[j][np.ix_(x, x)] for j, x in zip(c.columns, columns, strict=True)]
+        squares = [
+            self.weights[j] * self.grams.totals[j][np.ix_(x, x)] for j, x in zip(c.columns, columns, strict=True)
+        ]
         alike.square.append(np.sum(squares, axis=0))
         alike.precision.append(c.precision)
         alike.price.append(self.price((c,)))
@@ -233,9 +208,12 @@ class Judge:
 
     def _crossed(self, base: Sequence[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Products of every column of each row with a hypothesis' own (n, C, k), and with what it leaves (n, C)."""
-        most = max(len(gram) for gram in self.totals)
-        crossed, towards = np.zeros((len(self.totals), most, len(theta))), np.zeros((len(self.totals), most))
-        for j, (gram, w) in enumerate(zip(self.totals, self.weights, strict=True)):
+        most = max(len(gram) for gram in self.grams.totals)
+        crossed, towards = (
+            np.zeros((len(self.grams.totals), most, len(theta))),
+            np.zeros((len(self.grams.totals), most)),
+        )
+        for j, (gram, w) in enumerate(zip(self.grams.totals, self.weights, strict=True)):
             fixed, free, place, _ = _columns(base, j)
             products = w * gram[free]
             crossed[j, : len(gram), place] = products
@@ -244,11 +222,11 @@ class Judge:
 
     def loss(self, hypothesis: Sequence[Candidate]) -> float:
         """`verdict`'s, from the folds' Gram matrices."""
-        return self._judged(hypothesis, self._assembled(hypothesis, self.grams), np.unique(self.folds)).loss
+        return self._judged(hypothesis, self._assembled(hypothesis, self.grams.parts), np.unique(self.grams.folds)).loss
 
     def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
         """The held-out judgement."""
-        return self._judged(hypothesis, self.sums(hypothesis), self.folds)
+        return self._judged(hypothesis, self.sums(hypothesis), self.grams.folds)
 
     def _judged(self, hypothesis: Sequence[Candidate], sums: tuple[np.ndarray, ...], folds: np.ndarray) -> Verdict:
         """The held-out judgement by the sums of parts of the rows, which are held out by their `folds`."""
@@ -262,10 +240,10 @@ class Judge:
 
     def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
         """Held-out losses (n, B) of every joint's own rows, without prices."""
-        rows = [self._of_row(hypothesis, j) for j in range(len(self.grams))]
+        rows = [self._of_row(hypothesis, j) for j in range(self.evidence.dofs)]
         _, r, normal = summed(rows)
-        out = np.zeros((len(self.grams), self.count))
-        for at, held in held_out(self.folds, r, normal, _precision(hypothesis)):
+        out = np.zeros((self.evidence.dofs, self.count))
+        for at, held in held_out(self.grams.folds, r, normal, _precision(hypothesis)):
             for j, (s, own, squares) in enumerate(rows):
                 out[j, at] = squares_left(s[at], own[at], squares[at], held)
         return out
@@ -314,18 +292,18 @@ class Judge:
         """Root of the sum of squares of a candidate's torque on a joint."""
         fixed, free = candidate.columns[j]
         columns, factors = [*fixed, *free], np.concatenate([np.ones(len(fixed)), own])
-        return float(np.sqrt(max(factors @ self.totals[j][np.ix_(columns, columns)] @ factors, 0.0)))
+        return float(np.sqrt(max(factors @ self.grams.totals[j][np.ix_(columns, columns)] @ factors, 0.0)))
 
     def _left(self, j: int) -> float:
         """The same of what the nominal model leaves there, noise and all."""
-        return float(np.sqrt(self.totals[j][0, 0]))
+        return float(np.sqrt(self.grams.totals[j][0, 0]))
 
     def freedom(self, candidate: Candidate) -> float:
         """How many coefficients of a candidate the data determine at all."""
         if not candidate.precision.any():
             return float(len(candidate.precision))
         if id(candidate) not in self._freedom:
-            normal = self._assembled((candidate,), self.totals)[2]
+            normal = self._assembled((candidate,), self.grams.totals)[2]
             prior = np.diag(candidate.precision)
             self._freedom[id(candidate)] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
         return self._freedom[id(candidate)]

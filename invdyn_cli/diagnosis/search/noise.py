@@ -19,8 +19,8 @@ clocks and rounding of a log."""
 MOVES = 0.05
 """Share of the rows on which a joint must move to be judged: one that is held still says nothing but its noise."""
 
-RIDGE = 1e-10
-"""Of the mean square of all columns: what tells those that say the same from none at all."""
+RIDGES = np.logspace(-10, 0, 21)
+"""Of the mean square of all columns, to choose from; the least tells those that say the same from none at all."""
 
 STRETCHES, PLAINLY = 4, 0.5
 """Of time, one of which is quiet if something comes or goes; and what share of the noise of all of them is less."""
@@ -64,19 +64,37 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         targets = y[:, None] - evidence.tables[j][:, [0, *(c.columns[j][0][0] for c in trials)]] * (
             np.arange(len(trials) + 1) > 0
         )
-        normal = x[used].T @ x[used]
-        least = RIDGE * np.trace(normal) / max(len(normal), 1)
-        inverse = linalg.inv(normal + least * np.eye(len(normal)), assume_a="pos")
-        left = targets - x @ (inverse @ (x[used].T @ targets[used]))
-        freedom = len(normal) - least * np.trace(inverse)
+        theta, spread = _fitted(x[used], targets[used], used.sum() * evidence.recording.filter.independent(j))
         loud = np.array([1.0, *(max(1 - c.quiet, 0.05) for c in trials)])
-        spread = np.sum(left[used] ** 2, axis=0) / max(used.sum() - freedom, 1) / loud
-        best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread))
-        residual[:, j] = left[:, best]
-        variance = spread[best]
+        best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread / loud))
+        residual[:, j] = targets[:, best] - x @ theta[:, best]
+        variance = spread[best] / loud[best]
         deviation[j] = np.sqrt(variance + (FLOOR * max(strongest[j], strongest.max() / 5)) ** 2)
         time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
     return Noise(deviation, time, residual)
+
+
+def _fitted(x: np.ndarray, y: np.ndarray, independent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (k, m) of columns x (N, k) of unit mean square for each of the targets y (N, m), and the variance
+    (m,) of what they leave. Rows behind a low filter are as many `independent` samples, and may be no more than the
+    columns: a ridge is chosen that predicts best (generalised cross-validation; Golub, Heath and Wahba 1979)."""
+    values, vectors = linalg.eigh(x.T @ x)
+    values = np.maximum(values, 0.0)
+    moments = vectors.T @ (x.T @ y)
+    best = np.full(y.shape[1], np.inf)
+    theta, variance = np.zeros((x.shape[1], y.shape[1])), np.mean(y**2, axis=0)
+    for ridge in RIDGES * max(values.mean() if len(values) else 0.0, 1e-300):
+        free = 1 - np.sum(values / (values + ridge)) / independent
+        if free <= 0:
+            continue
+        own = moments / (values + ridge)[:, None]
+        mean = np.maximum(
+            np.mean(y**2, axis=0) - np.sum(own * (2 * moments - values[:, None] * own), axis=0) / len(y), 0.0
+        )
+        better = mean / free**2 < best
+        best, variance = np.where(better, mean / free**2, best), np.where(better, mean / free, variance)
+        theta = np.where(better, vectors @ own, theta)
+    return theta, variance
 
 
 def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:

@@ -12,7 +12,8 @@ import numpy as np
 from scipy import stats
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.search.exact import Model, Refined, moved, precision_of
+from invdyn_cli.diagnosis.search.coordinates import precision_of
+from invdyn_cli.diagnosis.search.exact import Model, Refined, moved
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent

@@ -13,7 +13,8 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import passing_columns, passing_torque
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.search.exact import EDGES, Model, Refined, coordinates
+from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates
+from invdyn_cli.diagnosis.search.exact import Model, Refined
 from invdyn_cli.effects.composition import Acting, joint_terms
 from invdyn_cli.interfaces import AbstractChannelEffect, JointState
 

@@ -19,6 +19,6 @@ def test_a_delay_that_was_never_refined_is_judged():
     late = next(c for c in evidence.candidates if c.effect.name == "torque_delay")
     assert late.key not in {a.key for a in inquiry.chosen.acting}
     hypothesis = (*inquiry.hypothesis, candidate(evidence, *late.key))
-    chosen, after = support.exactly(inquiry, hypothesis), support.left(inquiry, hypothesis)
+    chosen, after = support.exactly(inquiry, hypothesis, inquiry.chosen), support.left(inquiry, hypothesis)
     why = support._fails(inquiry, hypothesis, chosen, len(hypothesis) - 1, after)
     assert why is not None and why[1]

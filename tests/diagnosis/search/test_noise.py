@@ -1,12 +1,15 @@
 """What is noise, and what stands out of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.transmission import TorqueRipple
-from tests.diagnosis.analytic import evidence_of, log_of, moved, nothing, on, raw
+from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, nothing, on, raw, recording_of
 
 NAMES = [n for n in EFFECTS if n != "torque_ripple"]
 SIGMA = 0.1
@@ -59,3 +62,19 @@ def test_a_ripple_is_found_by_its_cycles(cycles):
 def test_noise_has_no_ripples(quiet):
     """In noise alone no line stands out."""
     assert noise.ripples(*(quiet[i] for i in (0, 2, 1)), TorqueRipple()) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_is_none_of_what_many_columns_take_up(seed):
+    """25 s behind a low-pass of 2 Hz are some seventy independent samples, though rows are kept for joints of 30 Hz,
+    and the columns of all effects are nearly as many: white noise is measured within a factor of 1.6."""
+
+    def made(torque: float):
+        recording = recording_of(log_of(raw(*moved(25.0, 250.0, seed), torque=torque, seed=seed)), cutoffs=(30.0,))
+        recording = replace(recording, filter=replace(recording.filter, cutoffs=(2.0, 30.0, 30.0)))
+        return gather(arm(), recording, [EFFECTS[name] for name in NAMES], "unknown")
+
+    clean, loud = made(0.0), made(0.5)
+    truth = np.std(loud.tau - clean.tau, axis=0)
+    found = noise.measure(loud, loud.role == 0).deviation
+    assert np.all(np.abs(np.log(found / truth)) < np.log(1.6)), found / truth

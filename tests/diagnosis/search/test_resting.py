@@ -60,7 +60,7 @@ def taken(seed: int, level: float, stays: bool, gap: float = 0.0) -> tuple[float
         Acting(EFFECTS["payload_change"], None, BODY, when),
     )
     none = np.zeros((2, 0))
-    refined = Refined(acting, none[0], (), none, none, Model(evidence).residual(acting))
+    refined = Refined(acting, none[0], (), (), none, Model(evidence).residual(acting))
     after, known = edges(evidence, Model(evidence), refined)
     assert after.acting[:3] == refined.acting[:3] and after.acting[3].when is not None
     return came, known[3], after.acting[3].when.start

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.search import noise
-from invdyn_cli.diagnosis.search.judge import FOLDS, Judge
+from invdyn_cli.diagnosis.search.grams import FOLDS
+from invdyn_cli.diagnosis.search.judge import Judge
 from invdyn_cli.diagnosis.search.steps import free_beside, search
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 

@@ -1,0 +1,41 @@
+"""The same evidence with links as a log has them: gears give way to, and load friction grows with, what links weigh."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.candidates import channel_candidate, gear_candidate, nominal, torque_candidate
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.interfaces import AbstractChannelEffect, AbstractGearEffect, AbstractTorqueEffect
+
+
+def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
+    """An evidence whose robot has other inertials (n, 10), with columns anew for the effects that hang on what a joint
+    transmits; tables, and what is logged beside the nominal torque, stay."""
+    robot, pieces = replace(evidence.robot, inertial=inertial), evidence.recording.pieces
+    torques = [rigid_torque(robot, piece.motion) for piece in pieces]
+    made = replace(
+        evidence,
+        robot=robot,
+        states=[
+            [s._replace(transmitted=x) for s, x in zip(states, torque, strict=True)]
+            for states, torque in zip(evidence.states, torques, strict=True)
+        ],
+        base=[nominal(states) - torque for states, torque in zip(evidence.states, torques, strict=True)],
+        kept={key: value for key, value in evidence.kept.items() if key[0] == "grams"},
+        candidates=[c for c in evidence.candidates if not c.effect.loaded],
+    )
+    made.candidates += [_anew(made, c) for c in evidence.candidates if c.effect.loaded]
+    return made
+
+
+def _anew(evidence: Evidence, c: Candidate) -> Candidate:
+    """A candidate's trial on another evidence."""
+    assert c.joint is not None
+    if isinstance(c.effect, AbstractGearEffect):
+        return gear_candidate(evidence, c.effect, c.joint, c.shape)
+    if isinstance(c.effect, AbstractChannelEffect):
+        return channel_candidate(evidence, c.effect, c.joint, c.shape)
+    assert isinstance(c.effect, AbstractTorqueEffect)
+    return torque_candidate(evidence, c.effect, c.joint, c.shape)

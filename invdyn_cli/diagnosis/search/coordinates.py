@@ -1,0 +1,81 @@
+"""Effects as a row of numbers that a least-squares step may move, and back."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.candidates import beforehand
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.interfaces import AbstractBodyEffect, AbstractForceEffect
+
+EDGES = ("start", "end")
+"""Coordinates of a window [s]."""
+
+
+def flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
+    """All coordinates in one row, and what each is: (effect number, parameter or "" for what torque is linear in,
+    index)."""
+    values, labels = [], []
+    for number, a in enumerate(acting):
+        row = coordinates(evidence, a)
+        if row is not None:
+            values += row
+            labels += [(number, "", index) for index in range(len(row))]
+        else:
+            values += [float(x) for x in a.parameters.values()]
+            labels += [(number, name, 0) for name in a.parameters]
+        if a.when is not None:
+            values += [a.when.start, a.when.end]
+            labels += [(number, name, 0) for name in EDGES]
+    return np.array(values), tuple(labels)
+
+
+def coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
+    """What the torque is linear in, of bodies and forces."""
+    if isinstance(acting.effect, AbstractBodyEffect):
+        return acting.effect.coefficients(acting.parameters, evidence.robot, acting.joint)
+    if isinstance(acting.effect, AbstractForceEffect):
+        return acting.effect.coefficients(acting.parameters)
+    return None
+
+
+def with_parameters(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
+    """The effects with parameters from one row of coordinates."""
+    made = []
+    for number, a in enumerate(acting):
+        own = {(name, index): x for (k, name, index), x in zip(labels, theta, strict=True) if k == number}
+        linear = [x for (name, _), x in own.items() if not name]
+        if a.when is not None:
+            a = replace(a, when=a.when._replace(**{name: float(own[name, 0]) for name in EDGES}))
+        if isinstance(a.effect, AbstractBodyEffect):
+            made.append(replace(a, parameters=a.effect.read(linear, evidence.robot, a.joint)))
+        elif isinstance(a.effect, AbstractForceEffect):
+            made.append(replace(a, parameters=a.effect.read(linear)))
+        else:
+            made.append(replace(a, parameters={name: float(x) for (name, _), x in own.items() if name not in EDGES}))
+    return tuple(made)
+
+
+def inside(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
+    """Parameters moved back to where they are physics at all, and windows to their trajectory."""
+    lower, upper = np.full(len(theta), -np.inf), np.full(len(theta), np.inf)
+    for i, (number, name, _) in enumerate(labels):
+        a = acting[number]
+        if name in EDGES and a.when is not None:
+            times = [p.t[[0, -1]] for p in evidence.recording.pieces if p.trajectory == a.when.trajectory]
+            lower[i], upper[i] = np.min(times), np.max(times)
+        elif name in a.effect.parameters:
+            lower[i], upper[i] = a.effect.parameters[name].lower, a.effect.parameters[name].upper
+    return np.clip(theta, lower, upper)
+
+
+def precision_of(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
+    """What is known of coordinates beforehand: what the data do not show of a body or a force stays near zero."""
+    out = np.zeros(len(labels))
+    for number, a in enumerate(acting):
+        own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]
+        if own:
+            out[own] = beforehand(evidence.robot, a.effect, a.joint, len(own))
+    return out

@@ -1,0 +1,57 @@
+"""Edges of windows: where an effect comes and where it goes, found by sums of squares with it and without it.
+
+The slope of a loss over an edge tells of what the filters reach, some hundredths of a second. But before a window comes
+the residual without the effect is the smaller one, and afterwards the other: of the difference of their squares, summed
+up over time, one edge is the lowest point and the other one the highest.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.coordinates import EDGES
+from invdyn_cli.effects.composition import Acting
+
+REACH = 0.25
+"""Share of a window's length by which its edges are moved at once."""
+
+
+def summed(
+    evidence: Evidence, acting: Sequence[Acting], squares: Callable[[Sequence[Acting]], np.ndarray]
+) -> tuple[Acting, ...]:
+    """Effects with the edges of their windows where the sums say, one window after the other.
+
+    Args:
+        squares: the weighted squares (R,) that effects leave of every row.
+    """
+    acting, names = list(acting), np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    for number, one in enumerate(acting):
+        if one.when is None:
+            continue
+        there = replace(one, when=one.when._replace(start=-np.inf, end=np.inf))
+        before, behind = acting[:number], acting[number + 1 :]
+        at = names == one.when.trajectory
+        saved = (squares([*before, *behind]) - squares([*before, there, *behind]))[at]
+        t, total = evidence.on_rows("t")[at], np.append(0.0, np.cumsum(saved))
+        times = np.concatenate([t[:1], (t[1:] + t[:-1]) / 2, t[-1:]])
+        reach = REACH * (one.when.end - one.when.start)
+        found = {}
+        for name, sign in zip(EDGES, (1.0, -1.0), strict=True):
+            away = np.abs(times - getattr(one.when, name))
+            near = np.flatnonzero(away <= reach)
+            if len(near):  # among rows that do not count the nearest
+                found[name] = float(times[near[np.lexsort((away[near], sign * total[near]))[0]]])
+        acting[number] = replace(one, when=one.when._replace(**found))
+    return tuple(acting)
+
+
+def within(acting: Sequence[Acting], labels, move: np.ndarray) -> np.ndarray:
+    """A move (k,) of the parameters that takes no edge farther than REACH: beyond, its slope says nothing."""
+    farthest = np.full(len(move), np.inf)
+    for i, (number, name, _) in enumerate(labels):
+        when = acting[number].when
+        if name in EDGES and when is not None:
+            farthest[i] = REACH * (when.end - when.start)
+    return np.clip(move, -farthest, farthest)

@@ -1,0 +1,66 @@
+"""Gram matrices of the evidence's tables: all that a search asks is answered from them."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+
+FOLDS = 8
+"""Parts of the blocks that are held out in turn."""
+
+SPARE = 128
+"""Columns for which there is room before matrices are copied."""
+
+
+class Grams:
+    """Gram matrices of the chosen rows (R,) bool, by fold; `refresh` takes in what was added to the tables.
+
+    Attributes:
+        blocks: slices of rows that follow each other.
+        used: (R, n) which rows of a joint count.
+        folds: (B,) the fold of each block.
+        parts: of every joint (F, C, C), by fold.
+        totals: the same of all folds (C, C).
+    """
+
+    def __init__(self, evidence: Evidence, rows: np.ndarray) -> None:
+        at = np.flatnonzero(rows)
+        first = np.unique(evidence.block[rows], return_index=True)[1]
+        self.blocks = [slice(at[a], at[b - 1] + 1) for a, b in pairwise([*first, len(at)])]
+        self.used = rows[:, None] & evidence.valid
+        self.folds = np.arange(len(self.blocks)) % min(FOLDS, len(self.blocks))
+        self.parts: list[np.ndarray] = [np.empty((self.folds.max() + 1, 0, 0))] * evidence.dofs
+        self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
+        self._evidence, self._room = evidence, list(self.parts)
+        self._fold = np.full(len(rows), -1)
+        for fold, block in zip(self.folds, self.blocks, strict=True):
+            self._fold[block] = fold
+
+    @classmethod
+    def of(cls, evidence: Evidence, rows: np.ndarray) -> "Grams":
+        """Those of the same rows in the same blocks, if they are the last that were asked for."""
+        key = "grams", rows.tobytes(), evidence.block.tobytes()
+        if key not in evidence.kept:
+            for old in [k for k in evidence.kept if k[0] == "grams"]:
+                del evidence.kept[old]
+            evidence.kept[key] = [cls(evidence, rows)]
+        return evidence.kept[key][0]
+
+    def refresh(self) -> None:
+        """Take in the columns that were added to the evidence since."""
+        for j, table in enumerate(self._evidence.tables):
+            known, count = self.parts[j].shape[1], table.shape[1]
+            if count == known:
+                continue
+            room = self._room[j]
+            if count > room.shape[1]:
+                room = np.zeros((len(room), count + SPARE, count + SPARE))
+                room[:, :known, :known] = self.parts[j]
+                self._room[j] = room
+            for fold, gram in enumerate(room):
+                rows = table[self.used[:, j] & (self._fold == fold)]
+                gram[:count, known:count] = rows.T @ rows[:, known:]
+            room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
+            self.parts[j] = room[:, :count, :count]
+            self.totals[j] = self.parts[j].sum(0)
