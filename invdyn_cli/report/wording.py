@@ -54,6 +54,13 @@ EFFECTS: dict[str, Effect] = {
         "τ += <i>stiffness</i> z, dz/dt = q̇ − (<i>stiffness</i>/<i>coulomb</i>) |q̇| z",
         "A friction that first yields like a spring after every reversal.",
     ),
+    "coupled_friction": Effect(
+        "coupled friction",
+        "s = q̇ + <i>ratio</i> q̇<sub>driver</sub>; τ += <i>coulomb</i> sign(s) + <i>damping</i> s + <i>armature</i> ṡ, "
+        "τ<sub>driver</sub> += <i>ratio</i> times as much",
+        "Friction and inertia of a drive that the joint before its own turns as well, as in a wrist whose joints share "
+        "a gear.",
+    ),
     "thermal_friction_drift": Effect(
         "friction that warms up",
         "τ += (<i>warm</i> + (<i>cold</i> − <i>warm</i>) exp(−t/<i>time_constant</i>)) q̇",
