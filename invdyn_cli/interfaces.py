@@ -195,6 +195,8 @@ class AbstractEffect(abc.ABC):
     """Torque sides on which it shows."""
     position_sides: ClassVar[tuple[str, ...]] = ("link", "motor", "unknown")
     """Position sides on which it shows."""
+    chosen: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are one of a few values, as gears have them: tried, never refined, and without an interval."""
     passing: ClassVar[bool] = False
     """Whether it comes and goes: it acts in a window of time, which is found with it."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()

@@ -26,7 +26,8 @@ class CoupledFriction(AbstractTorqueEffect):
     the chain, through which the shaft passes.
 
     Attributes:
-        ratios: to try; the found one is refined between them. Bevel gears of wrists have 1 or -1.
+        ratios: to try. Bevel gears of wrists have 1 or -1; another one beside own friction is hardly determined by a
+            log, and would take the sizes with it.
     """
 
     ratios: tuple[float, ...] = (-1.0, 1.0)
@@ -56,6 +57,7 @@ class CoupledFriction(AbstractTorqueEffect):
         ("link_inertia_error",),
     )
     nonlinear = ("ratio",)
+    chosen = ("ratio",)
     advice = "each of the two joints moved alone while the other is held, then both together, both ways"
     picture = "qd"
     shows = ("neighbours",)

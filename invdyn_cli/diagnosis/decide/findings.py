@@ -101,8 +101,8 @@ def report(
             joint=None if joint is None else evidence.robot.joints[joint],
             status="named",
             alternatives=_alternatives(rivals),
-            parameters=_driver(evidence.robot, whole.acting[i])
-            | _quantities(effect, ends[i], _slides(evidence.robot, candidate)),
+            parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate))
+            | _chosen(evidence.robot, whole.acting[i]),
             gain=_gains(inquiry, hypothesis, (i,), after),
             rejected=_rejected(evidence.robot, candidate.key, rivals),
             advice=effect.advice,
@@ -226,9 +226,12 @@ def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool)
     }
 
 
-def _driver(robot: Robot, acting: Acting) -> dict[str, Quantity]:
-    """The joint that drives the gear of a coupled effect, as a parameter that is a name."""
-    return {name: Quantity(joint, "") for name, joint in driver_name(acting, robot).items()}
+def _chosen(robot: Robot, acting: Acting) -> dict[str, Quantity]:
+    """What a search chose and nothing refined: parameters that are one of a few values, and the joint that drives the
+    gear of a coupled effect, by its name."""
+    units = {name: acting.effect.parameters[name].unit for name in acting.effect.chosen}
+    chosen = {name: Quantity(_plain(acting.parameters[name]), unit) for name, unit in units.items()}
+    return chosen | {name: Quantity(joint, "") for name, joint in driver_name(acting, robot).items()}
 
 
 def _timed(finding: Finding, acting: Acting, ends: Mapping[str, tuple]) -> Finding:

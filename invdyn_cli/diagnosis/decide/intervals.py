@@ -24,8 +24,8 @@ that turns back sticks."""
 
 
 def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
-    """Every effect's parameters, and the edges of its window, with the ends of their intervals, {name: (value, lower,
-    upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone leaves
+    """Every effect's refined parameters, and the edges of its window, with the ends of their intervals, {name: (value,
+    lower, upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone leaves
     unknown; angles do not jump."""
     replicas = [with_parameters(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
     moved = [with_parameters(evidence, refined.acting, refined.labels, refined.theta + row) for row in refined.unknown]
@@ -48,7 +48,8 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
 def _told(acting: Acting) -> dict[str, Any]:
     """Parameters of an effect, and the edges of its window."""
     edges = {} if acting.when is None else {name: getattr(acting.when, name) for name in EDGES}
-    return {**acting.parameters, **edges}
+    refined = {name: x for name, x in acting.parameters.items() if name not in acting.effect.chosen}
+    return {**refined, **edges}
 
 
 def reach(replicas: np.ndarray, unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
