@@ -25,8 +25,8 @@ that turns back sticks."""
 
 def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
     """Every effect's refined parameters, and the edges of its window, with the ends of their intervals, {name: (value,
-    lower, upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone leaves
-    unknown; angles do not jump."""
+    lower, upper)}: jackknife over blocks, each replica turned into parameters, and no less than what the noise alone
+    leaves unknown; angles do not jump."""
     replicas = [with_parameters(evidence, refined.acting, refined.labels, row) for row in refined.replicas]
     moved = [with_parameters(evidence, refined.acting, refined.labels, refined.theta + row) for row in refined.unknown]
     out = []
