@@ -22,15 +22,21 @@ from invdyn_cli.types import Diagnosis, Finding, Gain, Quantity, Robot
 KNOWN = 0.1
 """Relative standard error above which a gain is not known: sizes within 10 % are called right (`experiments.worn`)."""
 
+SHOWN = 1.0
+"""RMS of what is left of a joint's torque, which its nominal torque must exceed for its factor to be believed: friction
+that no standard term has goes with gravity and inertia as well (a UR10e's second wrist: 0.3, and half its gain)."""
+
 ROUNDS = 3
 """Of fitting and dividing by the factor: filters and noise depend on the torque's scale."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Drive gains (n,) [N m/A; N/A] with their standard errors; `known` (n,): whether masses tell them."""
+    """Drive gains (n,) with their standard errors; `known` (n,): whether masses tell them; `units`: N m/A, N/A of a
+    joint that slides."""
 
     joints: tuple[str, ...]
+    units: tuple[str, ...]
     value: np.ndarray
     error: np.ndarray
 
@@ -41,10 +47,10 @@ class Gains:
 
     def told(self) -> dict[str, dict[str, Any]]:
         """As the written model records them."""
-        rows = zip(self.joints, self.value, self.error, self.known, strict=True)
+        rows = zip(self.joints, self.units, self.value, self.error, self.known, strict=True)
         return {
-            joint: {"value": float(x), "standard_error": float(e), "unit": "N m/A", "known": bool(known)}
-            for joint, x, e, known in rows
+            joint: {"value": float(x), "standard_error": float(e), "unit": unit, "known": bool(known)}
+            for joint, unit, x, e, known in rows
         }
 
     def note(self) -> str:
@@ -52,7 +58,8 @@ class Gains:
         rows = list(zip(self.joints, self.value, self.error, self.known, strict=True))
         told = ", ".join(f"{joint} {x:.4g} ± {1.96 * e:.2g}" for joint, x, e, known in rows if known)
         others = ", ".join(joint for joint, *_, known in rows if not known)
-        said = f"The log has currents without drive gains; the masses of the URDF tell these [N m/A]: {told or 'none'}"
+        units = "; ".join(dict.fromkeys(self.units))
+        said = f"The log has currents without drive gains; the masses of the URDF tell these [{units}]: {told}"
         if others:
             said += f"; of {others} gravity and inertia do not show, so only ratios are known there, and sizes are in A"
         return said + "."
@@ -81,16 +88,24 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Con
         rows = evidence.role == ROLES.index("train")
         if number == 0:  # each joint by itself, links as they are
             factor = columns.line(evidence.tau, rows)[-robot.dofs :]
-            error = np.abs(factor)
+            error, shown = np.zeros(robot.dofs), factor > 0
         else:
             fitted = columns.fit(evidence.tau, rows)
             factor, error = fitted.theta[-robot.dofs :], np.sqrt(np.diag(fitted.covariance))[-robot.dofs :]
-        known = error < KNOWN * factor if number else factor > 0
+            left = (evidence.tau - columns.of(fitted.theta))[rows]
+            shown = factor * _rms(evidence.nominal[rows]) > SHOWN * _rms(left)
+        known = shown & (error < KNOWN * factor)
         # where nothing tells, the nominal torque is at most what the log allows of it; else currents stay as they are
         most = np.maximum(factor + error, 1e-9)
         value = np.where(known, value / np.where(known, factor, 1.0), np.maximum(value / most, 1.0))
         relative = np.where(known, np.hypot(error / np.where(known, factor, 1.0), standard.WORN), 1.0)
-    return Gains(robot.joints, value, value * relative)
+    units = tuple("N/A" if slides else "N m/A" for slides in robot.prismatic)
+    return Gains(robot.joints, units, value, value * relative)
+
+
+def _rms(x: np.ndarray) -> np.ndarray:
+    """(n,) of rows (R, n)."""
+    return np.sqrt(np.mean(x**2, axis=0))
 
 
 def beside(diagnosis: Diagnosis, gains: Gains) -> Diagnosis:
