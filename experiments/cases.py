@@ -101,6 +101,7 @@ def inverse_dynamics(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarra
 def draw_effect(draw: np.random.Generator, scene: Scene, name: str, joint: int | None = None) -> Hidden:
     """One effect on a random joint, its size a random share of what the joint has anyway."""
     j = int(draw.choice(felt(scene, name))) if joint is None else joint
+    j = max(j, 1) if name == "coupled_friction" else j  # the first joint has none before it
     return Hidden(name, None if name in WHOLE_ARM else scene.robot.joints[j], SIZES[name](draw, scene, j))
 
 
@@ -209,6 +210,14 @@ def _link(d: np.random.Generator, s: Scene, j: int) -> dict[str, Any]:
     }
 
 
+def _coupled(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
+    """A drive's friction as shares of what the stronger of both joints has, its inertia a tenth of its joint's."""
+    torque = max(s.torque[j], s.torque[j - 1])
+    ratio, both = _sign(d), s.speed[j] + s.speed[j - 1]
+    friction = {"coulomb": _share(d) * torque, "damping": _share(d) * torque / both}
+    return {**friction, "armature": 0.1 * _inertia(s, j), "ratio": ratio}
+
+
 def _bristles(d: np.random.Generator, s: Scene, j: int) -> dict[str, float]:
     coulomb = _share(d) * s.torque[j]
     return {"coulomb": coulomb, "stiffness": coulomb / float(np.exp(d.uniform(np.log(1e-3), np.log(2e-2))))}
@@ -257,6 +266,7 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
     "load_dependent_friction": lambda d, s, j: {"mu": float(d.uniform(0.04, 0.2))},
     "quadratic_friction": lambda d, s, j: {"drag": _share(d) * s.torque[j] / (1.7 * s.speed[j] ** 2)},
     "thermal_friction_drift": _thermal,
+    "coupled_friction": _coupled,
     "presliding_hysteresis": _bristles,
     "torque_offset_drift": lambda d, s, j: {"rate": 3 * _sign(d) * _share(d) * s.torque[j] / s.duration},
     "backlash": _play,

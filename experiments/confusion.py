@@ -37,6 +37,7 @@ MAIN = {
     "load_dependent_friction": ("mu",),
     "quadratic_friction": ("drag",),
     "thermal_friction_drift": ("cold", "warm"),
+    "coupled_friction": ("coulomb", "damping"),
     "presliding_hysteresis": ("coulomb", "stiffness"),
     "torque_offset_drift": ("rate",),
     "backlash": ("gap",),

@@ -156,7 +156,8 @@ class Parameter(NamedTuple):
 class JointState(NamedTuple):
     """One joint over time, (T,) each or one sample: t [s], q, qd, qdd, sign(qd) without jumps at rest, and the rigid
     body's torque [N m; N] that the joint transmits; `before`, of what remembers: q (P,) until then, where it is
-    known."""
+    known; `width` [rad/s; m/s] within which the sign goes straight through zero; `driver`: the joint before it in the
+    chain, where there is one."""
 
     t: Array
     q: Array
@@ -165,6 +166,8 @@ class JointState(NamedTuple):
     sign: Array
     transmitted: Array
     before: Array | None = None
+    width: Array | float = 1e-3
+    driver: "JointState | None" = None
 
 
 Parameters = Mapping[str, Any]
@@ -192,6 +195,8 @@ class AbstractEffect(abc.ABC):
     """Torque sides on which it shows."""
     position_sides: ClassVar[tuple[str, ...]] = ("link", "motor", "unknown")
     """Position sides on which it shows."""
+    chosen: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are one of a few values, as gears have them: tried, never refined, and without an interval."""
     passing: ClassVar[bool] = False
     """Whether it comes and goes: it acts in a window of time, which is found with it."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
@@ -221,9 +226,14 @@ class AbstractEffect(abc.ABC):
 
 
 class AbstractTorqueEffect(AbstractEffect):
-    """An effect that adds to one joint's torque."""
+    """An effect that adds to one joint's torque; a coupled one, `share_on_driver` times as much to the torque of the
+    joint before it in the chain as well, which drives the same gear."""
 
     point = "torque"
+    coupled: ClassVar[bool] = False
+    """Whether it is of a gear that its joint shares with the joint before it (`JointState.driver`)."""
+    jumps: ClassVar[bool] = False
+    """Whether the first of its columns jumps where the joint turns back."""
 
     @abc.abstractmethod
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -235,6 +245,10 @@ class AbstractTorqueEffect(AbstractEffect):
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         """Values of the nonlinear parameters to try on this motion."""
         return ({},)
+
+    def share_on_driver(self, parameters: Parameters) -> float:
+        """Of a coupled effect: what share of its term acts on the joint before its own."""
+        return 0.0
 
     def shape_of(self, parameters: Parameters) -> Parameters:
         """The nonlinear ones of these parameters, as `shapes` has them."""

@@ -66,6 +66,16 @@ ONE_JOINT = {
         lambda t, q, qd, qdd, tau: (1.0 + 1.5 * np.exp(-t / 12.0)) * qd,
         {"cold": (2.5, "N m s/rad", 0.1), "warm": (1.0, "N m s/rad", 0.04), "time_constant": (12.0, "s", 1.6)},
     ),
+    "coupled_friction": (
+        lambda t, q, qd, qdd, tau: 0.8 * np.sign(qd) + 0.3 * qd + 0.01 * qdd,
+        {
+            "driver": ("joint2", "", None),
+            "coulomb": (0.8, "N m", 0.02),
+            "damping": (0.3, "N m s/rad", 0.01),
+            "armature": (0.01, "kg m^2", 0.004),
+            "ratio": (1.0, "-", 0.01),
+        },
+    ),
     "torque_offset_drift": (lambda t, q, qd, qdd, tau: 0.04 * t, {"rate": (0.04, "N m/s", 0.002)}),
     "torque_ripple": (
         lambda t, q, qd, qdd, tau: 0.45 * np.sin(12.0 * q + 0.7),

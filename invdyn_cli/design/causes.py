@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -89,16 +90,17 @@ class Scenes:
         """(n, S, L)."""
         return self.torque.shape  # type: ignore[return-value]
 
-    def states(self, joint: int) -> list[JointState]:
+    def states(self, joint: int, driver: int = -1) -> list[JointState]:
         """One joint's state in each scene, (L,) arrays."""
-        whole = self.state(joint)
-        return [JointState(*(x[s] for x in whole if x is not None)) for s in range(self.shape[1])]
+        whole = self.state(joint, driver)
+        return [jax.tree.map(lambda x, s=s: x[s], whole) for s in range(self.shape[1])]
 
-    def state(self, joint: int) -> JointState:
-        """One joint's state in all scenes, (S, L) arrays."""
+    def state(self, joint: int, driver: int = -1) -> JointState:
+        """One joint's state in all scenes, (S, L) arrays; with that of its driver, unless that is -1."""
         q, qd, qdd = (np.asarray(x)[joint] for x in (self.motion.q, self.motion.qd, self.motion.qdd))
         width = np.maximum(np.abs(qdd) / (2 * self.rate), 1e-5)
-        return JointState(self.t, q, qd, qdd, np.asarray(sign_of(qd, width)), self.torque[joint])
+        sign, before = np.asarray(sign_of(qd, width)), self.state(driver) if driver >= 0 else None
+        return JointState(self.t, q, qd, qdd, sign, self.torque[joint], width=width, driver=before)
 
 
 Trial = tuple[Sequence["Column"], np.ndarray]
@@ -124,7 +126,9 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
     assert parameters is not None
     if isinstance(effect, AbstractTorqueEffect):
         assert joint is not None
-        return {joint: np.stack([np.asarray(effect.term(parameters, s)) for s in scenes.states(joint)])}
+        driver = _driver(robot, effect, joint)
+        made = np.stack([np.asarray(effect.term(parameters, s)) for s in scenes.states(joint, driver)])
+        return _felt({joint: made}, driver, effect.share_on_driver(parameters))
     if isinstance(effect, AbstractChannelEffect):
         assert joint is not None
         tau = scenes.torque[joint]
@@ -148,8 +152,8 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
     effect, joint = cause.effect, cause.joint
     if isinstance(effect, AbstractTorqueEffect):
         assert joint is not None
-        shapes = _shapes(cause, scenes.state(joint), exact)
-        return [_torque_columns(effect, joint, shape, scenes, level) for shape in shapes]
+        shapes, driver = _shapes(cause, scenes.state(joint), exact), _driver(robot, effect, joint)
+        return [_torque_columns(effect, joint, driver, shape, scenes, level) for shape in shapes]
     if isinstance(effect, AbstractChannelEffect):
         assert joint is not None
         tau, rate = scenes.torque[joint], scenes.rate
@@ -247,17 +251,29 @@ def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.n
     return scenes.kept[joint]
 
 
+def _driver(robot: Robot, effect: AbstractTorqueEffect, joint: int) -> int:
+    """The joint that drives the same gear, -1 for an effect of one joint."""
+    return robot.parents[joint] if effect.coupled else -1
+
+
+def _felt(column: dict[int, np.ndarray], driver: int, share: float) -> Column:
+    """A column of one joint, and a share of it on the joint that drives the same gear."""
+    (own,) = column.values()
+    return column | {driver: share * own} if driver >= 0 else column
+
+
 def _torque_columns(
-    effect: AbstractTorqueEffect, joint: int, shape: Parameters, scenes: Scenes, level: np.ndarray
+    effect: AbstractTorqueEffect, joint: int, driver: int, shape: Parameters, scenes: Scenes, level: np.ndarray
 ) -> Trial:
-    made = [np.stack(x) for x in zip(*(effect.basis(s, shape) for s in scenes.states(joint)), strict=True)]
+    states = scenes.states(joint, driver)
+    made = [np.stack(x) for x in zip(*(effect.basis(s, shape) for s in states), strict=True)]
     precision = np.zeros(len(made))
     if effect.name in (*DRY, "asymmetric_coulomb_friction"):  # the milliseconds in which a joint that turns back sticks
         jump = made[0] if effect.name in DRY else made[0] + made[1]
         scale = STICK_TIME * level[joint] / max(float(np.sqrt(np.mean(jump**2))), 1e-12)
         made.append(np.gradient(jump, axis=-1) * scenes.rate)
         precision = np.append(precision, 1 / max(scale, 1e-12) ** 2)
-    return [{joint: x} for x in made], precision
+    return [_felt({joint: x}, driver, effect.share_on_driver(shape)) for x in made], precision
 
 
 def _flat(scenes: Scenes) -> Motion:

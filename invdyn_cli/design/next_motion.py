@@ -102,7 +102,7 @@ def _told_cause(name: str, joint: Any, parameters: Any, robot: Robot) -> Cause |
         return left_out(EFFECTS[name], f"{robot.name} has no joint {joint!r}")
     whole = isinstance(parameters, Mapping) and not refused(EFFECTS[name], parameters)
     own = {k: parameters[k] for k in EFFECTS[name].parameters} if whole else None
-    why = unplayable(EFFECTS[name], robot, own)
+    why = unplayable(EFFECTS[name], robot, own, joint)
     return left_out(EFFECTS[name], why) if why else cause_of(name, joint, own, robot)
 
 

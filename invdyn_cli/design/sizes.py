@@ -10,8 +10,9 @@ import numpy as np
 
 from invdyn_cli.design.causes import CYCLES, Usual
 from invdyn_cli.diagnosis.search.naming import TYPICAL_STRIBECK, TYPICAL_VELOCITY
+from invdyn_cli.effects.composition import has_driver
 from invdyn_cli.errors import UsageError, listed
-from invdyn_cli.interfaces import AbstractEffect, Parameters
+from invdyn_cli.interfaces import AbstractEffect, AbstractTorqueEffect, Parameters
 from invdyn_cli.types import Robot
 
 SHARE = 0.08
@@ -65,6 +66,12 @@ SIZES: Mapping[str, Callable[[Ordinary], dict[str, Any]]] = {
         "warm": u.level / u.speed,
         "time_constant": u.duration / 3,
     },
+    "coupled_friction": lambda u: {
+        "coulomb": u.level / 2,
+        "damping": u.level / 2 / u.speed,
+        "armature": 0.05 * u.inertia,
+        "ratio": 1.0,
+    },
     "torque_offset_drift": lambda u: {"rate": 2 * u.level / u.duration},
     "backlash": lambda u: {"gap": GAP},
     "joint_elasticity": lambda u: {"stiffness": max(u.inertia * (2 * np.pi * RESONANCE) ** 2, 1.0)},
@@ -106,8 +113,13 @@ def typical(effect: AbstractEffect, joint: int | None, robot: Robot, usual: Usua
     return SIZES[effect.name](ordinary)
 
 
-def unplayable(effect: AbstractEffect, robot: Robot, parameters: Parameters | None = None) -> str:
-    """Why no motion can be designed for an effect on a robot, "" if one can."""
+def unplayable(
+    effect: AbstractEffect, robot: Robot, parameters: Parameters | None = None, joint: str | None = None
+) -> str:
+    """Why no motion can be designed for an effect on a robot, and on this joint of it; "" if one can."""
+    coupled = isinstance(effect, AbstractTorqueEffect) and effect.coupled
+    if coupled and joint in robot.joints and not has_driver(robot, robot.joints.index(joint)):
+        return f"there is no joint before {joint} that could share a gear with it"
     if effect.passing:
         return "it comes and goes, and no motion makes it come again"
     if effect.point not in POINTS:

@@ -12,7 +12,16 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.recording import Recording
-from invdyn_cli.effects.composition import Acting, changed, link_torque, rigid_torque, sign_of
+from invdyn_cli.effects.composition import (
+    Acting,
+    changed,
+    has_driver,
+    in_chain,
+    joint_terms,
+    link_torque,
+    rigid_torque,
+    sign_of,
+)
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
@@ -70,6 +79,11 @@ def read(
         if joint is None and not whole:
             raise UsageError(f"diagnosis.known: {name} needs a joint; allowed: {listed(robot.joints)}")
         parameters = {k: _numbers(name, k, v) for k, v in given.items()}
+        if isinstance(effect, AbstractTorqueEffect) and effect.coupled:
+            can = [x for j, x in enumerate(robot.joints) if has_driver(robot, j)]
+            if joint not in can:
+                got = f"diagnosis.known: {name} on {joint!r}, which has no joint before it to share a gear with"
+                raise UsageError(f"{got}; allowed: {listed(can)}")
         facts.append(Acting(effect, None if whole else robot.joints.index(joint), parameters))
     return tuple(facts), allowed
 
@@ -114,13 +128,12 @@ def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravi
             j = one.joint
             if isinstance(one.effect, AbstractChannelEffect):
                 tau[j] = one.effect.delivered(one.parameters, tau[j], recording.filter.rate)
-        for one in facts:
-            j = one.joint
-            if isinstance(one.effect, AbstractTorqueEffect):
-                assert j is not None
-                sign = sign_of(piece.qd[j], np.maximum(2 * piece.motion_noise[j], 1e-6))
-                state = JointState(piece.t, motion.q[j], piece.qd[j], piece.qdd[j], sign, body[j])
-                tau[j] = tau[j] - np.asarray(one.effect.term(one.parameters, state))
+        width = np.maximum(2 * piece.motion_noise, 1e-6)
+        rows = zip(motion.q, piece.qd, piece.qdd, sign_of(piece.qd, width[:, None]), body, strict=True)
+        states = [JointState(piece.t, *row, width=float(x)) for row, x in zip(rows, width, strict=True)]
+        states = in_chain(states, robot.parents)
+        for j in range(robot.dofs):
+            tau[j] = tau[j] - sum(np.asarray(x) for x in joint_terms(facts, j, states, robot.parents))
         if gravity:
             tau = tau + rigid_torque(robot, Motion(motion.q, 0 * motion.q, 0 * motion.q))
         pieces.append(replace(piece, q=np.asarray(motion.q), tau=tau))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, extension, known, repeats, standard
+from invdyn_cli.diagnosis import doctor, extension, gains, known, repeats, standard
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
@@ -73,10 +73,12 @@ def diagnose(
         RobotError: if the robot has other joints than the log.
     """
     options = options or Options()
+    gained, log, reference = _gained(log, reference, robot, windows, options)
     examination = doctor.examine(log, robot)
     if not examination.usable:
         return _unusable(examination, ())
     log, notes = doctor.mend(log, examination, robot)
+    notes = notes if gained is None else (gained.note(), *notes)
     progress(0.1, "checked")
     if reference is not None:
         log, windows, more = _beside(log, reference, robot, windows, options)
@@ -127,9 +129,13 @@ def diagnose(
         acting=(*facts, *more.acting),
         intervals=({},) * len(facts) + more.intervals,
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
-        provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
+        provenance={
+            **{"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
+            **({} if gained is None else {"drive_gains": gained.told()}),
+        },
     )
-    again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
+    apart = gained is not None and not gained.known.all()
+    again, why = _replay(model, log, measured, common, progress, apart) if options.replay else (None, ())
     rest = made.residual if compares else more.residual  # of a change, beside what both logs show
     tests = residual_tests(evidence, rest, pool.values(), more.acting)
     floor = repeats.noise_floor(recording)
@@ -162,14 +168,35 @@ def diagnose(
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
         },
     )
+    diagnosis = diagnosis if gained is None else gains.beside(diagnosis, gained)
     return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
 
 
+def _gained(
+    log: Log, reference: Log | None, robot: Robot, windows, options: Options
+) -> tuple[gains.Gains | None, Log, Log | None]:
+    """The log and its reference with drive gains that the log's masses tell, where it has currents and says none. A
+    wrong gain is not looked for then: all of them are fitted."""
+    if not gains.lacks(log):
+        return None, log, reference
+    mended, _ = doctor.mend(log, doctor.examine(log, robot), robot)
+    try:
+        found = gains.estimated(mended, robot, _typical_inertia(robot), windows, options.conditioning)
+    except (LogError, ValueError):
+        return None, log, reference  # the doctor says why
+    if not found.known.any():
+        return None, log, reference
+    log = replace(log, drive_gain=found.value, compensated=(*log.compensated, "torque_gain_error"))
+    if reference is not None and gains.lacks(reference):
+        reference = replace(reference, drive_gain=found.value)
+    return found, log, reference
+
+
 def _replay(
-    model: ExtendedModel, log: Log, recording: Recording, lead: float, progress: Progress
+    model: ExtendedModel, log: Log, recording: Recording, lead: float, progress: Progress, apart: bool
 ) -> tuple[Any, tuple[str, ...]]:
     """The simulated arm beside the log; or None, and why."""
-    why = extension.why_not(in_newton_metres(log))
+    why = extension.why_not(log if apart else in_newton_metres(log))
     if not why:
         try:
             stretches = extension.stretches_of(log, model.robot, recording, lead)

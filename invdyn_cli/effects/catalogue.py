@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from invdyn_cli.effects import actuator, friction, gear, load, passing, transmission
+from invdyn_cli.effects import actuator, coupling, friction, gear, load, passing, transmission
 from invdyn_cli.interfaces import AbstractEffect
 
 EFFECTS: Mapping[str, AbstractEffect] = {
@@ -16,6 +16,7 @@ EFFECTS: Mapping[str, AbstractEffect] = {
         friction.QuadraticFriction(),
         friction.PreslidingHysteresis(),
         friction.ThermalFrictionDrift(),
+        coupling.CoupledFriction(),
         actuator.TorqueOffsetDrift(),
         gear.Backlash(),
         gear.JointElasticity(),

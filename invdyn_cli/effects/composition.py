@@ -166,13 +166,37 @@ def inertia_column(robot: Robot, q: Array, joint: int) -> np.ndarray:
     return rigid_torque(replace(robot, gravity=np.zeros(3)), Motion(q, still, unit))
 
 
-def joint_terms(acting: Sequence[Acting], joint: int, state: JointState) -> list[Array]:
-    """What each torque effect on a joint adds, shape of the state's arrays."""
-    return [
-        one.effect.term(one.parameters, state)
-        for one in acting
-        if isinstance(one.effect, AbstractTorqueEffect) and one.joint == joint
-    ]
+def joint_terms(
+    acting: Sequence[Acting], joint: int, states: Sequence[JointState], parents: Sequence[int]
+) -> list[Array]:
+    """What each torque effect that a joint feels adds, shape of the arrays of the joints' `states`; those of coupled
+    effects are of `in_chain`."""
+    made = []
+    for one in acting:
+        if isinstance(one.effect, AbstractTorqueEffect) and joint in felt_by(one, parents):
+            assert one.joint is not None
+            share = 1.0 if one.joint == joint else one.effect.share_on_driver(one.parameters)
+            made.append(share * one.effect.term(one.parameters, states[one.joint]))
+    return made
+
+
+def felt_by(one: Acting, parents: Sequence[int]) -> tuple[int | None, ...]:
+    """The joint of a torque or channel effect, and the one before it where their gear is coupled."""
+    if not getattr(one.effect, "coupled", False):
+        return (one.joint,)
+    assert one.joint is not None
+    return one.joint, parents[one.joint]
+
+
+def has_driver(robot: Robot, joint: int) -> bool:
+    """Whether a joint may share a gear with the one before it: there is one, and both turn or both slide."""
+    before = robot.parents[joint]
+    return before >= 0 and robot.prismatic[before] == robot.prismatic[joint]
+
+
+def in_chain(states: Sequence[JointState], parents: Sequence[int]) -> list[JointState]:
+    """The joints' states, each with that of the joint before it."""
+    return [s._replace(driver=states[p]) if p >= 0 else s for s, p in zip(states, parents, strict=True)]
 
 
 def channel(acting: Sequence[Acting], joint: int, tau: Array, stretch: Stretch) -> Array:

@@ -15,6 +15,8 @@ from invdyn_cli.effects.composition import (
     When,
     body_torque,
     channel,
+    felt_by,
+    in_chain,
     joint_terms,
     link_torque,
     sign_of,
@@ -50,11 +52,13 @@ class ExtendedModel:
         """Torque (n,) of one sample, without what a single sample cannot show: delay, lag, gear, what comes and goes;
         bristles are bent to their end. Pure jax."""
         body = body_torque(self.robot, self.acting, motion)
-        out = []
+        out, states, parents = [], [], self.robot.parents
         for j in range(self.robot.dofs):
             q, qd, qdd = (jnp.asarray(x[j]) for x in (motion.q, motion.qd, motion.qdd))
-            state = JointState(jnp.asarray(t), q, qd, qdd, sign_of(qd, SHARP), body[j])
-            tau = body[j] + sum(joint_terms(self.acting, j, state))
+            states.append(JointState(jnp.asarray(t), q, qd, qdd, sign_of(qd, SHARP), body[j], width=SHARP))
+        states = in_chain(states, parents)
+        for j in range(self.robot.dofs):
+            tau = body[j] + sum(joint_terms(self.acting, j, states, parents))
             for one in self.acting:
                 if one.joint == j and one.effect.name in ("torque_gain_error", "torque_saturation") and not one.when:
                     tau = one.effect.logged(one.parameters, tau, 1.0)  # type: ignore[attr-defined]
@@ -77,10 +81,11 @@ class ExtendedModel:
         rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
         stretch = Stretch(trajectory, t, float(rate))
         body = link_torque(self.robot, self.acting, Motion(q, qd, qdd), stretch)
-        out = np.empty_like(body)
+        out, parents = np.empty_like(body), self.robot.parents
+        rows = zip(q, qd, qdd, sign_of(qd, SHARP), body, strict=True)
+        states = in_chain([JointState(t, *row, width=SHARP) for row in rows], parents)
         for j in range(len(body)):
-            state = JointState(t, q[j], qd[j], qdd[j], sign_of(qd[j], SHARP), body[j])
-            tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, state))
+            tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, states, parents))
             out[j] = channel(self.acting, j, tau, stretch) if len(t) > 3 else tau
         return out.T
 
@@ -105,6 +110,7 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
                 "effect": one.effect.name,
                 "acts_on": one.effect.point,
                 "joint": None if one.joint is None else model.robot.joints[one.joint],
+                **driver_name(one, model.robot),
                 **({} if one.when is None else {"trajectory": one.when.trajectory, "window": list(one.when[1:3])}),
                 "parameters": {
                     name: {
@@ -161,6 +167,12 @@ def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
         got = f"{where} is no whole model ({error})"
         raise UsageError(got, advice="the file as invdyn diagnose wrote it") from error
     return ExtendedModel(robot, tuple(acting), tuple(intervals), stored.get("filter", {}), stored.get("provenance", {}))
+
+
+def driver_name(one: Acting, robot: Robot) -> dict[str, str]:
+    """Which joint drives the gear of a coupled effect, by its name; nothing of any other."""
+    joints = [robot.joints[j] for j in felt_by(one, robot.parents)[1:] if j is not None]
+    return {"driver": joints[0]} if joints else {}
 
 
 def _plain(value: Any) -> Any:

@@ -57,6 +57,7 @@ class CoulombFriction(AbstractTorqueEffect):
     parameters = {"coulomb": Parameter("N m", 0.0)}
     confounders = (("stribeck_friction",), ("asymmetric_coulomb_friction",), ("load_dependent_friction",))
     advice = "slow motion through many reversals, below 0.05 rad/s too"
+    jumps = True
     picture = "qd"
     group = "standard"
     shows = ("velocity", "reversals")
@@ -121,6 +122,7 @@ class StribeckFriction(AbstractTorqueEffect):
     contains = ("coulomb_friction",)
     nonlinear = ("velocity",)
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
+    jumps = True
     picture = "qd"
     shows = ("velocity", "reversals")
 
@@ -158,6 +160,7 @@ class LoadDependentFriction(AbstractTorqueEffect):
     parameters = {"mu": Parameter("-", 0.0, 1.0)}
     confounders = (("coulomb_friction",), ("torque_gain_error",))
     advice = "the same slow motion both ways in postures of different load, or with and without a known payload"
+    jumps = True
     picture = "load"
     shows = ("load",)
 

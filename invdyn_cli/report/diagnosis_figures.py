@@ -53,6 +53,7 @@ PANELS: dict[str, tuple[Panel, ...]] = {
     "joint_elasticity": (laws.loops_over_load,),
     "stribeck_friction": (laws.over_velocity, laws.near_standstill),
     "load_dependent_friction": (laws.over_velocity, laws.over_load),
+    "coupled_friction": (laws.over_velocity, laws.over_shared_velocity),
     "thermal_friction_drift": (laws.over_velocity, laws.slope_over_time),
     "torque_ripple": (laws.over_angle, laws.spectrum_over_angle),
     "joint_spring": (laws.over_position,),

@@ -69,12 +69,16 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     said = f"What every arm has; bold: a cause by itself. Links are as the URDF says within some {share:.2g} %."
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)
-    units = {name: next(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
+    units = {name: dict.fromkeys(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
     for name in heads:
-        table.add_column(Text(f"{name}\n[{units[name]}]"), justify="right")
+        only = next(iter(units[name])) if len(units[name]) == 1 else ""
+        table.add_column(Text(f"{name}\n[{only}]" if only else name), justify="right")
     for joint, terms in rows.items():
-        cells = (terms.get(name) for name in heads)
-        told = (Text(significant(x["value"]), "bold" if x["claimed"] else "") if x else Text("-") for x in cells)
+        told = []
+        for name in heads:
+            x = terms.get(name)
+            unit = f" {x['unit']}" if x and len(units[name]) > 1 else ""
+            told.append(Text(significant(x["value"]) + unit, "bold" if x["claimed"] else "") if x else Text("-"))
         table.add_row(Text(joint), *told)
     return table
 
@@ -108,8 +112,11 @@ def error_table(diagnosis: Diagnosis) -> Table:
     """Held-out errors per joint of the nominal and the extended model, and of what a user would try first; beside them
     the noise floor, and what a learner still finds."""
     units = units_of(diagnosis)
-    sliding = [joint for joint, unit in units.items() if unit == "N"]
-    said = "N" if sliding and len(sliding) == len(units) else "N m" + f" (N for {', '.join(sliding)})" * bool(sliding)
+    others: dict[str, list[str]] = {}
+    for joint, unit in units.items():
+        others.setdefault(unit, []).append(joint)
+    usual = next(iter(others)) if len(others) == 1 else "N m"
+    said = usual + "".join(f" ({u} for {', '.join(joints)})" for u, joints in others.items() if u != usual)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held out; RMSE in {said}.", style="dim"))
     table.add_column("joint", overflow="fold", max_width=24)
     for head in (*ERROR_HEADS[:-2], ERROR_HEADS[-1]):  # 80 characters hold all but the NMSE

@@ -54,6 +54,19 @@ def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
     name_axes(axes, exhibit, f"velocity of {joint_name(exhibit)} [{rate_unit(exhibit)}]")
 
 
+def over_shared_velocity(axes: Axes, exhibit: Exhibit) -> None:
+    """Over the velocity of a drive that the joint before turns as well: there the scatter that the joint's own velocity
+    leaves becomes a line."""
+    driver, ratio = exhibit.finding.parameters.get("driver"), scalar(exhibit.finding, "ratio", 0.0)
+    name = str(driver.value) if driver is not None and driver.value in exhibit.joints else ""
+    other = exhibit.signals.qd[:, exhibit.joints.index(name)] if name else 0.0
+    y, term = exhibit.own(exhibit.residual, moving=True), exhibit.own(exhibit.term)
+    law(axes, exhibit.own(exhibit.signals.qd) + ratio * other, y, term, split=True)
+    axes.set_title("over the drive's velocity")
+    shown = f"{ratio:+.3g} × that of {plain(name)}".replace("+", "+ ").replace("-", "− ")
+    name_axes(axes, exhibit, f"velocity of {joint_name(exhibit)} {shown} [{rate_unit(exhibit)}]")
+
+
 def over_load(axes: Axes, exhibit: Exhibit) -> None:
     """What acts against the motion, over the size of the torque that the gear carries."""
     sign = np.sign(exhibit.own(exhibit.signals.qd))

@@ -54,6 +54,13 @@ EFFECTS: dict[str, Effect] = {
         "τ += <i>stiffness</i> z, dz/dt = q̇ − (<i>stiffness</i>/<i>coulomb</i>) |q̇| z",
         "A friction that first yields like a spring after every reversal.",
     ),
+    "coupled_friction": Effect(
+        "coupled friction",
+        "s = q̇ + <i>ratio</i> q̇<sub>driver</sub>; τ += <i>coulomb</i> sign(s) + <i>damping</i> s + <i>armature</i> ṡ, "
+        "τ<sub>driver</sub> += <i>ratio</i> times as much",
+        "Friction and inertia of a drive that the joint before its own turns as well, as in a wrist whose joints share "
+        "a gear.",
+    ),
     "thermal_friction_drift": Effect(
         "friction that warms up",
         "τ += (<i>warm</i> + (<i>cold</i> − <i>warm</i>) exp(−t/<i>time_constant</i>)) q̇",
@@ -238,10 +245,12 @@ def joints_of(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 
 def units_of(diagnosis: Diagnosis) -> dict[str, str]:
-    """Unit of every joint's torque: N for a joint known to slide, else N m."""
+    """Unit of every joint's torque: N for a joint known to slide, else N m; A where a drive's gain is not known."""
     robot = diagnosis.fit.robot if diagnosis.fit else None
     slides = dict(zip(robot.joints, robot.prismatic, strict=True)) if robot else {}
-    return {joint: "N" if slides.get(joint) else "N m" for joint in joints_of(diagnosis)}
+    currents = diagnosis.details.get("torque_in_A", ())
+    units = {joint: "N" if slides.get(joint) else "N m" for joint in joints_of(diagnosis)}
+    return {joint: "A" if joint in currents else unit for joint, unit in units.items()}
 
 
 def picture(number: int, finding: Finding) -> str:

@@ -38,6 +38,19 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """A drive that turns with qd of a joint + `ratio` qd of the one before it, `driver` (columns): its dry friction,
+    damping and inertia."""
+
+    joint: int
+    driver: int
+    coulomb: float
+    damping: float
+    armature: float
+    ratio: float
+
+
+@dataclass(frozen=True)
 class Arm:
     """A MuJoCo model of a robot with n joints, g of which have a gear that yields.
 
@@ -63,6 +76,7 @@ def build(
     carried: Sequence[Body] = (),
     armature: np.ndarray | None = None,
     geared: Sequence[int] = (),
+    couplings: Sequence[Coupling] = (),
     timestep: float = 2.5e-4,
 ) -> Arm:
     """The arm.
@@ -74,6 +88,7 @@ def build(
         carried: bodies welded to links, "carried_0" and so on.
         armature: (n,) [kg m^2; kg] rotor inertias.
         geared: columns of the joints with a gear that yields, as yet by any angle and without force.
+        couplings: drives that turn with two joints.
         timestep: [s].
     """
     spec = mujoco.MjSpec()
@@ -93,6 +108,8 @@ def build(
         sphere = np.full(3, 0.4 * body.mass * body.radius**2)
         solids.append((body.mass, np.asarray(body.com, float), np.array([1.0, 0, 0, 0]), sphere))
         _body(bodies[body.joint], f"carried_{i}", solids[-1])
+    for i, one in enumerate(couplings):
+        _add_coupling(spec, robot.joints, i, one)
     spec.option.timestep = timestep
     spec.option.gravity = np.asarray(robot.gravity if gravity is None else gravity)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -110,6 +127,9 @@ def build(
     # Friction as stiff as the solver goes: a joint that shall stick creeps at 1e-6 rad/s, not at 1e-2 as by default.
     model.dof_solref[:] = 2 * timestep, 1
     model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2
+    model.tendon_damping[:] = [one.damping for one in couplings]  # in the spec a polynomial, in older MuJoCo a number
+    model.tendon_solref_fri[:] = 2 * timestep, 1
+    model.tendon_solimp_fri[:] = 0.9999, 0.9999, 0.001, 0.5, 2
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return Arm(model, motor, np.array(geared, int), gear, _mended(model, gear))
 
@@ -120,6 +140,13 @@ def set_joints(arm: Arm, *, damping: np.ndarray, stiffness: np.ndarray, pull: np
     arm.model.dof_damping[arm.motor] = damping
     arm.model.jnt_stiffness[arm.motor] = stiffness
     arm.model.qpos_spring[arm.motor] = pull / np.where(stiffness > 0, stiffness, 1.0)
+
+
+def _add_coupling(spec: mujoco.MjSpec, names: Sequence[str], number: int, one: Coupling) -> None:
+    """A tendon over both joints, whose length is the drive's angle."""
+    tendon = spec.add_tendon(name=f"coupling_{number}", frictionloss=one.coulomb, armature=one.armature)
+    tendon.wrap_joint(names[one.joint], 1.0)
+    tendon.wrap_joint(names[one.driver], one.ratio)
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData, q: np.ndarray) -> np.ndarray:

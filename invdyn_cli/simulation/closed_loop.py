@@ -60,6 +60,7 @@ class ClosedLoop:
             carried=[*made.carried, *made.events.bodies()],
             armature=made.armature,
             geared=[x.joint for x in made.gears],
+            couplings=made.couplings,
             timestep=self.step,
         )
         set_joints(self.arm, damping=made.damping, stiffness=made.stiffness, pull=made.pull)

@@ -19,7 +19,7 @@ half of what the motor still bears.
 """
 # pyright: reportAttributeAccessIssue=false
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import mujoco
@@ -111,6 +111,10 @@ class Controller:
         self._friction = build.offset + build.friction * self._direction
         for x in build.bristles:
             self._friction[:, x.joint] += x.coulomb * self._direction[:, x.joint]
+        for x in build.couplings:
+            one = x.coulomb * np.tanh((self._qd[:, x.joint] + x.ratio * self._qd[:, x.driver]) / SMOOTH)
+            self._friction[:, x.joint] += one
+            self._friction[:, x.driver] += x.ratio * one
         t = np.arange(len(self._q)) / rate
         for i, damping in build.drags:
             self._friction[:, i] += damping(t, self._qd[:, i]) * self._qd[:, i]
@@ -165,7 +169,8 @@ def commissioned(
     """The controller of an arm with these effects in it, or of the nominal one (`control.knows`)."""
     known = made if control.knows == "arm" else assemble(robot)
     parts = {"inertial": known.inertial, "gravity": known.gravity, "armature": known.armature, "timestep": timestep}
-    arm = build(robot, carried=known.carried, **parts)
+    couplings = [replace(x, coulomb=0.0) for x in known.couplings]  # dry friction is fed forward from the reference
+    arm = build(robot, carried=known.carried, couplings=couplings, **parts)
     set_joints(arm, damping=known.damping, stiffness=known.stiffness, pull=known.pull)
     latency, feedback = float((made.delay + made.lag).max()), None
     if made.gears or made.events.loads:

@@ -96,6 +96,11 @@ class Drive:
         a gear that yields, what that passed on."""
         data = self.data
         felt = self._applied + data.qfrc_passive + data.qfrc_constraint - self.model.dof_armature * data.qacc
+        for x in self.build.couplings:
+            joint, driver = self.arm.motor[x.joint], self.arm.motor[x.driver]
+            torque = x.armature * (data.qacc[joint] + x.ratio * data.qacc[driver])
+            felt[joint] -= torque
+            felt[driver] -= x.ratio * torque
         if not len(self.arm.gear):
             return felt
         links = felt[self._motor]

@@ -14,7 +14,7 @@ import numpy as np
 
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.simulation import gear
-from invdyn_cli.simulation.arm import Body
+from invdyn_cli.simulation.arm import Body, Coupling
 from invdyn_cli.simulation.bristles import Bristle
 from invdyn_cli.simulation.events import Contact, Events, GainChange, Load, window_of
 from invdyn_cli.types import Robot
@@ -48,6 +48,7 @@ KINDS = {
     "quadratic_friction": Kind({"drag": FROM}),
     "presliding_hysteresis": Kind({"coulomb": FROM, "stiffness": ABOVE}),
     "thermal_friction_drift": Kind({"cold": FROM, "warm": FROM, "time_constant": ABOVE}),
+    "coupled_friction": Kind({"coulomb": FROM, "damping": FROM, "ratio": NUMBER}, {"armature": FROM}),
     "backlash": Kind({"gap": ABOVE}, {"rotor": ABOVE}),
     "joint_elasticity": Kind({"stiffness": ABOVE}, {"damping": FROM, "rotor": ABOVE}),
     "torque_ripple": Kind({"amplitude": NUMBER, "cycles": ABOVE, "phase": NUMBER}),
@@ -110,6 +111,7 @@ class Build:
         forces: (joint, law(t, q, qd) -> term [N m]), known to a commissioned controller.
         customs: likewise, (None: all joints at once), known to nobody.
         bristles: friction that is a spring before it slides.
+        couplings: drives that turn with two joints.
         gears: play and springs between motor and link, one on a joint at most.
         events: what comes and goes, known to nobody.
     """
@@ -133,6 +135,7 @@ class Build:
     forces: list[tuple[int, Callable]] = field(default_factory=list)
     customs: list[tuple[int | None, Callable]] = field(default_factory=list)
     bristles: list[Bristle] = field(default_factory=list)
+    couplings: list[Coupling] = field(default_factory=list)
     gears: list[gear.Gear] = field(default_factory=list)
     events: Events = field(default_factory=Events)
 
@@ -232,6 +235,10 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
         case "presliding_hysteresis":
             if p["coulomb"] > 0:
                 build.bristles.append(Bristle(i, **p))
+        case "coupled_friction":
+            if robot.parents[i] < 0:
+                raise UsageError(f"coupled_friction on {one.joint}: no joint is before it; allowed: one further out")
+            build.couplings.append(Coupling(i, robot.parents[i], **{"armature": 0.0, **p}))
         case "backlash" | "joint_elasticity":
             if any(x.joint == i for x in build.gears):
                 raise UsageError(f"{one.effect} on {one.joint}, whose gear yields already; allowed: one such effect")

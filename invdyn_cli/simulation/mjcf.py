@@ -76,6 +76,7 @@ class _Numbers:
     ringing: np.ndarray
     carried: np.ndarray
     loads: list[np.ndarray] = field(default_factory=list)
+    couplings: list[tuple[int, int, Any]] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
 
 
@@ -154,6 +155,8 @@ def _put(made: _Numbers, one: Hidden, i: int) -> str:
             made.pull[i] += p["stiffness"] * p["rest"]
         case "rotor_inertia":
             made.armature[i] += p["armature"]
+        case "coupled_friction":
+            made.couplings.append((i, made.robot.parents[i], p))
         case "torque_offset":
             made.offset[i] += p["offset"]
         case "torque_gain_error":
@@ -261,6 +264,7 @@ def _text(made: _Numbers) -> str:
         bodies.append(body)
     for i, load in enumerate(made.loads):
         _inertial(ET.SubElement(bodies[-1], "body", name=f"payload_{i + 1}" if i else "payload"), load)
+    _tendons(root, made)
     motors = ET.SubElement(root, "actuator")
     for i in range(robot.dofs):
         motor = _motor(made, i)
@@ -269,6 +273,21 @@ def _text(made: _Numbers) -> str:
         root.insert(0, ET.Comment(f" {line.replace('--', '-')} "))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _tendons(root: ET.Element, made: _Numbers) -> None:
+    """A fixed tendon over both joints of every drive that turns with two, with its friction, damping and inertia."""
+    if not made.couplings:
+        return
+    tendons = ET.SubElement(root, "tendon")
+    for i, driver, p in made.couplings:
+        names = made.robot.joints[i], made.robot.joints[driver]
+        given = {"frictionloss": p["coulomb"], "damping": p["damping"], "armature": p.get("armature", 0.0)}
+        stick = STICK if p["coulomb"] else {}
+        numbers = {k: _said(v) for k, v in {**given, **stick}.items() if np.any(v)}
+        drive = ET.SubElement(tendons, "fixed", name=f"{names[0]}_drive", **numbers)
+        for name, factor in zip(names, (1.0, p["ratio"]), strict=True):
+            ET.SubElement(drive, "joint", joint=name, coef=_said(factor))
 
 
 def _joints(made: _Numbers, i: int) -> Iterable[dict[str, Any]]:

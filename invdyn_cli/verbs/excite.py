@@ -277,7 +277,7 @@ def _cause(one: Any, robot: Robot, option: str) -> Cause | str:
     wrong = refused(effect, parameters) if parameters else ""
     if wrong:
         raise UsageError(f"{option}: {name}: {wrong}")
-    why = unplayable(effect, robot, parameters or None)
+    why = unplayable(effect, robot, parameters or None, joint)
     if why:
         return left_out(effect, why)
     made = cause_of(name, joint, parameters or None, robot)

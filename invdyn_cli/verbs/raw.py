@@ -79,6 +79,8 @@ def read(keys: Keys, used: Iterable[str], source: RealLog) -> list[Log]:
         if source.drive_gain is not None and log.torque_unit == "A":
             log = replace(log, drive_gain=np.asarray(source.drive_gain, float))
         gain = log.drive_gain
+        if source.drive_gain is not None and gain is not None and not (np.isfinite(gain) & (gain != 0)).all():
+            raise LogError(f"data.drive_gain={list(source.drive_gain)}; allowed: numbers [N m/A], none 0")
         if gain is not None and np.shape(gain) != (len(log.joints),):
             got = f"{path}: drive gains {np.asarray(gain).tolist()}"
             raise LogError(f"{got}; allowed: {len(log.joints)} numbers [N m/A], one for each joint")

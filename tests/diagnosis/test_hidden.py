@@ -22,6 +22,7 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import AbstractReference, Multisine, PickPlace
 from invdyn_cli.simulation.sensors import Noise
+from invdyn_cli.types import Diagnosis, Finding
 from tests.diagnosis.analytic import said
 
 SIZE = 1.0
@@ -108,6 +109,36 @@ def test_two_hidden_effects_are_both_named(names):
     outcome = judge(case, diagnose(case.log, case.robot), 0, 0.0)
     assert outcome.result in ("named", "ambiguous"), outcome
     assert all(error < SIZE for error in outcome.size_errors), outcome
+
+
+def worn_out(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+    """Coulomb and viscous friction on every joint."""
+    joints = range(scene.robot.dofs)
+    return [draw_effect(draw, scene, name, j) for j in joints for name in ("coulomb_friction", "viscous_friction")]
+
+
+def coupled(diagnosis: Diagnosis) -> list[Finding]:
+    """Claims that speak of a drive that two joints share."""
+    return [f for f in claims(diagnosis) if ("coupled_friction",) in ((f.effect,), *f.alternatives)]
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_shared_gear_beside_friction(seed):
+    """A drive that two joints share is named on its joint, with the joint that drives it and the sign of their ratio,
+    beside friction on every joint; sizes within 10 %."""
+    case = played(seed, "fc", lambda d, s: [*worn_out(d, s), draw_effect(d, s, "coupled_friction", 2)])
+    (found,), hidden = coupled(diagnose(case.log, case.robot)), case.hidden[-1].parameters
+    assert (found.joint, found.status, found.parameters["driver"].value) == ("axis3", "named", "axis2")
+    assert found.parameters["ratio"].value == hidden["ratio"]
+    for name in ("coulomb", "damping"):
+        assert found.parameters[name].value == pytest.approx(hidden[name], rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_friction_of_neighbours_is_no_shared_gear(seed):
+    """Where every joint has friction of its own, no claim speaks of a drive that two joints share."""
+    case = played(seed, "f", worn_out)
+    assert coupled(diagnose(case.log, case.robot)) == []
 
 
 def test_an_arm_with_play_takes_something_up():

@@ -24,6 +24,12 @@ def parameters(name: str, d: np.random.Generator) -> dict[str, Any]:
         "load_dependent_friction": lambda: {"mu": u(0.02, 0.2)},
         "quadratic_friction": lambda: {"drag": u(0.1, 3)},
         "presliding_hysteresis": lambda: {"coulomb": (c := u(0.1, 3)), "stiffness": c / u(0.001, 0.02)},
+        "coupled_friction": lambda: {
+            "coulomb": u(0.1, 3),
+            "damping": u(0.1, 3),
+            "armature": u(0.01, 1),
+            "ratio": float(d.choice([-1.0, 1.0])),
+        },
         "torque_offset_drift": lambda: {"rate": u(-0.3, 0.3)},
         "backlash": lambda: {"gap": u(0.001, 0.01)},
         "joint_elasticity": lambda: {"stiffness": u(50, 5000)},
@@ -56,7 +62,8 @@ def joint_of(name: str, joint: int) -> int | None:
 
 
 def joint_state(d: np.random.Generator, samples: int = 300) -> JointState:
-    """A joint at random, 30 s of it; a tenth of its signs lie between -1 and 1, as at a reversal."""
+    """A joint at random, 30 s, and the joint before it; a tenth of its signs lie between -1 and 1, as at a reversal."""
     sign = np.where(d.random(samples) < 0.1, d.uniform(-1, 1, samples), np.sign(d.normal(size=samples)))
     q, qd, qdd, load = d.normal(size=(4, samples))
-    return JointState(np.linspace(0, 30, samples), q, qd, qdd, sign, 5 * load)
+    before = JointState(np.linspace(0, 30, samples), *d.normal(size=(3, samples)), sign, load)
+    return JointState(np.linspace(0, 30, samples), q, qd, qdd, sign, 5 * load, driver=before)

@@ -28,6 +28,7 @@ NAMES = {
     "load_dependent_friction": {"mu"},
     "quadratic_friction": {"drag"},
     "presliding_hysteresis": {"coulomb", "stiffness"},
+    "coupled_friction": {"coulomb", "damping", "armature", "ratio"},
     "torque_offset_drift": {"rate"},
     "backlash": {"gap"},
     "joint_elasticity": {"stiffness"},

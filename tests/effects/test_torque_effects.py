@@ -64,11 +64,39 @@ def test_numpy_and_jax_agree(name):
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n.endswith("friction") or n.startswith("thermal")])
 def test_friction_takes_power(name):
-    """Friction acts against the motion: logged torque times velocity is never negative."""
+    """Friction acts against the motion: logged torque times velocity, of both joints of a gear that two share, is never
+    negative."""
     effect, draw = EFFECTS[name], np.random.default_rng(1)
-    state = joint_state(draw)
+    state, given = joint_state(draw), parameters(name, draw)
     state = state._replace(sign=np.sign(state.qd))
-    assert np.all(effect.term(parameters(name, draw), state) * state.qd >= 0)
+    given |= {"armature": 0.0} if effect.coupled else {}
+    term = effect.term(given, state)
+    assert np.all(term * state.qd + effect.share_on_driver(given) * term * state.driver.qd >= 0)
+
+
+def test_a_shared_drive_turns_with_both_joints():
+    """Written out: coulomb sign(s) + damping s + armature ds/dt of s = qd + ratio qd of the joint before, where s is
+    not near zero; the sign has slope 1 / width there, the widths of both speeds added as errors are."""
+    state, given = joint_state(np.random.default_rng(0)), {"coulomb": 2.0, "damping": 0.7, "armature": 0.3}
+    effect, before = EFFECTS["coupled_friction"], state.driver
+    for ratio in (1.0, -1.0, 0.4):
+        s, ds = state.qd + ratio * before.qd, state.qdd + ratio * before.qdd
+        got = effect.term({**given, "ratio": ratio}, state)
+        far = np.abs(s) > 0.01
+        np.testing.assert_allclose(got[far], (2.0 * np.sign(s) + 0.7 * s + 0.3 * ds)[far], rtol=1e-12)
+        assert effect.share_on_driver({**given, "ratio": ratio}) == ratio
+        near = state._replace(qd=1e-4 - ratio * before.qd, qdd=-ratio * before.qdd)
+        width = 1e-3 * np.hypot(1, ratio)
+        np.testing.assert_allclose(effect.term({**given, "ratio": ratio}, near), 2e-4 / width + 0.7e-4, rtol=1e-9)
+
+
+def test_a_part_that_is_hardly_negative_is_none():
+    """A drive's damping that comes out a little below zero beside its dry friction is read as zero, one far below is
+    refused; so is a ratio with which the other joint hardly turns the drive."""
+    effect, shape = EFFECTS["coupled_friction"], {"ratio": -1.0}
+    assert effect.read([1.0, -0.05, 0.2], shape) == {"coulomb": 1.0, "damping": 0.0, "armature": 0.2, **shape}
+    assert "damping" in effect.refuse(effect.read([1.0, -0.5, 0.2], shape))
+    assert "hardly turns" in effect.refuse({"coulomb": 1.0, "damping": 0.1, "armature": 0.1, "ratio": 0.05})
 
 
 def bristled(q: np.ndarray, t: np.ndarray | None = None) -> JointState:

@@ -93,6 +93,32 @@ def test_term(case, apollo):
     assert np.all(rms(left[moving], 0) < 1e-3 * rms(filtered(x.nominal + term)[moving], 0))
 
 
+@pytest.mark.parametrize("ratio", [1.0, -0.6])
+def test_a_shared_drive(ratio, apollo):
+    """A drive that turns with joint 6 and `ratio` times joint 5: with s its speed, 0.4 sign(s) + 0.3 s + 0.02 ds/dt on
+    joint 6, `ratio` times as much on joint 5, nothing on others, to 0.3 % of it."""
+    given = {"coulomb": 0.4, "damping": 0.3, "armature": 0.02, "ratio": ratio}
+    x = truth(apollo, recorded(apollo, Hidden("coupled_friction", "arm_joint_6", given)))
+    s, ds = (v[:, 5] + ratio * v[:, 4] for v in (x.qd, x.qdd))
+    drive = 0.4 * np.sign(s) + 0.3 * s + 0.02 * ds
+    term = np.zeros_like(x.q)
+    term[:, 5], term[:, 4] = drive, ratio * drive
+    left = filtered(x.logged) - filtered(x.nominal + term)
+    moving = ~rests(s)
+    assert np.all(rms(left[moving][:, 4:6], 0) < 3e-3 * rms(filtered(term)[moving][:, 4:6], 0))
+    assert np.all(rms(left[moving], 0) < 2e-3 * rms(filtered(x.nominal + term)[moving], 0))
+
+
+def test_a_shared_drive_behind_a_sensor(apollo):
+    """A torque that is taken behind the gear, at the link, has nothing of it."""
+    given = {"coulomb": 0.4, "damping": 0.3, "armature": 0.02, "ratio": 1.0}
+    hidden = [Hidden("coupled_friction", "arm_joint_6", given)]
+    tr = simulate(apollo, Multisine(), hidden, duration=3.0, rate=RATE, torque_side="link", seed=1)
+    clean = simulate(apollo, Multisine(), duration=3.0, rate=RATE, torque_side="link", seed=1)
+    difference = filtered(tr.tau - clean.tau)
+    assert np.all(rms(difference, 0) < 0.01)
+
+
 def test_clean(apollo):
     """Without effects the logged torque is the nominal one, to 2e-4 of it on every joint."""
     x = truth(apollo, recorded(apollo))
@@ -250,6 +276,10 @@ WRONG = (
     (Hidden("payload", None, {"mass": 1.0, "com": [0, 0]}), "allowed: three numbers"),
     (Hidden("link_inertia_error", "arm_joint_1", {"mass": -9.0}), "allowed: above -2.7"),
     (Hidden("custom", "arm_joint_1", {"force": 3.0}), "allowed: a function"),
+    (
+        Hidden("coupled_friction", "arm_joint_1", {"coulomb": 1.0, "damping": 0.1, "ratio": 1.0}),
+        "arm_joint_1: no joint is before it",
+    ),
 )
 
 
@@ -262,7 +292,7 @@ def test_refuses(hidden, said, apollo):
 
 def test_every_effect_is_tested():
     """No effect can be hidden that is not recovered here, or in the tests of memory and events."""
-    other = {"torque_delay", "actuator_lag", "torque_saturation", "encoder_offset", "custom"}
+    other = {"torque_delay", "actuator_lag", "torque_saturation", "encoder_offset", "coupled_friction", "custom"}
     memory = {"presliding_hysteresis", "backlash", "joint_elasticity"}
     events = {"torque_gain_change", "payload_change", "external_contact"}
     assert {case.effect for case in CASES} | set(BODIES) | other | memory | events == set(KINDS)

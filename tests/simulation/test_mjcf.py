@@ -28,6 +28,7 @@ PARAMETERS = {
     "quadratic_friction": {"drag": 0.2},
     "presliding_hysteresis": {"coulomb": 0.4, "stiffness": 100.0},
     "thermal_friction_drift": {"cold": 0.9, "warm": 0.3, "time_constant": 9.0},
+    "coupled_friction": {"coulomb": 0.4, "damping": 0.3, "armature": 0.02, "ratio": -1.0},
     "torque_offset_drift": {"rate": 0.01},
     "backlash": {"gap": 0.01},
     "joint_elasticity": {"stiffness": 4000.0},

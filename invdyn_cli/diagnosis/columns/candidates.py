@@ -17,6 +17,7 @@ from invdyn_cli.effects.composition import (
     Acting,
     When,
     chunked,
+    has_driver,
     identity,
     inertia_column,
     kinematics_of,
@@ -68,6 +69,8 @@ def gather(
     for effect in effects:
         for joint in range(n):
             if isinstance(effect, AbstractTorqueEffect):
+                if effect.coupled and not has_driver(robot, joint):
+                    continue
                 # what the shapes depend on is the same for all pieces: the longest one tells
                 longest = max((s[joint] for s in states), key=lambda s: len(s.t))
                 for shape in effect.shapes(longest):
@@ -119,7 +122,8 @@ def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) 
 
 
 def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: int, shape: Parameters) -> Candidate:
-    """A joint's torque effect with these nonlinear parameters, its columns added to the table."""
+    """A joint's torque effect with these nonlinear parameters, its columns added to the table; those of a coupled one
+    to that of the joint before it, too, with the same coefficients."""
     parts, precision = [], np.zeros(len(effect.basis(evidence.states[0][joint], shape)))
     for s in evidence.states:
         columns = list(effect.basis(s[joint], shape))
@@ -127,11 +131,15 @@ def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: in
             columns.append(np.gradient(columns[0]) * evidence.recording.filter.rate)
         parts.append(np.stack(columns))
     numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
+    columns: dict[int, tuple] = {joint: ((), numbers)}
+    if effect.coupled:
+        driver, share = evidence.robot.parents[joint], effect.share_on_driver(shape)
+        columns[driver] = (), evidence.append(driver, list(share * filtered(evidence.recording, parts, driver)))
     if len(numbers) > len(precision):
         level = np.sqrt(np.mean(evidence.tables[joint][:, 0] ** 2))
         unit = np.sqrt(np.mean(np.concatenate([p[0] for p in parts], axis=-1) ** 2))
         precision = np.append(precision, 1 / max(STICK_TIME * level / max(unit, 1e-12), 1e-12) ** 2)
-    return Candidate(effect, joint, shape, {joint: ((), numbers)}, precision)
+    return Candidate(effect, joint, shape, columns, precision)
 
 
 def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: int, shape: Parameters) -> Candidate:

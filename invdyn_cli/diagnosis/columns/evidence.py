@@ -13,7 +13,8 @@ import numpy as np
 from scipy import signal
 
 from invdyn_cli.diagnosis.columns.recording import ROLES, Piece, Recording
-from invdyn_cli.effects.composition import Acting, Stretch, When, channel, rigid_torque, sign_of
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting, Stretch, When, channel, in_chain, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractEffect,
@@ -34,7 +35,7 @@ HELD = 0.01
 """Range [rad; m] within which a joint is held: it creeps, and its friction holds what it likes."""
 
 REST_TIME = 0.05
-DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
+DRY = tuple(name for name, effect in EFFECTS.items() if getattr(effect, "jumps", False))
 """Effects that jump where a joint turns back."""
 
 SPARE = 64
@@ -173,7 +174,7 @@ def started(robot: Robot, recording: Recording) -> Evidence:
     for number, piece in enumerate(recording.pieces):
         torque = rigid_torque(robot, piece.motion)
         nominal.append(torque)
-        states.append(joint_states(piece, torque, recording))
+        states.append(joint_states(piece, torque, recording, robot.parents))
         kept = recording.filter.rows(len(piece.t))
         of = block + np.minimum(
             (piece.t[kept] - piece.t[kept[0]]) // length, _last_block(piece.t[kept], length)
@@ -193,7 +194,7 @@ def started(robot: Robot, recording: Recording) -> Evidence:
     )  # fmt: skip
 
 
-def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list[JointState]:
+def joint_states(piece: Piece, torque: np.ndarray, recording: Recording, parents: Sequence[int]) -> list[JointState]:
     """Every joint's state; sign(qd) is averaged over a sample's length, and no sharper than the noise of the speed."""
     step = 1 / recording.filter.rate
     width = np.maximum(np.abs(piece.qdd) * step / 2, np.maximum(2 * piece.motion_noise, 1e-6)[:, None])
@@ -201,10 +202,9 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording) -> list
     before = [
         p.q for p in recording.pieces if p.trajectory == piece.trajectory and 0 < piece.t[0] - p.t[-1] < ADJOINING
     ]
-    return [
-        JointState(piece.t, piece.q[j], piece.qd[j], piece.qdd[j], sign[j], torque[j], before[0][j] if before else None)
-        for j in range(len(torque))
-    ]
+    memory = before[0] if before else [None] * len(torque)
+    rows = zip(piece.q, piece.qd, piece.qdd, sign, torque, memory, width, strict=True)
+    return in_chain([JointState(piece.t, *row) for row in rows], parents)
 
 
 def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
     bodies, slopes, extras = [], [], []
     for piece in recording.pieces:
         torque = rigid_torque(robot, piece.motion)
-        states = joint_states(piece, torque, recording)
+        states = joint_states(piece, torque, recording, robot.parents)
         motion = piece.q, piece.qd, piece.qdd
         zeros = [
             rigid_torque(robot, replace(piece.motion, q=piece.q + STEP * row[:, None])) - torque for row in np.eye(n)

@@ -23,6 +23,7 @@ from invdyn_cli.diagnosis.search.late import LATE
 from invdyn_cli.diagnosis.search.realisable import realisable
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.description import driver_name
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
 
@@ -101,7 +102,8 @@ def report(
             joint=None if joint is None else evidence.robot.joints[joint],
             status="named",
             alternatives=_alternatives(rivals),
-            parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate)),
+            parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate))
+            | _chosen(evidence.robot, whole.acting[i]),
             gain=_gains(inquiry, hypothesis, (i,), after),
             rejected=_rejected(evidence.robot, candidate.key, rivals),
             advice=effect.advice,
@@ -166,7 +168,7 @@ def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], aft
     before = left(inquiry, tuple(c for k, c in enumerate(hypothesis) if k not in without))
     own = [hypothesis[k] for k in without]
     local = all(c.effect.point in ("torque", "channel") for c in own)
-    felt = {c.joint for c in own} if local else range(evidence.dofs)
+    felt = {j for c in own for j in c.columns} if local else range(evidence.dofs)
     gains = {name: gain_of(evidence, j, before, after) for j, name in enumerate(evidence.robot.joints) if j in felt}
     return {name: gain for name, gain in gains.items() if gain is not None}
 
@@ -223,6 +225,14 @@ def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool)
         for name, (value, low, high) in ends.items()
         if name in effect.parameters
     }
+
+
+def _chosen(robot: Robot, acting: Acting) -> dict[str, Quantity]:
+    """What a search chose and nothing refined: parameters that are one of a few values, and the joint that drives the
+    gear of a coupled effect, by its name."""
+    units = {name: acting.effect.parameters[name].unit for name in acting.effect.chosen}
+    chosen = {name: Quantity(_plain(acting.parameters[name]), unit) for name, unit in units.items()}
+    return chosen | {name: Quantity(joint, "") for name, joint in driver_name(acting, robot).items()}
 
 
 def _timed(finding: Finding, acting: Acting, ends: Mapping[str, tuple]) -> Finding:

@@ -26,9 +26,9 @@ that turns back sticks."""
 
 
 def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
-    """Every effect's parameters, and the edges of its window, with the ends of their intervals, {name: (value, lower,
-    upper)}: jackknife over blocks, and over recordings, each replica turned into parameters, and no less than what the
-    noise alone leaves unknown; angles do not jump."""
+    """Every effect's refined parameters, and the edges of its window, with the ends of their intervals, {name: (value,
+    lower, upper)}: jackknife over blocks, and over recordings, each replica turned into parameters, and no less than
+    what the noise alone leaves unknown; angles do not jump."""
     moved = [refined.theta + row for row in refined.unknown]
     ways = [
         [with_parameters(evidence, refined.acting, refined.labels, row) for row in rows]
@@ -50,7 +50,8 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
 def _told(acting: Acting) -> dict[str, Any]:
     """Parameters of an effect, and the edges of its window."""
     edges = {} if acting.when is None else {name: getattr(acting.when, name) for name in EDGES}
-    return {**acting.parameters, **edges}
+    refined = {name: x for name, x in acting.parameters.items() if name not in acting.effect.chosen}
+    return {**refined, **edges}
 
 
 def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray, share: float = 0.95) -> np.ndarray:

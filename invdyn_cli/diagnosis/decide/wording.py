@@ -51,12 +51,15 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
 
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
+    apart = set(diagnosis.details.get("torque_in_A", ()))  # joints of which no error is known in N m
     before, after = (
-        np.sqrt(np.mean([x["rmse"] ** 2 for x in table.values()])) for table in (diagnosis.baseline, diagnosis.extended)
+        np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
+        for table in (diagnosis.baseline, diagnosis.extended)
     )
+    over = "all joints" if not apart else f"the joints but {_listed(sorted(apart))}"
     rest = _rest(diagnosis)
     if not claims:
-        first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over all joints."
+        first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over {over}."
         return f"{first} {rest or 'What is left looks like noise.'}"
     usual = in_table(diagnosis)
     shown = [f for f in claims if not any(f is x for x in usual)]
@@ -70,7 +73,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         joints = len({f.joint for f in usual})
         said.append(f"what every arm has (friction and the like) on {joints} joint{'s' * (joints > 1)}")
     first = f"The simulation lacks {_listed(said)}; with that its held-out error falls from {before:.3g} to "
-    first += f"{after:.3g} N m RMS over all joints."
+    first += f"{after:.3g} N m RMS over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} What is left is small beside that."
     return f"{first} {rest or 'What is left looks like noise.'}"

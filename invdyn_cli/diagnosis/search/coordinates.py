@@ -24,8 +24,9 @@ def flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tupl
             values += row
             labels += [(number, "", index) for index in range(len(row))]
         else:
-            values += [float(x) for x in a.parameters.values()]
-            labels += [(number, name, 0) for name in a.parameters]
+            refined = {name: x for name, x in a.parameters.items() if name not in a.effect.chosen}
+            values += [float(x) for x in refined.values()]
+            labels += [(number, name, 0) for name in refined]
         if a.when is not None:
             values += [a.when.start, a.when.end]
             labels += [(number, name, 0) for name in EDGES]
@@ -54,7 +55,8 @@ def with_parameters(evidence: Evidence, acting: Sequence[Acting], labels, theta:
         elif isinstance(a.effect, AbstractForceEffect):
             made.append(replace(a, parameters=a.effect.read(linear)))
         else:
-            made.append(replace(a, parameters={name: float(x) for (name, _), x in own.items() if name not in EDGES}))
+            refined = {name: float(x) for (name, _), x in own.items() if name not in EDGES}
+            made.append(replace(a, parameters={**a.parameters, **refined}))
     return tuple(made)
 
 

@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis.search.edges import summed, within
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.steps import WHOLE
-from invdyn_cli.effects.composition import Acting, channel, identity, joint_terms, link_torque
+from invdyn_cli.effects.composition import Acting, channel, felt_by, identity, joint_terms, link_torque
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractGearEffect,
@@ -127,7 +127,7 @@ class Model:
         return key
 
     def _row(self, acting: Sequence[Acting], bodies: tuple, j: int) -> np.ndarray:
-        own = _own(acting, j)
+        own = self._own(acting, j)
         key = (bodies, j, identity(own))
         if key not in self._rows:
             if len(self._rows) > 400:
@@ -137,14 +137,19 @@ class Model:
 
     def unfiltered(self, acting: Sequence[Acting], j: int) -> list[np.ndarray]:
         """A joint's residual (T,) in every piece, as it is before the filter."""
-        return self._parts(_own(acting, j), self._moved(acting), j)
+        return self._parts(self._own(acting, j), self._moved(acting), j)
+
+    def _own(self, acting: Sequence[Acting], joint: int) -> list[Acting]:
+        """The torque and channel effects that a joint feels."""
+        parents = self.evidence.robot.parents
+        return [a for a in acting if a.effect.point in ("torque", "channel") and joint in felt_by(a, parents)]
 
     def _parts(self, own: Sequence[Acting], bodies: tuple, j: int) -> list[np.ndarray]:
         parts = []
         pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
         for piece, states, body, base in zip(pieces, self.evidence.states, moved, self._base, strict=True):
-            state = states[j]._replace(transmitted=body[j] - base[j])
-            tau = body[j] + sum(joint_terms(own, j, state))
+            loaded = [s._replace(transmitted=x) for s, x in zip(states, body - base, strict=True)]
+            tau = body[j] + sum(joint_terms(own, j, loaded, self.evidence.robot.parents))
             logged = piece.tau[j]
             for a in own:
                 if not isinstance(a.effect, AbstractChannelEffect):
@@ -155,10 +160,6 @@ class Model:
                     logged = a.effect.delivered(a.parameters, logged, self.rate)
             parts.append(logged - tau)
         return parts
-
-
-def _own(acting: Sequence[Acting], joint: int) -> list[Acting]:
-    return [a for a in acting if a.joint == joint and a.effect.point in ("torque", "channel")]
 
 
 def refine(
@@ -386,7 +387,10 @@ def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, n
         terms = [np.asarray(a.effect.term(a.parameters, s)) for s in states]
         parts = [np.gradient(x) * evidence.recording.filter.rate for x in terms]
         column = np.zeros(evidence.tau.shape)
-        column[:, a.joint] = filtered(evidence.recording, parts, a.joint)
+        for j in felt_by(a, evidence.robot.parents):
+            assert j is not None
+            share = 1.0 if j == a.joint else a.effect.share_on_driver(a.parameters)
+            column[:, j] = share * filtered(evidence.recording, parts, j)
         columns.append(column)
         precision.append(1 / STICK_TIME**2)
     return np.array(columns).reshape(len(columns), *evidence.tau.shape), np.array(precision)

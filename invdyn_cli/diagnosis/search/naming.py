@@ -112,6 +112,11 @@ def rivals(
             why, equal = f"{refused} (it {why})", False
         elif equal and clash(c, own):
             why, equal = f"is the general case, and the data ask for no more than {own.effect.title}", False
+        elif equal and own.effect.group == "standard" and c.effect.point == "torque" and len(c.columns) > 1:
+            why, equal = (
+                f"is of a gear that two joints share, and the data ask for no more than {own.effect.title}",
+                False,
+            )
         elif not equal:
             why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
         parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])

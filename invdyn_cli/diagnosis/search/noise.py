@@ -124,8 +124,11 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 
 
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
-    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
+    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials; of a drive that two
+    joints share its friction, since the other joint's acceleration takes up slow ripples, too."""
     fixed, free = candidate.columns[joint]
+    if len(candidate.columns) > 1 and candidate.effect.point == "torque":
+        return free[:2]
     return fixed if candidate.effect.point == "gear" else free
 
 

@@ -90,7 +90,8 @@ def _bearable(
         if not at.any():
             continue
         borne = np.array([x[number] for x in bare])
-        low, high = np.array([_levels(others, j, s) for j, s in enumerate(evidence.states[number])]).swapaxes(0, 1)
+        parents, states = evidence.robot.parents, evidence.states[number]
+        low, high = np.array([_levels(others, j, states, parents) for j in range(evidence.dofs)]).swapaxes(0, 1)
         noise = np.hypot(left, 1.05 * np.median(np.abs(np.diff(borne)), axis=1))[:, None]  # white noise, its answer too
         slack = MARGIN * (high - low) / 2 + 2 * left[:, None]
         over = [np.maximum(np.maximum(x - high, low - x) - slack, 0.0) / noise for x in (borne, borne - loads[number])]
@@ -105,10 +106,14 @@ def _bearable(
     return float(max(start, low)), float(min(end, high + 1 / evidence.recording.filter.rate))
 
 
-def _levels(acting: Sequence[Acting], joint: int, state: JointState) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) each: the least and the most of a joint's friction, springs and offsets, whichever way it is pushed."""
-    either_way = [state._replace(sign=0 * state.qd + sign) for sign in (-1.0, 1.0)]
-    levels = np.array([0 * state.qd + sum(joint_terms(acting, joint, x)) for x in either_way])
+def _levels(
+    acting: Sequence[Acting], joint: int, states: Sequence[JointState], parents: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(T,) each: the least and the most of a joint's friction, springs and offsets, whichever way it is pushed; of a
+    gear that it shares, what its motion makes."""
+    still = 0 * states[joint].qd
+    either_way = [[s._replace(sign=still + sign) for s in states] for sign in (-1.0, 1.0)]
+    levels = np.array([still + sum(joint_terms(acting, joint, x, parents)) for x in either_way])
     return levels.min(axis=0), levels.max(axis=0)
 
 

@@ -1,0 +1,92 @@
+"""Coupled gears: a drive that the joint before its own turns as well.
+
+Where the motor of a joint sits behind the joint before it, and its shaft or bevel gear runs through that one, both
+joints turn it: wrists of the Stäubli RX and TX arms (joints 5 and 6), differential wrists, parallelograms. Friction and
+inertia of that drive then act on both joints, by the principle of virtual work with the factors of its speed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from invdyn_cli.effects.actuator import MOTOR_SIDES
+from invdyn_cli.effects.composition import sign_of
+from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.types import Array
+
+LEAST_RATIO = 0.2
+"""Of the joint's own speed: a drive that the other joint turns less than this is as good as the joint's own."""
+
+NONE = 0.1
+"""Of all parts at 1 rad/s and 1 rad/s^2: a part that is negative by less than this is an estimate of none."""
+
+
+@dataclass(frozen=True)
+class CoupledFriction(AbstractTorqueEffect):
+    """Friction and inertia of a drive that runs with qd + ratio qd_driver; the driver is the joint before its own in
+    the chain, through which the shaft passes.
+
+    Attributes:
+        ratios: to try. Bevel gears of wrists have 1 or -1; another one beside own friction is hardly determined by a
+            log, and would take the sizes with it.
+    """
+
+    ratios: tuple[float, ...] = (-1.0, 1.0)
+
+    name = "coupled_friction"
+    title = "coupled friction"
+    equation = (
+        "coulomb sign(s) + damping s + armature ds/dt, s = qd + ratio qd_driver; ratio times as much on the driver, "
+        "the joint before"
+    )
+    reference = (
+        "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002; "
+        "Gautier, Janot and Vandanjon, IEEE TCST 2013"
+    )
+    parameters = {
+        "coulomb": Parameter("N m", 0.0),
+        "damping": Parameter("N m s/rad", 0.0),
+        "armature": Parameter("kg m²", 0.0),
+        "ratio": Parameter("-", -4.0, 4.0),
+    }
+    sides = MOTOR_SIDES
+    confounders = (
+        ("coulomb_friction",),
+        ("viscous_friction",),
+        ("rotor_inertia",),
+        ("stribeck_friction",),
+        ("link_inertia_error",),
+    )
+    nonlinear = ("ratio",)
+    chosen = ("ratio",)
+    advice = "each of the two joints moved alone while the other is held, then both together, both ways"
+    picture = "qd"
+    shows = ("neighbours",)
+    coupled = True
+    jumps = True
+
+    def term(self, parameters: Parameters, state: JointState) -> Array:
+        sign, speed, acceleration = self.basis(state, parameters)
+        return parameters["coulomb"] * sign + parameters["damping"] * speed + parameters["armature"] * acceleration
+
+    def shapes(self, state: JointState) -> Sequence[Parameters]:
+        return [{"ratio": x} for x in self.ratios]
+
+    def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
+        driver, ratio = state.driver, shape["ratio"]
+        assert driver is not None, "a coupled effect acts on a joint that has one before it"
+        speed = state.qd + ratio * driver.qd
+        width = (state.width**2 + (ratio * driver.width) ** 2) ** 0.5
+        return sign_of(speed, width), speed, state.qdd + ratio * driver.qdd
+
+    def share_on_driver(self, parameters: Parameters) -> float:
+        return parameters["ratio"]
+
+    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
+        parts = dict(zip(("coulomb", "damping", "armature"), coefficients, strict=True))
+        small = NONE * sum(abs(x) for x in parts.values())
+        return {**{k: 0.0 if -small < x < 0 else x for k, x in parts.items()}, **shape}
+
+    def refuse(self, parameters: Parameters) -> str:
+        if abs(parameters["ratio"]) < LEAST_RATIO:
+            return f"ratio would be {parameters['ratio']:.2g}: the joint before hardly turns this drive"
+        return super().refuse(parameters)
