@@ -112,8 +112,9 @@ def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
 
 
 def _plain(candidate: Candidate, joint: int) -> bool:
-    """Whether a candidate belongs to the model that may use everything: all but the many trials of one effect."""
-    if joint not in candidate.columns:
+    """Whether a candidate belongs to the model that may use everything: all but the many trials of one effect, and
+    drives that two joints share: free factors of another joint's motion take up slow ripples and loads."""
+    if joint not in candidate.columns or (candidate.effect.point == "torque" and len(candidate.columns) > 1):
         return False
     name, shape = candidate.effect.name, candidate.shape
     if candidate.effect.point == "gear":
@@ -124,11 +125,8 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 
 
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
-    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials; of a drive that two
-    joints share its friction, since the other joint's acceleration takes up slow ripples, too."""
+    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
     fixed, free = candidate.columns[joint]
-    if len(candidate.columns) > 1 and candidate.effect.point == "torque":
-        return free[:2]
     return fixed if candidate.effect.point == "gear" else free
 
 
