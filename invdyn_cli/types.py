@@ -253,7 +253,7 @@ class Check:
 
     Attributes:
         check: its name (unit_error, gaps, …).
-        severity: "ok", "note", "warn" or "fail" (fail: no physics on this log).
+        severity: "ok", "skipped" (not looked at; `seen` says why), "note", "warn" or "fail" (no physics on this log).
         trajectory, joint: where; None for all.
         value: what was measured (a factor, seconds, a permutation, …), None where there is no number.
         threshold: what it was compared with.
