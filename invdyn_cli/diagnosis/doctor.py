@@ -11,12 +11,13 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.channels import CommandCopiesMeasurement, NotMoving, Quantisation, Saturation
 from invdyn_cli.diagnosis.checks.clock import ClockJitter, Duplicates, Gaps, TooShort
+from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
 from invdyn_cli.diagnosis.checks.commands import CommandLag, CommandSigns, CommandUnits
 from invdyn_cli.diagnosis.checks.derivatives import DerivativeConsistency
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
-from invdyn_cli.diagnosis.checks.torques import GravityRemoved, JointOrder, SignError
+from invdyn_cli.diagnosis.checks.torques import GravityRemoved
 from invdyn_cli.diagnosis.checks.units import MotionUnits, TorqueUnits
 from invdyn_cli.diagnosis.checks.values import NotFinite, Outliers
 from invdyn_cli.errors import LogError, RobotError, listed
@@ -50,7 +51,8 @@ CHECKS: tuple[AbstractCheck, ...] = (
 """In the order in which they are asked: what can be read at all, the clock, the motion, then the torque."""
 
 SEVERITIES = ("ok", "skipped", "note", "warn", "fail")
-"""ok: looked at, nothing seen; skipped: not looked at, `seen` says why; note: worth knowing; warn: it costs accuracy; fail: no physics before it is mended."""
+"""ok: looked at, nothing seen; skipped: not looked at, `seen` says why; note: worth knowing; warn: it costs accuracy;
+fail: no physics before it is mended."""
 
 FAULT = "a fault of invdyn, not of the log"
 

@@ -22,13 +22,15 @@ ABOUT_THE_TORQUE = ("unit_error", "sign_error", "joint_order", "gravity_removed"
 
 @pytest.mark.parametrize("name", LOGS)
 def test_no_false_alarm(name, real_data):
-    """No check fails, no unit, sign, order, gravity or model is doubted, and the mended log can be computed with."""
+    """No check fails, no unit, sign, order, gravity or model is doubted, and the mended log can be computed with; on
+    the LWR, whose joints move in phase, other orders are as likely, and are told."""
     log = read_log(real_data(f"{name.split()[0]}.h5"), LOGS[name])
     robot = load_urdf(log.urdf, joints=list(log.joints)) if log.urdf else None
     examination = doctor.examine(log, robot)
     assert [c for c in examination.checks if c.severity == "fail" or c.meaning == doctor.FAULT] == []
     doubted = [c for kind in ABOUT_THE_TORQUE for c in seen(examination, kind)]
-    assert [c for c in doubted if not (c.threshold or {}).get("channel") == "q_ref"] == []
+    doubted = [c for c in doubted if (c.threshold or {}).get("channel") != "q_ref"]
+    assert [c for c in doubted if (name, c.check, c.severity) != ("kuka_lwr4", "joint_order", "note")] == []
     assert examination.usable
     refuse_defects(doctor.mend(log, examination, robot)[0])
 
@@ -44,8 +46,8 @@ def test_what_is_known_of_them(real_data):
 
 
 def test_what_the_lwr_says_of_its_commands(real_data):
-    """On the LWR's two runs q_ref was converted from degrees once too often, and stands 1.41 s before q: cross-correlation
-    of single joints, made by hand, says 281 and 282 samples of 5 ms on all of them, and a slope of 57.30."""
+    """On the LWR's two runs q_ref was converted from degrees once too often, and stands 1.41 s before q: correlating
+    single joints by hand says 281 and 282 samples of 5 ms on all of them, and a slope of 57.30."""
     examination = doctor.examine(read_log(real_data("kuka_lwr4.h5")), None)
     units = seen(examination, "unit_error", least="warn")
     assert [c.threshold["factor"] for c in units] == pytest.approx([np.pi / 180] * 2)
