@@ -14,11 +14,13 @@ from invdyn_cli.diagnosis.checks.clock import ClockJitter, Duplicates, Gaps, Too
 from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
 from invdyn_cli.diagnosis.checks.commands import CommandLag, CommandSigns, CommandUnits
 from invdyn_cli.diagnosis.checks.derivatives import DerivativeConsistency
+from invdyn_cli.diagnosis.checks.description import Description
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.torque_units import TorqueUnits
 from invdyn_cli.diagnosis.checks.torques import GravityRemoved
-from invdyn_cli.diagnosis.checks.units import MotionUnits, TorqueUnits
+from invdyn_cli.diagnosis.checks.units import MotionUnits
 from invdyn_cli.diagnosis.checks.values import NotFinite, Outliers
 from invdyn_cli.errors import LogError, RobotError, listed
 from invdyn_cli.interfaces import AbstractCheck
@@ -47,6 +49,7 @@ CHECKS: tuple[AbstractCheck, ...] = (
     TimeOffset(),
     CommandCopiesMeasurement(),
     ModelMismatch(),
+    Description(),
 )
 """In the order in which they are asked: what can be read at all, the clock, the motion, then the torque."""
 

@@ -234,8 +234,7 @@ class SignError(AbstractCheck):
             joint=log.joints[j],
             value=-1.0,
             threshold={"channel": "q or tau", "log_odds": FOUND},
-            seen=f"ambiguous: {words} may have the opposite sign, as likely; log odds of {value:.3g} against the signs as "
-            "logged",
+            seen=f"ambiguous: {words} may have the opposite sign; log odds of {value:.3g} against the signs as logged",
             meaning="a sign is wrong and this motion does not show which; nothing is changed",
             advice="a recording in which this joint moves alone, where gravity loads it",
             source=SOURCE,

@@ -20,7 +20,7 @@ from invdyn_cli.diagnosis.checks.fits import span
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.maths.statistics import autocorrelation_time
-from invdyn_cli.types import Motion, Robot
+from invdyn_cli.types import Array, Motion, Robot
 
 SHARES = (0.1, 0.3)
 """By which inertial parameters are off, of their scales: a URDF from CAD, and a drawing (Swevers 2007)."""
@@ -106,11 +106,12 @@ class Fitness:
 def fitness(
     rows: Rows,
     robot: Robot,
-    units: tuple[float, ...],
+    units: Array | tuple[float, ...],
     effective: np.ndarray | None = None,
     home: tuple[int, ...] | None = None,
 ) -> Fitness:
-    """Of every torque column on every joint for one motion. `units`: logged torque over N m that are tried; `effective`
+    """Of every torque column on every joint for one motion. `units` (units,) or (n, units): logged
+    torque over N m that are tried, of each column; `effective`
     (n,) rows of each column, where they are known; else from what is left of column `home[j]` on joint j."""
     n = rows.tau.shape[1]
     taken, columns = regressor_rows(robot, rows.motion)
@@ -198,11 +199,13 @@ def _of_joint(joint: _Joint, spread, scales, units, effective, reach: float):
     if np.sqrt(strength / count) < EXCITED * reach or strength < 1e-16 * whole:  # then nothing tells whose a column is
         noise = np.maximum(power / count, NOISE[0])
         lost = -0.5 * effective * (np.log(noise) + power / count / noise)
-        same = np.broadcast_to(lost[:, None, None], (n, 2, len(units) + 1))
+        same = np.broadcast_to(lost[:, None, None], (n, 2, np.shape(units)[-1] + 1))
         return same, lost, np.zeros(same.shape), np.zeros(n), np.zeros(n)
     slopes = np.abs(cross) / strength
     safe = np.where(spread > 0, spread, 1.0)
-    factor = np.concatenate([np.array(units)[None, :] / safe[:, None], slopes[:, None]], axis=1)[:, None, :]
+    factor = np.concatenate(
+        [np.broadcast_to(units, (n, np.shape(units)[-1])) / safe[:, None], slopes[:, None]], axis=1
+    )[:, None, :]
     signed = factor * np.array([1.0, -1.0])[None, :, None]  # (n, 2, units + 1)
     square = power[:, None, None] - 2 * signed * cross[:, None, None] + signed**2 * strength
     weight = (effective / count)[:, None, None]
