@@ -274,11 +274,13 @@ class Check:
 
 @dataclass(frozen=True)
 class Examination:
-    """What the doctor says of a log: whether physics may start on it, every check, and per joint what it excites."""
+    """What the doctor says of a log: whether physics may start on it, every check, per joint what it excites, and what
+    correcting it changes: {"check": name, "done": sentence} in order."""
 
     usable: bool
     checks: tuple[Check, ...]
     excitation: Mapping[str, Mapping[str, Any]]
+    corrections: tuple[Mapping[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -71,12 +71,14 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
     _refuse_other(log, robot)
     found: list[Check] = []
     hopeless = False
-    patient, _ = _worded(log)
+    patient, notes = _worded(log)
+    corrections = [{"check": "header", "done": note} for note in notes]
     with np.errstate(all="ignore"):
         for check in checks:
             seen = _asked(check, patient, robot)
             found += seen or [Check(check.name, "ok", seen="nothing seen")]
-            patient, _ = check.mend(patient, _mendable(seen), robot)
+            patient, notes = check.mend(patient, _mendable(seen), robot)
+            corrections += [{"check": check.name, "done": note} for note in notes]
             if any(one.severity == "fail" for one in seen):
                 hopeless |= any(one.severity == "fail" for one in _asked(check, patient, robot))
         try:
@@ -86,7 +88,7 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
             hopeless = True
         usable = not hopeless and bool(patient.trajectories)
         excitation = Excitation().measure(patient, robot) if patient.trajectories else {}
-    return Examination(usable, _ordered(found), excitation)
+    return Examination(usable, _ordered(found), excitation, tuple(corrections))
 
 
 def mend(

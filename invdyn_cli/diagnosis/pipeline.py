@@ -77,6 +77,7 @@ def diagnose(
     if not examination.usable:
         return _unusable(examination, ())
     log, notes = doctor.mend(log, examination, robot)
+    corrected = (*log.history, *notes)
     progress(0.1, "checked")
     if reference is not None:
         log, windows, more = _beside(log, reference, robot, windows, options)
@@ -127,7 +128,12 @@ def diagnose(
         acting=(*facts, *more.acting),
         intervals=({},) * len(facts) + more.intervals,
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
-        provenance={"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
+        provenance={
+            "log": log.source,
+            "robot": log.robot,
+            "trajectories": [x.name for x in log.trajectories],
+            "corrections": list(corrected),
+        },
     )
     again, why = _replay(model, log, measured, common, progress) if options.replay else (None, ())
     rest = made.residual if compares else more.residual  # of a change, beside what both logs show

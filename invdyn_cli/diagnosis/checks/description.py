@@ -1,4 +1,4 @@
-"""The robot description by itself, and beside the log: placeholders, a tool that is not there, the base's orientation."""
+"""The robot description by itself, and beside the log: placeholders, a tool that is not there, how the base stands."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -26,8 +26,8 @@ class Description(AbstractCheck):
     Attributes:
         tool: [kg] by which the mass at the end has to be off, and `share` of the arm's mass (ours: cables and screws).
         sure: standard deviations, of blocks of the log, that it takes (ours).
-        tilt: [degrees] of fitted gravity from the URDF's (ours: mounting errors, and what inertials that are off look like,
-            stay below); `better`: ratio of what stays of the torque before and after.
+        tilt: [degrees] of fitted gravity from the URDF's (ours: mounting errors, and what inertials that are off look
+            like, stay below); `better`: ratio of what stays of the torque before and after.
     """
 
     name: ClassVar[str] = "urdf"
@@ -145,7 +145,7 @@ class Description(AbstractCheck):
         ]
 
     def _tool(self, evidence: Evidence, robot: Robot, judged: list[int]) -> list[Check]:
-        """Mass and first moments at the end of the arm, beside friction and the links' own errors, as left in blocks."""
+        """Mass and first moments at the end of the arm, beside friction and the links' own errors, by blocks."""
         rows, columns = regressor_rows(robot, evidence.motion)
         end = columns[:, :, -10:-6]
         blocks = []
@@ -176,7 +176,7 @@ class Description(AbstractCheck):
         ]
 
     def _end(self, evidence, rows, columns, end, judged, kept) -> float:
-        """Mass at the end by ridge: beside it every link's mass and moments may be off by a tenth (its own included)."""
+        """Mass [kg] at the end by ridge, beside friction and a tenth of every joint's nominal torque."""
         parts, wanted = [], []
         for j in judged:
             own = evidence.columns(j)[rows][kept]
