@@ -6,7 +6,8 @@
 Every defect of DEFECTS is put, with a size at random, into `logs` simulated arms that are worn (friction everywhere,
 links some percent off), and into recordings of real robots where `data` has them. A defect is *found* when its check
 says note or more of it, *right* when channel, joint and size are right too, or when the truth is among what is called
-ambiguous; *false* is any other warning or failure that the log did not have before. `clean` further logs have no defect.
+ambiguous or skipped by name; *false* is any other warning or failure that the log did not have before. `clean` further
+logs have no defect.
 """
 
 import os

@@ -8,8 +8,12 @@ import pytest
 from experiments.arms import random_arm
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
+from invdyn_cli.diagnosis.checks.description import Description
+from invdyn_cli.diagnosis.checks.evidence import nominal_torque
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
+from invdyn_cli.diagnosis.checks.torques import GravityRemoved
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Motion
 from tests.diagnosis.sick import changed, sound
 
 COLUMNS = (JointOrder(), SignError())
@@ -105,3 +109,36 @@ def test_placeholder_inertias(drawn):
     rows[1, 1:4] = 0
     rows[2, 1:] = 0
     assert doubtful_inertias(replace(robot, inertial=rows)).tolist() == [False, True, True, False, False]
+
+
+def test_gravity_is_missed_on_a_worn_arm(drawn):
+    """Gravity taken out of torques with friction on every joint, of an arm that is 15 % off, is declared; with gravity
+    in it nothing is."""
+    _, robot, log = drawn
+    raw = log.trajectories[0]
+    still = np.zeros_like(raw.q)
+    bad = changed(log, tau=raw.tau - nominal_torque(robot, Motion(raw.q, still, still))[0])
+    check = (GravityRemoved(),)
+    assert [c.severity for c in doctor.examine(bad, robot, check).checks] == ["fail"]
+    assert [c.severity for c in doctor.examine(log, robot, check).checks] == ["ok"]
+
+
+def test_a_tool_that_the_robot_lacks(drawn):
+    """A URDF with a tool of 1 to 2 kg at the end, that the robot lacks, is told, the mass within a third; so are a base
+    that leans by 15 to 40 degrees, and links without an inertia."""
+    draw, robot, log = drawn
+    mass = float(draw.uniform(1.0, 2.0))
+    rows = np.array(robot.inertial)
+    rows[-1] += mass * np.array([1, 0, 0, 0.1, 0.01, 0, 0.01, 0, 0, 0])
+    found = doctor.examine(log, replace(robot, inertial=rows), (Description(),)).checks
+    masses = [c.value for c in found if "end weighs" in c.seen]
+    assert len(masses) == 1 and masses[0] == pytest.approx(-mass, rel=0.33), (masses, mass)
+    angle = float(np.radians(draw.uniform(15, 40)))
+    leaning = replace(robot, gravity=9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+    tilts = [c.value for c in doctor.examine(log, leaning, (Description(),)).checks if "gravity fits" in c.seen]
+    assert tilts == pytest.approx([np.degrees(angle)], abs=6)
+    text = robot.urdf
+    for name in ("ixx", "iyy", "izz"):
+        text = text.replace(f'{name}="', f'{name}="0" {name}_was="', 1)
+    found = doctor.examine(log, replace(robot, urdf=text), (Description(),)).checks
+    assert [c.joint for c in found if "zero inertia" in c.seen] == [robot.joints[0]]

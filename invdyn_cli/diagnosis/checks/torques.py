@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.evidence import Evidence, gather
+from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope, span
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.logfile import Log
@@ -44,22 +45,19 @@ def matched(evidence: Evidence, tau: np.ndarray | None = None) -> tuple[np.ndarr
 class GravityRemoved(AbstractCheck):
     """Torques that have gravity taken out already, as some drivers' "external" or "feedback" torques have.
 
+    The URDF without gravity has to be likelier than with it (`fitness`: with errors in its inertials, and as it
+    stands), and the torque must hardly follow gravity on the joints that it loads.
+
     Attributes:
-        share: of the nominal gravity torque's variance that friction and inertia may leave unexplained (ours: an arm
-            that moves under gravity needs most of it; a twentieth is what compensation without a tool leaves).
-        slope: of torque on gravity torque that still is none, on every joint that gravity loads (ours: with gravity in
-            it, a payload or a wrong gain makes 0.5 to 2).
-        correlation: of torque and gravity torque that still is none.
-        inertial: least share, of what is left unexplained, that the nominal torque without gravity explains, unless
-            next to nothing is left (ours: noise alone is no torque without gravity).
+        slope: median slope of torque on gravity torque that still is none (ours: with gravity in it, a payload or a
+            wrong gain makes 0.5 to 2).
+        odds: log of the likelihood ratio that it takes (ours: the odds against the defect, e^5, and e^8).
         varied: least RMS of the gravity torque, of what random states ask of a joint (ours).
     """
 
     name: ClassVar[str] = "gravity_removed"
-    share: float = 0.05
     slope: float = 0.25
-    correlation: float = 0.6
-    inertial: float = 0.3
+    odds: float = 13.0
     varied: float = 0.1
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
@@ -68,35 +66,40 @@ class GravityRemoved(AbstractCheck):
             return [self.skipped("no robot")]
         if "gravity" in log.compensated:
             return [self.skipped("the log says that gravity is compensated")]
-        evidence = gather(log, robot) if log.trajectories else None
-        if evidence is None or not np.ptp(evidence.tau, axis=0).any():
+        evidence = gather(log, robot, 1024) if log.trajectories else None
+        if evidence is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
             return [self.skipped("no motion, or a torque that never changes")]
-        slopes, moved, asked, inertial = [], 0.0, 0.0, 0.0
+        slopes = []
         for joint in range(len(log.joints)):
             columns = np.column_stack(
                 [evidence.columns(joint), evidence.nominal[:, joint] - evidence.gravity[:, joint]]
             )
             gravity, tau = left(evidence.gravity[:, joint], columns), left(evidence.tau[:, joint], columns)
-            moved, asked = moved + float(tau @ tau), asked + float(gravity @ gravity)
-            before = left(evidence.tau[:, joint], evidence.columns(joint))
-            inertial += float(before @ before - tau @ tau)
             if rms(gravity) > self.varied * evidence.reach[joint]:
                 slopes.append(slope(tau, gravity))
-                if abs(slopes[-1]) > self.slope or abs(correlation(tau, gravity)) > self.correlation:
-                    return []
         if not slopes:
             return [self.skipped("gravity hardly varies on any joint in this motion")]
-        if moved > self.share * asked or inertial < self.inertial * moved > 1e-3 * asked:
+        value = float(np.median(np.abs(slopes)))
+        if value > self.slope:
+            return [Check(self.name, "ok", value=float(np.median(slopes)), seen="the torque follows gravity")]
+        units, at = (1.0, 1e3, 1e-3), np.arange(robot.dofs)
+        first = fitness(rows_of(evidence), robot, units)
+        both = first, fitness(rows_of(evidence, without_gravity=True), robot, units, first.effective)
+        gains = []
+        for name in ("likelihood", "plain"):
+            before, after = (getattr(x, name)[at, at].max(axis=(1, 2)).sum() for x in both)
+            gains.append(after - before)
+        gain = float(min(gains))
+        if gain < self.odds:
             return []
-        value = float(np.median(slopes))
         return [
             Check(
                 self.name,
                 "fail",
-                value=value,
+                value=float(np.median(slopes)),
                 threshold=self.slope,
-                seen=f"on {len(slopes)} joints that gravity loads the torque follows it with a slope of {value:.2g}; "
-                f"all torques together have {100 * moved / asked:.2g} % of its variance",
+                seen=f"on {len(slopes)} joints that gravity loads the torque follows it with a slope of {value:.2g} "
+                f"(median); the URDF without gravity is likelier, log of the ratio {gain:.3g}",
                 meaning="gravity is taken out of this torque already: an external or a feedback torque",
                 advice="attribute compensated=gravity in the log, or the driver's whole torque",
                 source="ours: with gravity in it, payloads and gains make 0.5 to 2",
