@@ -312,7 +312,8 @@ def count(seed: int, name: str, log: Log, robot: Robot, before: set, defect: str
     mine = [x for x in examination.checks if x.check == check]
     told = [x for x in mine if x.severity not in ("ok", "skipped")]
     good = [x for x in mine if x.severity != "ok" and _safely(right, x)]
-    others = {x for x in alarms(examination) - before if x[0] != check}
+    known = {x[0] for x in before}  # what the log had before may stand in another column now
+    others = {x for x in alarms(examination) if x[0] != check and x[0] not in known}
     said = tuple(
         f"{x.severity} {x.check} {x.joint or ''}: {x.seen}" for x in examination.checks if x.severity in ALARMS
     )

@@ -37,6 +37,9 @@ BEYOND, PAST = 0.1, 4.0
 MOVED = 0.02
 """[rad; m] RMS of a position about its mean below which nothing shows whose it is."""
 
+MOST = 0.7
+"""Share of the joints that change places in a known order that have to move (ours)."""
+
 UNITS = (1.0, 1e3, 1e-3)
 """Logged torque over N m while orders and signs are looked for; else every column has a factor of its own."""
 
@@ -185,7 +188,7 @@ def _near(motion: tuple, rows: Rows, robot: Robot) -> Iterator[tuple]:
         changed[a], changed[b] = changed[b], changed[a]
         yield tuple(changed), signs
     for known in known_orders(robot).values():
-        if all(moves[i] for j, i in enumerate(known) if i != order[j]):
+        if np.mean([moves[i] for j, i in enumerate(known) if i != order[j]] or [False]) > MOST:
             yield known, signs
     for j in np.flatnonzero(moves[list(order)]).tolist():
         yield order, tuple(-s if k == j else s for k, s in enumerate(signs))
