@@ -83,8 +83,9 @@ class GravityRemoved(AbstractCheck):
         if value > self.slope:
             return [Check(self.name, "ok", value=float(np.median(slopes)), seen="the torque follows gravity")]
         units, at = (1.0, 1e3, 1e-3), np.arange(robot.dofs)
-        first = fitness(rows_of(evidence), robot, units)
-        both = first, fitness(rows_of(evidence, without_gravity=True), robot, units, first.effective)
+        # Noise is judged where the log says that it is right: without gravity, if that is gone.
+        noise = fitness(rows_of(evidence, without_gravity=True), robot, units).effective
+        both = [fitness(rows_of(evidence, without_gravity=x), robot, units, noise) for x in (False, True)]
         gains = []
         for name in ("likelihood", "plain"):
             before, after = (getattr(x, name)[at, at].max(axis=(1, 2)).sum() for x in both)
