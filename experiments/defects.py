@@ -82,7 +82,7 @@ def unit(channel: str, factors: Sequence[float]) -> Change:
         bad = put(log, lambda raw: {} if getattr(raw, channel) is None else _scaled(channel, factor)(raw))
 
         def right(check: Check) -> bool:
-            return _about(check, channel) and np.isclose(check.threshold["factor"] or 0, factor, rtol=1e-3)
+            return _about(check, channel) and abs((check.threshold["factor"] or 0) / factor - 1) < 1e-3
 
         return bad, right
 

@@ -1,6 +1,7 @@
 """Order and signs of columns come from the physics: what is stated is right, and what cannot be told is not changed."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def drawn(request, tmp_path_factory):
     return draw, robot, sound(robot, request.param, seconds=20, coulomb=0.2, truth=truth, channels=("qd",))
 
 
-def put(log, order=None, q=1.0, tau=1.0, columns=None):
+def put(log, order=None, q: Any = 1.0, tau: Any = 1.0, columns=None):
     """The log with its columns in another order, and signs."""
     raw = log.trajectories[0]
     order = np.arange(raw.q.shape[1]) if order is None else order

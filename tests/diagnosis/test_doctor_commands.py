@@ -48,7 +48,7 @@ def test_lag_unit_and_sign_come_together(seed, arm):
     assert late.value == pytest.approx(lag, abs=2e-3)
     mended, notes = doctor.mend(bad, examination, None)
     assert len(notes) == 2
-    np.testing.assert_allclose(mended.trajectories[0].q_ref, earlier(lag), atol=1e-9)
+    np.testing.assert_allclose(np.asarray(mended.trajectories[0].q_ref), earlier(lag), atol=1e-9)
 
 
 def test_a_drive_that_follows_at_once_is_ok(arm):

@@ -152,8 +152,9 @@ class _Look:
         if motion not in self.fits:
             self.fits[motion] = fitness(self.rows.arranged(*motion), self.robot, (self.unit,), self.effective)
         fit = self.fits[motion]
-        cost = _cost(*motion, self.rows, self.robot)
-        made = list(_on_motion(*motion, fit, self.mode, cost))
+        order, signs = motion
+        cost = _cost(order, signs, self.rows, self.robot)
+        made = list(_on_motion(order, signs, fit, self.mode, cost))
         for one in made:
             self.tried.setdefault(one.key, one)
         return made

@@ -111,11 +111,11 @@ def fitness(
     home: tuple[int, ...] | None = None,
 ) -> Fitness:
     """Of every torque column on every joint for one motion. `units` (units,) or (n, units): logged
-    torque over N m that are tried, of each column; `effective`
-    (n,) rows of each column, where they are known; else from what is left of column `home[j]` on joint j."""
+    torque over N m that are tried, of each column; `effective` (n,) rows of each column, where they are known; else
+    from what is left of column `home[j]` on joint j."""
     n = rows.tau.shape[1]
     taken, columns = regressor_rows(robot, rows.motion)
-    motion = rows.motion[taken]
+    motion = Motion(*(np.asarray(x)[taken] for x in (rows.motion.q, rows.motion.qd, rows.motion.qdd)))
     if rows.without_gravity:
         still = np.zeros_like(motion.q)
         columns = columns - regressor_rows(robot, Motion(motion.q, still, still))[1]
@@ -132,11 +132,13 @@ def fitness(
     ]
     scales = {share: np.append(_scales(robot, share), [GAIN, DELAY]) for share in SHARES}
     if effective is None:
-        effective = np.ones(n)
+        rows_each = np.ones(n)
         for joint, column in zip(joints, home or range(n), strict=True):
-            effective[column] = joint.effective(column, spread[column], scales[SHARES[-1]])
+            rows_each[column] = joint.effective(column, spread[column], scales[SHARES[-1]])
+        effective = rows_each
     found = [_of_joint(x, spread, scales, units, effective, rows.reach[j]) for j, x in enumerate(joints)]
-    return Fitness(*(np.array(x) for x in zip(*found, strict=True)), effective)
+    likelihood, lost, plain, factor, explained = (np.array(x) for x in zip(*found, strict=True))
+    return Fitness(likelihood, lost, plain, factor, explained, effective)
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,18 @@
 import weakref
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, TypeVar
 
-P, R = ParamSpec("P"), TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
 
 
-def once_for_a_log(function: Callable[P, R]) -> Callable[P, R]:
+def once_for_a_log(function: F) -> F:
     """The function of a log and further objects, its last value kept for as long as the very same objects ask and the
     log is alive. Nothing may change them in between."""
-    kept: list = []
+    kept: list[Any] = []
 
     @wraps(function)
-    def asked(*args: P.args, **kwargs: P.kwargs) -> R:
+    def asked(*args: Any, **kwargs: Any) -> Any:
         objects = (*args, *kwargs.values())
         if kept and kept[0]() is objects[0] and [id(x) for x in objects[1:]] == kept[1]:
             return kept[3]
@@ -22,4 +22,4 @@ def once_for_a_log(function: Callable[P, R]) -> Callable[P, R]:
         kept[:] = [weakref.ref(objects[0]), [id(x) for x in objects[1:]], objects[1:], value]
         return value
 
-    return asked
+    return asked  # type: ignore[return-value]
