@@ -380,7 +380,12 @@ class AbstractCheck(abc.ABC):
 
     @abc.abstractmethod
     def examine(self, log: Any, robot: Robot | None) -> list[Check]:
-        """What was seen in a `logfile.Log`, nothing where all is well; without a robot, what needs none."""
+        """What was seen in a `logfile.Log`, nothing where all is well; without a robot, what needs none. What could not
+        be looked at is `skipped`, never left out."""
+
+    def skipped(self, why: str, channel: str | None = None, trajectory: str | None = None) -> Check:
+        """The line that says that this check, or its part about a channel, was not made, and why."""
+        return Check(self.name, "skipped", trajectory, threshold={"channel": channel} if channel else None, seen=why)
 
     def mend(self, log: Any, found: Sequence[Check], robot: Robot | None) -> tuple[Any, list[str]]:
         """The log with this check's own findings put right where that is certain, and a sentence for each mending."""

@@ -23,6 +23,9 @@ TORQUE_SIDES = ("link", "motor", "command", "unknown")
 POSITION_SIDES = ("motor", "link", "unknown")
 CHANNELS = ("q", "tau", "qd", "qdd", "q_ref", "q_link")
 CONVERT = "docs/logs.md shows how a log is written"
+HISTORY = " | "
+"""Between the sentences of a log's history."""
+
 LONGEST_NAME, LONGEST_TEXT = 200, 10_000
 """Characters of a name and of a note; what is longer is cut."""
 
@@ -60,7 +63,8 @@ class Log:
     """A recording of one robot with n joints: the words of DESIGN's log format, and its trajectories.
 
     `urdf` is a path that can be opened from here ("": none); `rate` [Hz] is nominal; `drive_gain` (n,) [N m/A] turns
-    torques in "A" into "N m" (None: not known); `compensated` names effects that the torque already has taken out.
+    torques in "A" into "N m" (None: not known); `compensated` names effects that the torque already has taken out;
+    `history` says what was corrected in it, a sentence each.
     """
 
     robot: str
@@ -75,6 +79,7 @@ class Log:
     licence: str = ""
     position_side: str = "unknown"
     compensated: tuple[str, ...] = ()
+    history: tuple[str, ...] = ()
 
 
 def read_log(
@@ -278,6 +283,7 @@ def _header(path: Path, root: Group) -> Log:
         drive_gain=None if gain is None else _numbers(f"{path}: drive_gain_N_m_per_A", gain),
         position_side=_text(attributes.get("position_side")) or "unknown",
         compensated=_texts(attributes.get("compensated")),
+        history=tuple(x for x in _text(attributes.get("history"), LONGEST_TEXT).split(HISTORY) if x),
         trajectories=(),
     )
 
@@ -317,6 +323,8 @@ def _attributes(log: Log, folder: Path) -> dict[str, Any]:
     attributes["urdf"] = os.path.relpath(log.urdf, folder) if log.urdf else ""
     attributes["joint_names"] = list(log.joints)
     attributes["compensated"] = list(log.compensated)
+    if log.history:
+        attributes["history"] = HISTORY.join(log.history)
     if log.drive_gain is not None:
         attributes["drive_gain_N_m_per_A"] = np.asarray(log.drive_gain, float)
     return attributes

@@ -252,9 +252,14 @@ def write_model(model: ExtendedModel, path: Path) -> None:
 
 
 def examination_as_dict(examination: Examination) -> dict[str, Any]:
-    """{"usable", "checks", "excitation"} as in check.json, numbers that do not exist as None."""
-    checks = [vars(x) for x in examination.checks]
-    return plain({"usable": examination.usable, "checks": checks, "excitation": examination.excitation})
+    """{"usable", "checks", "corrections", "excitation"} as in check.json, numbers that do not exist as None."""
+    tree = {
+        "usable": examination.usable,
+        "checks": [vars(x) for x in examination.checks],
+        "corrections": [dict(x) for x in examination.corrections],
+        "excitation": examination.excitation,
+    }
+    return plain(tree)
 
 
 def plain(value: Any) -> Any:

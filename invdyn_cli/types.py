@@ -253,7 +253,7 @@ class Check:
 
     Attributes:
         check: its name (unit_error, gaps, …).
-        severity: "ok", "note", "warn" or "fail" (fail: no physics on this log).
+        severity: "ok", "skipped" (not looked at; `seen` says why), "note", "warn" or "fail" (no physics on this log).
         trajectory, joint: where; None for all.
         value: what was measured (a factor, seconds, a permutation, …), None where there is no number.
         threshold: what it was compared with.
@@ -274,11 +274,13 @@ class Check:
 
 @dataclass(frozen=True)
 class Examination:
-    """What the doctor says of a log: whether physics may start on it, every check, and per joint what it excites."""
+    """What the doctor says of a log: whether physics may start on it, every check, per joint what it excites, and what
+    correcting it changes: {"check": name, "done": sentence} in order."""
 
     usable: bool
     checks: tuple[Check, ...]
     excitation: Mapping[str, Mapping[str, Any]]
+    corrections: tuple[Mapping[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

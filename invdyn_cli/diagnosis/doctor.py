@@ -11,12 +11,16 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.channels import CommandCopiesMeasurement, NotMoving, Quantisation, Saturation
 from invdyn_cli.diagnosis.checks.clock import ClockJitter, Duplicates, Gaps, TooShort
+from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
+from invdyn_cli.diagnosis.checks.commands import CommandLag, CommandSigns, CommandUnits
 from invdyn_cli.diagnosis.checks.derivatives import DerivativeConsistency
+from invdyn_cli.diagnosis.checks.description import Description
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
-from invdyn_cli.diagnosis.checks.torques import GravityRemoved, JointOrder, SignError
-from invdyn_cli.diagnosis.checks.units import MotionUnits, TorqueUnits
+from invdyn_cli.diagnosis.checks.torque_units import TorqueUnits
+from invdyn_cli.diagnosis.checks.torques import GravityRemoved
+from invdyn_cli.diagnosis.checks.units import MotionUnits
 from invdyn_cli.diagnosis.checks.values import NotFinite, Outliers
 from invdyn_cli.errors import LogError, RobotError, listed
 from invdyn_cli.interfaces import AbstractCheck
@@ -31,6 +35,9 @@ CHECKS: tuple[AbstractCheck, ...] = (
     Gaps(),
     Outliers(),
     DerivativeConsistency(),
+    CommandUnits(),
+    CommandSigns(),
+    CommandLag(),
     TooShort(),
     NotMoving(),
     Quantisation(),
@@ -42,11 +49,13 @@ CHECKS: tuple[AbstractCheck, ...] = (
     TimeOffset(),
     CommandCopiesMeasurement(),
     ModelMismatch(),
+    Description(),
 )
 """In the order in which they are asked: what can be read at all, the clock, the motion, then the torque."""
 
-SEVERITIES = ("ok", "note", "warn", "fail")
-"""ok: looked at, nothing seen; note: worth knowing; warn: it costs accuracy; fail: no physics before it is mended."""
+SEVERITIES = ("ok", "skipped", "note", "warn", "fail")
+"""ok: looked at, nothing seen; skipped: not looked at, `seen` says why; note: worth knowing; warn: it costs accuracy;
+fail: no physics before it is mended."""
 
 FAULT = "a fault of invdyn, not of the log"
 
@@ -62,12 +71,14 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
     _refuse_other(log, robot)
     found: list[Check] = []
     hopeless = False
-    patient, _ = _worded(log)
+    patient, notes = _worded(log)
+    corrections = [{"check": "header", "done": note} for note in notes]
     with np.errstate(all="ignore"):
         for check in checks:
             seen = _asked(check, patient, robot)
-            found += seen
-            patient, _ = check.mend(patient, _mendable(seen), robot)
+            found += seen or [Check(check.name, "ok", seen="nothing seen")]
+            patient, notes = check.mend(patient, _mendable(seen), robot)
+            corrections += [{"check": check.name, "done": note} for note in notes]
             if any(one.severity == "fail" for one in seen):
                 hopeless |= any(one.severity == "fail" for one in _asked(check, patient, robot))
         try:
@@ -77,7 +88,7 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
             hopeless = True
         usable = not hopeless and bool(patient.trajectories)
         excitation = Excitation().measure(patient, robot) if patient.trajectories else {}
-    return Examination(usable, _with_ok(found, checks), excitation)
+    return Examination(usable, _ordered(found), excitation, tuple(corrections))
 
 
 def mend(
@@ -90,7 +101,7 @@ def mend(
     log, notes = _worded(log)
     with np.errstate(all="ignore"):
         for check in checks:
-            mine = [one for one in examination.checks if one.check == check.name and one.severity != "ok"]
+            mine = [one for one in examination.checks if one.check == check.name]
             log, said = check.mend(log, _mendable(mine), robot)
             notes += said
     return log, tuple(notes)
@@ -102,20 +113,26 @@ def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
         return check.examine(log, robot)
     except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError) as error:
         said = f"{type(check).__name__} could not be made: {type(error).__name__}: {error}"
-        return [Check(check.name, "note", seen=said, meaning=FAULT)]
+        return [Check(check.name, "skipped", seen=said, meaning=FAULT)]
 
 
 def _mendable(found: Sequence[Check]) -> list[Check]:
     """What a check may mend by: its findings, but for those that tell of a fault of its own."""
-    return [one for one in found if one.meaning != FAULT]
+    return [one for one in found if one.meaning != FAULT and one.severity not in ("ok", "skipped")]
 
 
-def _with_ok(found: Sequence[Check], checks: Sequence[AbstractCheck]) -> tuple[Check, ...]:
-    """Findings, worst first, and a line for every name under which nothing was seen."""
-    names = dict.fromkeys(check.name for check in checks)
-    quiet = [name for name in names if not any(one.check == name for one in found)]
-    ordered = sorted(found, key=lambda one: -SEVERITIES.index(one.severity))
-    return (*ordered, *(Check(name, "ok", seen="nothing seen") for name in quiet))
+def _ordered(found: Sequence[Check]) -> tuple[Check, ...]:
+    """The gravest first; "nothing seen" once a name, and not where something was."""
+    told = {one.check for one in found if one.severity not in ("ok", "skipped")}
+    kept = [one for one in found if one.severity != "ok" or (one.check not in told) or one.value is not None]
+    lines, quiet = [], set()
+    for one in kept:
+        if one.severity == "ok" and one.value is None:
+            if one.check in quiet:
+                continue
+            quiet.add(one.check)
+        lines.append(one)
+    return tuple(sorted(lines, key=lambda one: -SEVERITIES.index(one.severity)))
 
 
 def _worded(log: Log) -> tuple[Log, list[str]]:

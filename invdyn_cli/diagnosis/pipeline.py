@@ -78,6 +78,7 @@ def diagnose(
     if not examination.usable:
         return _unusable(examination, ())
     log, notes = doctor.mend(log, examination, robot)
+    corrected = (*log.history, *notes)
     notes = notes if gained is None else (gained.note(), *notes)
     progress(0.1, "checked")
     if reference is not None:
@@ -130,7 +131,10 @@ def diagnose(
         intervals=({},) * len(facts) + more.intervals,
         filter={"kind": "zero-phase Butterworth", "order": 4, "cutoff_Hz": list(recording.filter.cutoffs)},
         provenance={
-            **{"log": log.source, "robot": log.robot, "trajectories": [x.name for x in log.trajectories]},
+            "log": log.source,
+            "robot": log.robot,
+            "trajectories": [x.name for x in log.trajectories],
+            "corrections": list(corrected),
             **({} if gained is None else {"drive_gains": gained.told()}),
         },
     )

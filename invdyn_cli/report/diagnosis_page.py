@@ -329,9 +329,15 @@ def _checks(diagnosis: Diagnosis) -> str:
     """What the doctor did not find in order, the gravest first, and how many checks were."""
     order = ("fail", "warn", "note")
     told = [x for kind in order for x in diagnosis.examination.checks if x.severity == kind]
-    fine = sum(x.severity == "ok" for x in diagnosis.examination.checks)
+    fine = len({x.check for x in diagnosis.examination.checks if x.severity == "ok"})
+    skipped: dict[str, dict[str, None]] = {}
+    for x in diagnosis.examination.checks:
+        if x.severity == "skipped":
+            skipped.setdefault(x.seen, {})[x.check.replace("_", " ")] = None
+    why = "; ".join(f"{', '.join(names)} ({said})" for said, names in skipped.items())
     body = "".join(_check(x) for x in told)
     count = f'<p class="note">{fine} check{"s" * (fine != 1)} found nothing to object to.</p>' if fine else ""
+    count += f'<p class="note">Not looked at: {escape(why)}.</p>' if why else ""
     return (table(("", "check", "where", "what was seen", "what to do"), body) if body else "") + count
 
 

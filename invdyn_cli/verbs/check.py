@@ -1,13 +1,15 @@
 """invdyn check: what the doctor says of a measured log, as a table and as check.json."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
 from rich import box
-from rich.console import Group
+from rich.console import Console, ConsoleOptions, Group, RenderResult
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -16,7 +18,7 @@ from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.data.selection import SETS
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.errors import UsageError, listed
-from invdyn_cli.logfile import Log
+from invdyn_cli.logfile import Log, write_log
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Check, Examination, Header
 from invdyn_cli.verbs import raw, screen
@@ -24,7 +26,7 @@ from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
 from invdyn_cli.verbs.screen import Screen
 
-STYLE = {"fail": "bold red", "warn": "yellow", "note": "cyan", "ok": "green"}
+STYLE = {"fail": "bold red", "warn": "yellow", "note": "cyan", "skipped": "dim", "ok": "green"}
 MOST = 3
 """Lines of one check and severity on the screen; the file has them all."""
 
@@ -38,6 +40,7 @@ def task(config: DictConfig) -> None:
     """Read, examine, write, tell; exit code 1 where a check failed under strict=true."""
     if not isinstance(config.strict, bool):
         raise UsageError(f"strict={config.strict}; allowed: true or false")
+    refuse_target(config)
     folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
     logs = read(raw.refuse_other(instantiate(config.data)))
@@ -49,8 +52,12 @@ def task(config: DictConfig) -> None:
         report = stage("check")
         report(0.0, f"{len(log.trajectories)} trajectories")
         examination = doctor.examine(log, robot)
-        _, mended = doctor.mend(log, examination, robot)
+        corrected, mended = doctor.mend(log, examination, robot)
         report(1.0, "done")
+    if config.write is not None and not examination.usable:
+        notes.append(f"{config.write} is not written: the log is not usable, corrected either")
+    elif config.write is not None:
+        notes.append(f"{len(mended)} corrections written into {write(corrected, mended, config)}")
     store.write_check(examination, folder / "check.json")
     for note in notes:
         console.note(note)
@@ -58,6 +65,31 @@ def task(config: DictConfig) -> None:
     console.whole(relative(folder))
     if config.strict and not in_sweep() and any(one.severity == "fail" for one in examination.checks):
         raise SystemExit(1)
+
+
+def refuse_target(config: DictConfig) -> None:
+    """Raise a UsageError where `write` is no new log."""
+    if config.write is None:
+        return
+    target = Path(str(config.write)).expanduser()
+    sources = {Path(str(x)).expanduser().resolve() for x in raw.refuse_other(instantiate(config.data)).path}
+    if not isinstance(config.write, str) or target.suffix not in (".h5", ".hdf5"):
+        raise UsageError(f"write={config.write}; allowed: the path of a new log, NAME.h5")
+    if target.resolve() in sources:
+        raise UsageError(f"write={config.write} is the log itself; allowed: the path of a new log")
+
+
+def write(log: Log, corrections: Sequence[str], config: DictConfig) -> Path:
+    """Write the corrected log, what was corrected as its history; of several logs one, LOG/NAME called LOG.NAME.
+
+    Raises:
+        LogError: if it cannot be written.
+    """
+    target = Path(config.write).expanduser()
+    named = tuple(replace(one, name=one.name.replace("/", ".")) for one in log.trajectories)
+    history = (*log.history, *(f"invdyn check: {one}" for one in corrections))
+    write_log(replace(log, trajectories=named, history=history), target)
+    return target
 
 
 def read(source: RealLog) -> list[Log]:
@@ -74,55 +106,86 @@ def read(source: RealLog) -> list[Log]:
     return raw.read(keys, named or keys, source)
 
 
-def shown(examination: Examination, mended: Iterable[str]) -> Group:
-    """What is not ok, what was mended, what the log excites."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in ("", "check", "where", "seen", "advice"):
-        table.add_column(head, overflow="fold", no_wrap=head in ("", "check"))
-    seen = [one for one in examination.checks if one.severity != "ok"]
+def shown(examination: Examination, corrected: Iterable[str]) -> Group:
+    """What is not ok, what was skipped and why, what can be corrected, what the log excites; folds at any width."""
+    parts: list[Any] = []
+    seen = [one for one in examination.checks if one.severity not in ("ok", "skipped")]
     for (severity, name), group in groupby(seen, key=lambda one: (one.severity, one.check)):
         lines = list(group)
+        parts.append(Text.assemble((severity, STYLE[severity]), f"  {name}"))
         for one in lines[:MOST]:
-            what = one.seen + (f": {one.meaning}" if one.meaning else "")
-            table.add_row(Text(severity, STYLE[severity]), name, Text(_where(one)), Text(what), Text(one.advice))
+            what = f"{_where(one)}: {one.seen}" + (f": {one.meaning}" if one.meaning else "")
+            parts.append(Padding(Text(what), (0, 0, 0, 2)))
+            if one.advice:
+                parts.append(Padding(Text(f"-> {one.advice}"), (0, 0, 0, 4)))
         if len(lines) > MOST:
-            more = f"and {len(lines) - MOST} more, see check.json"
-            table.add_row(Text(severity, STYLE[severity]), name, "", more, "")
-    quiet = [one.check for one in examination.checks if one.severity == "ok"]
-    parts: list[Any] = [table] if seen else []
+            parts.append(Padding(Text(f"and {len(lines) - MOST} more, see check.json"), (0, 0, 0, 2)))
+    skipped: dict[str, dict[str, None]] = {}
+    for one in examination.checks:
+        if one.severity == "skipped":
+            skipped.setdefault(one.seen, {})[one.check] = None
+    parts += [Text.assemble(("skipped", STYLE["skipped"]), f"  {', '.join(x)}: {why}") for why, x in skipped.items()]
+    quiet = dict.fromkeys(one.check for one in examination.checks if one.severity == "ok")
     if quiet:
         parts.append(Text(f"ok ({len(quiet)}): {', '.join(quiet)}", STYLE["ok"]))
-    notes = list(mended)
-    parts += [Text(f"can be mended: {note}") for note in notes[: 3 * MOST]]
+    notes = list(corrected)
+    parts += [Text(f"correctable: {note}") for note in notes[: 3 * MOST]]
     if len(notes) > 3 * MOST:
-        parts.append(Text(f"can be mended: {len(notes) - 3 * MOST} more"))
+        parts.append(Text(f"correctable: {len(notes) - 3 * MOST} more"))
     if examination.excitation:
-        parts.append(excitation_table(examination))
+        parts.append(ExcitationTable(examination))
     word = ("usable", STYLE["ok"]) if examination.usable else ("not usable", STYLE["fail"])
-    once = " once it is mended." if notes and examination.usable else "."
+    once = " once it is corrected." if notes and examination.usable else "."
     return Group(*parts, Text.assemble("The log is ", word, once))
 
 
-def excitation_table(examination: Examination) -> Table:
-    """One line a joint: how it moves, and how many effects this log cannot show on it."""
-    condition = next(iter(examination.excitation.values())).get("condition")
-    caption = "" if condition is None else f"condition of the regressor {significant(condition)}; "
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=f"{caption}q in rad or m, tau in N m or N")
-    for head in ("joint", "q", "max |qd|", "max |qdd|", "tau", "reversals", "rest %", "slow %"):
-        table.add_column(head, justify="left" if head == "joint" else "right", no_wrap=head != "joint", overflow="fold")
-    table.add_column("cannot show", overflow="fold")
-    for joint, x in examination.excitation.items():
-        numbers = [
-            " … ".join(map(significant, x["q"])),
-            significant(max(map(abs, x["qd"]))),
-            significant(max(map(abs, x["qdd"]))),
-            " … ".join(map(significant, x["torque"])),
-            str(x["reversals"]),
-            f"{100 * x['rest_share']:.0f}",
-            f"{100 * x['slow_share']:.0f}",
-        ]
-        table.add_row(Text(joint), *numbers, Text(listed(x["cannot_show"], most=2) if x["cannot_show"] else "-"))
-    return table
+@dataclass(frozen=True)
+class ExcitationTable:
+    """One line a joint: how it moves, and the effects that this log cannot show on it. Two tables where one is too
+    wide: no number is cut and no column is lost."""
+
+    examination: Examination
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        tables = self._tables([range(8)])
+        if tables[0].__rich_measure__(console, options.update(max_width=10_000)).minimum > options.max_width:
+            tables = self._tables([range(4), range(4, 8)])
+        yield from tables
+
+    def _tables(self, parts: Sequence[Sequence[int]]) -> list[Table]:
+        heads = ("q", "max |qd|", "max |qdd|", "tau", "reversals", "rest %", "slow %", "cannot show")
+        excitation = self.examination.excitation
+        condition = next(iter(excitation.values())).get("condition")
+        caption = "" if condition is None else f"condition of the regressor {significant(condition)}; "
+        tables = []
+        for part in parts:
+            caption = f"{caption}q in rad or m, tau in N m or N" if part is parts[-1] else None
+            table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption)
+            table.add_column("joint", overflow="fold", min_width=10)
+            for k in part:
+                words = heads[k] == "cannot show"
+                cells = [heads[k], *(_row(x)[k] for x in excitation.values())]
+                width = 24 if words else max(map(len, cells))
+                justify = "left" if words else "right"
+                table.add_column(heads[k], justify=justify, overflow="fold", min_width=width, no_wrap=not words)
+            for joint, x in excitation.items():
+                table.add_row(Text(joint), *(Text(_row(x)[k]) for k in part))
+            tables.append(table)
+        return tables
+
+
+def _row(x: Mapping[str, Any]) -> tuple[str, ...]:
+    """The cells of a joint."""
+    return (
+        " … ".join(map(significant, x["q"])),
+        significant(max(map(abs, x["qd"]))),
+        significant(max(map(abs, x["qdd"]))),
+        " … ".join(map(significant, x["torque"])),
+        str(x["reversals"]),
+        f"{100 * x['rest_share']:.0f}",
+        f"{100 * x['slow_share']:.0f}",
+        listed(x["cannot_show"], most=2) if x["cannot_show"] else "-",
+    )
 
 
 def _where(one: Check) -> str:

@@ -60,7 +60,7 @@ def changed(log: Log, **channels: Any) -> Log:
 
 def seen(examination: Examination, name: str, *, least: str = "note") -> list[Check]:
     """Findings of this name that are at least so severe."""
-    order = ("ok", "note", "warn", "fail")
+    order = ("ok", "skipped", "note", "warn", "fail")
     return [c for c in examination.checks if c.check == name and order.index(c.severity) >= order.index(least)]
 
 

@@ -20,7 +20,7 @@ from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
 NAMES = {
     "unit_error", "sign_error", "joint_order", "time_offset", "clock_jitter", "gaps", "duplicates",
     "derivative_consistency", "quantisation", "saturation", "outliers", "gravity_removed",
-    "command_copies_measurement", "not_moving", "too_short", "not_finite", "model_mismatch",
+    "command_copies_measurement", "not_moving", "too_short", "not_finite", "model_mismatch", "urdf",
 }  # fmt: skip
 
 
@@ -335,3 +335,60 @@ def test_without_reversals_friction_is_an_offset(arm):
     numbers = doctor.examine(changed(base, q=q, qd=None), None).excitation[arm.joints[0]]
     assert numbers["reversals"] == 0
     assert "offset" in numbers["cannot_show"]["coulomb_friction"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_unit_of_one_joint(seed, log, arm):
+    """One joint's torque in N mm among N m is that joint's, and is corrected; one joint's position in degrees, too."""
+    joint = int(np.random.default_rng(seed).integers(1, 6))
+    by = np.where(np.arange(7) == joint, 1e3, 1.0)
+    bad = changed(log, tau=log.trajectories[0].tau * by)
+    examination = doctor.examine(bad, arm)
+    found = seen(examination, "unit_error", least="warn")
+    assert [(c.joint, c.threshold["factor"]) for c in found] == [(arm.joints[joint], 1e3)]
+    np.testing.assert_allclose(doctor.mend(bad, examination, arm)[0].trajectories[0].tau, log.trajectories[0].tau)
+
+
+@pytest.mark.parametrize("unit", ["kgf cm", "percent"])
+def test_other_units_of_torque(unit, log, arm):
+    """kgf cm and percent of rated torque are named, alone or beside what is as likely, and left for the user."""
+    raw, limits = log.trajectories[0], np.array([200.0, 150, 80, 60, 30, 20, 9])
+    robot = replace(arm, effort_limit=limits)
+    bad = changed(log, tau=raw.tau * (10.1972 if unit == "kgf cm" else 100 / limits))
+    examination = doctor.examine(bad, robot)
+    (found,) = seen(examination, "unit_error", least="warn")
+    assert unit in found.meaning + found.seen
+    assert doctor.mend(bad, examination, robot)[1] == ()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_offset_of_a_session_is_one(seed, arm):
+    """Of two recordings of a file one moves too little to time the torque: the offset of the other is both recordings'.
+    Recordings with different offsets keep their own."""
+    draw = np.random.default_rng(seed)
+    late = float(draw.uniform(0.015, 0.06))
+    raws = []
+    for name, seconds in (("a", 25.0), ("b", 25.0), ("slow", 25.0)):
+        (raw,) = sound(arm, int(draw.integers(1000)), seconds=seconds).trajectories
+        raws.append(replace(raw, name=name, tau=delayed(raw.tau, raw.t, late)))
+    slow = raws[2]
+    raws[2] = replace(slow, q=0 * slow.q + slow.q[0] + 1e-5 * draw.normal(size=slow.q.shape), qd=None,
+                      tau=0 * slow.tau + slow.tau[0] + 0.01 * draw.normal(size=slow.tau.shape))  # fmt: skip
+    log = replace(sound(arm), trajectories=tuple(raws))
+    (found,) = seen(doctor.examine(log, arm), "time_offset", least="warn")
+    assert found.trajectory is None and found.value == pytest.approx(late, abs=1e-3)
+    assert found.threshold["trajectories"] == ["a", "b", "slow"]
+    other = replace(raws[1], tau=delayed(raws[1].tau, raws[1].t, 0.05))
+    found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), arm), "time_offset", least="warn")
+    assert {c.trajectory: c.value for c in found} == pytest.approx({"a": late, "b": late + 0.05}, abs=2e-3)
+
+
+def test_what_was_not_looked_at_is_skipped(log):
+    """Without a robot, and without a q_ref, what needs them says so; it does not say ok."""
+    examination = doctor.examine(log, None)
+    skipped = {(c.check, c.seen) for c in examination.checks if c.severity == "skipped"}
+    for name in ("gravity_removed", "joint_order", "sign_error", "unit_error", "time_offset"):
+        assert (name, "no robot") in skipped
+    assert ("time_offset", "q_ref is not logged") in skipped
+    fine = {c.check for c in examination.checks if c.severity == "ok"}
+    assert not {"gravity_removed", "joint_order", "sign_error", "time_offset", "model_mismatch"} & fine

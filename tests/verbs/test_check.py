@@ -1,14 +1,20 @@
 """invdyn check: what it prints and writes, and its exit codes."""
 
+import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from rich.console import Console
 
-from invdyn_cli.logfile import write_log
+from invdyn_cli.diagnosis import doctor
+from invdyn_cli.logfile import read_log, write_log
+from invdyn_cli.report.tables import significant
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.verbs import check
 from tests.diagnosis.sick import changed, sound
 from tests.logs import make_log, motion
 
@@ -43,14 +49,30 @@ def test_a_sound_log(command, arm):
     assert said.code == 0, said.err
     found = report(said)
     assert found["schema"] == "invdyn-check/1"
-    assert set(found) == {"schema", "usable", "checks", "excitation"}
+    assert set(found) == {"schema", "usable", "checks", "corrections", "excitation"}
     assert found["usable"] is True
     assert all(set(one) == KEYS for one in found["checks"])
-    assert len({one["check"] for one in found["checks"]}) == 17
+    assert len({one["check"] for one in found["checks"]}) == 18
     assert list(found["excitation"]) == list(arm.joints)
     assert Path(said.out[-1]).parts[:2] == ("outputs", "checks")
     text = "\n".join(said.out)
-    assert "The log is usable" in text and "cannot show" in text and "ok (17)" in text
+    assert "The log is usable" in text and "cannot show" in text and "ok (" in text and "skipped" in text
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_tables_fold(width, arm):
+    """At any width every column's head and every number stands in full, and no line is wider."""
+    names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
+    examination = doctor.examine(replace(sound(arm, seconds=8), joints=names), None)
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(check.shown(examination, ()))
+    text = console.export_text()
+    assert max(map(len, text.splitlines())) <= width
+    for head in ("reversals", "rest %", "slow %", "max |qdd|", "cannot"):
+        assert head in text
+    for x in examination.excitation.values():
+        assert f"{significant(x['q'][0])} … {significant(x['q'][1])}" in text
+        assert f" {significant(max(map(abs, x['qdd'])))}" in text
 
 
 def test_strict_fails_where_a_check_fails(command, arm):
@@ -61,10 +83,30 @@ def test_strict_fails_where_a_check_fails(command, arm):
         said = command("check", *LOG, *ARM, strict)
         assert said.code == code
         text = "\n".join(said.out)
-        assert "fail" in text and "unit_error" in text and "can be mended" in text
+        assert "fail" in text and "unit_error" in text and "correctable" in text
         assert report(said)["usable"] is True
     write_log(log, Path("log.h5"))
     assert command("check", *LOG, *ARM, "strict=true").code == 0
+
+
+def test_the_corrected_log_is_written(command, arm):
+    """write=fixed.h5: degrees and a turned torque are gone there, its history and check.json say so, the log itself is
+    as it was; checked again, nothing is corrected."""
+    log = sound(arm, seconds=15)
+    raw = log.trajectories[0]
+    write_log(changed(log, q=np.rad2deg(raw.q), tau=-raw.tau), Path("log.h5"))
+    before = Path("log.h5").read_bytes()
+    said = command("check", *LOG, *ARM, "write=fixed.h5")
+    assert said.code == 0, said.err
+    assert Path("log.h5").read_bytes() == before
+    fixed = read_log("fixed.h5")
+    np.testing.assert_allclose(fixed.trajectories[0].q, raw.q)
+    np.testing.assert_allclose(fixed.trajectories[0].tau, raw.tau)
+    done = report(said)["corrections"]
+    assert [one["check"] for one in done] == ["unit_error", "sign_error"]
+    assert fixed.history == tuple(f"invdyn check: {one['done']}" for one in done)
+    again = command("check", "data=real_log", "data.path=fixed.h5", *ARM)
+    assert report(again)["corrections"] == []
 
 
 def test_a_broken_log_is_described(command):
@@ -75,7 +117,8 @@ def test_a_broken_log_is_described(command):
     make_log(Path("log.h5"), {"run": channels}, urdf="", torque_unit="A")
     said = command("check", *LOG)
     assert said.code == 0, said.err
-    found = {one["check"]: one["severity"] for one in report(said)["checks"]}
+    told = [one for one in report(said)["checks"] if one["severity"] not in ("ok", "skipped")]
+    found = {one["check"]: one["severity"] for one in told}
     assert found["not_finite"] == found["duplicates"] == found["unit_error"] == "fail"
     assert report(said)["usable"] is False
 
@@ -115,6 +158,10 @@ def other_gains():
         file.attrs["drive_gain_N_m_per_A"] = [1.0, 2.0, 3.0]
 
 
+def make_sound():
+    make_log(Path("log.h5"), {"run": motion(seconds=10)}, urdf="")
+
+
 MISUSE = {
     "no log": (lambda: None, LOG, "no log log.h5"),
     "cut off": (cut_off, LOG, "cut off or corrupt"),
@@ -122,6 +169,9 @@ MISUSE = {
     "another robot": (without_urdf, (*LOG, "robot=apollo_arm"), "no moving joint 'shoulder'"),
     "no trajectory": (without_urdf, (*LOG, "data.train=[walk]"), "no trajectory 'walk'"),
     "gains": (other_gains, LOG, "allowed: 2 numbers"),
+    "write over itself": (without_urdf, (*LOG, "write=./log.h5"), "is the log itself"),
+    "write what": (without_urdf, (*LOG, "write=7"), "write=7; allowed: the path of a new log"),
+    "write where": (make_sound, (*LOG, "write=log.h5/x.h5"), "cannot write log.h5/x.h5"),
     "strict": (lambda: None, (*LOG, "strict=maybe"), "strict=maybe; allowed: true or false"),
 }  # fmt: skip
 

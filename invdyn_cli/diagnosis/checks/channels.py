@@ -50,7 +50,7 @@ class Quantisation(AbstractCheck):
         """Per joint, on the longest trajectory; the value is the step."""
         raws = [raw for raw in log.trajectories if len(raw.t) > 100 and is_series(raw)]
         if not raws:
-            return []
+            return [self.skipped("no time series of 100 rows")]
         raw = max(raws, key=lambda x: len(x.t))
         rate = 1 / median_step(raw.t)
         accelerations = {x.trajectory: rms(x.qdd) for x in stretches(log)}
@@ -117,6 +117,8 @@ class Saturation(AbstractCheck):
         """Per joint, over all trajectories; the value is the torque [N m; N]."""
         found = []
         raws = [raw for raw in log.trajectories if is_series(raw) and len(raw.t) > 10 * self.run]
+        if not raws:
+            return [self.skipped("no time series")]
         for joint, name in enumerate(log.joints):
             for side, word in ((1, "highest"), (-1, "lowest")):
                 worst = max((self._flat(log, raw, joint, side) for raw in raws), default=None)
@@ -240,9 +242,13 @@ class CommandCopiesMeasurement(AbstractCheck):
                         source="ours: no controller tracks better than its encoder resolves",
                     )
                 )
-        evidence = None if robot is None or not log.trajectories else gather(log, robot)
+        if all(raw.q_ref is None for raw in log.trajectories):
+            found.append(self.skipped("q_ref is not logged", "q_ref"))
+        if robot is None:
+            return [*found, self.skipped("no robot", "tau")]
+        evidence = gather(log, robot) if log.trajectories else None
         if evidence is None or not np.ptp(evidence.tau, axis=0).any():
-            return found
+            return [*found, self.skipped("no motion, or a torque that never changes", "tau")]
         spread = np.var(evidence.tau, axis=0)
         judged = spread > 1e-12 * spread.max()
         missed = np.mean((evidence.tau - evidence.nominal) ** 2, axis=0)[judged] / spread[judged]

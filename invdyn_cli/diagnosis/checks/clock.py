@@ -129,6 +129,8 @@ class ClockJitter(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory; trajectories of poses have no clock to speak of."""
         found = []
+        if not any(is_series(raw) for raw in log.trajectories):
+            return [self.skipped("no time series: no clock to judge")]
         for raw in log.trajectories:
             step = median_step(raw.t)
             if not np.isfinite(step) or not is_series(raw):
@@ -191,6 +193,8 @@ class Gaps(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory; the value is the longest gap [s]."""
         found = []
+        if not any(is_series(raw) for raw in log.trajectories):
+            return [self.skipped("no time series: no clock to judge")]
         for raw in log.trajectories:
             pieces = uninterrupted(raw)
             if len(pieces) < 2 or not is_series(raw):

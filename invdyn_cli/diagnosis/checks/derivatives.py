@@ -48,6 +48,8 @@ class DerivativeConsistency(AbstractCheck):
             for raw in log.trajectories
             if len(raw.t) and (not is_series(raw) or median_step(raw.t) > self.still)
         ]
+        if all(raw.qd is None and raw.qdd is None for raw in log.trajectories):
+            return found or [self.skipped("neither qd nor qdd is logged")]
         parts = stretches(log)
         for name in dict.fromkeys(x.trajectory for x in parts):
             mine = [x for x in parts if x.trajectory == name]

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.memory import once_for_a_log
 from invdyn_cli.diagnosis.checks.rows import is_series, median_step, newton_metres, taken, windows
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths import rigid_body
@@ -68,6 +69,7 @@ class Evidence:
         return np.stack([np.clip(qd / SLOW, -1, 1), qd, np.ones_like(qd)], axis=1)
 
 
+@once_for_a_log
 def stretches(log: Log, cutoff: float = CUTOFF) -> tuple[Stretch, ...]:
     """The windows of all trajectories that are time series, and long enough for the filter."""
     series = {raw.name for raw in log.trajectories if is_series(raw)}

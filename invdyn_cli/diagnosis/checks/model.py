@@ -41,7 +41,9 @@ class ModelMismatch(AbstractCheck):
         if not log.trajectories:
             return []
         found = self._dead(log)
-        if robot is None or any(c.severity == "fail" for c in found):
+        if robot is None:
+            return [*found, self.skipped("no robot: neither its limits nor its inertials are compared")]
+        if any(c.severity == "fail" for c in found):
             return found
         found += self._limits(log, robot)
         evidence = gather(log, robot)
@@ -50,7 +52,9 @@ class ModelMismatch(AbstractCheck):
         explained, _, excited = matched(evidence)
         judged = np.flatnonzero(excited > EXCITED)
         nominal = np.diag(explained)[judged]
-        if len(judged) < min(2, len(log.joints)) or np.median(nominal) > self.nominal or len(evidence.tau) < 200:
+        if len(judged) < min(2, len(log.joints)) or len(evidence.tau) < 200:
+            return [*found, self.skipped("fewer than two joints whose rigid-body torque varies in this motion")]
+        if np.median(nominal) > self.nominal:
             return found
         refit = float(np.median(self._refit(evidence, robot)[judged]))
         fails = refit < self.refit

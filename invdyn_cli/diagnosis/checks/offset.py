@@ -1,13 +1,13 @@
 """Time between channels: torque against motion, command against measurement."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.evidence import Stretch, gather, stretches
-from invdyn_cli.diagnosis.checks.fits import rms, span
+from invdyn_cli.diagnosis.checks.fits import span
 from invdyn_cli.diagnosis.checks.rows import each, newton_metres, taken
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
@@ -30,7 +30,6 @@ class TimeOffset(AbstractCheck):
         explained: share of a joint's torque that nominal torque and friction explain where it is judged.
         widest: [s] of shifts that are tried.
         sharp: by how much the residual variance has to be higher at no shift (ours).
-        lag: [s] of q behind q_ref that is worth a note.
         drive: [s] beyond which a joint of its own is taken for a poor fit, not for a delay (E4: 1 to 20 ms).
     """
 
@@ -41,21 +40,30 @@ class TimeOffset(AbstractCheck):
     explained: float = 0.8
     widest: float = 0.5
     sharp: float = 1.15
-    lag: float = 0.01
     drive: float = 0.05
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """Per trajectory; the value is the offset [s]."""
-        found = self._commands(log)
+        """One for a session, the recordings of a file, where all that can tell agree; else per recording. The value is
+        the offset [s]."""
         if robot is None:
-            return found
+            return [self.skipped("no robot", "tau")]
+        found: list[Check] = []
+        sessions: dict[str, list[RawTrajectory]] = {}
         for raw in log.trajectories:
-            found += self._torque(replace(log, trajectories=(raw,)), raw, robot)
-        return found
+            sessions.setdefault(raw.name.rpartition("/")[0], []).append(raw)
+        for session in sessions.values():
+            shifts = [self._shifts(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
+            found += self._session(log, [x for x in shifts if x is not None], session)
+        return found or [self.skipped("no joint's torque follows the URDF's closely enough to be timed", "tau")]
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""
-        offsets = {c.trajectory: float(c.value) for c in found if c.severity in ("warn", "fail") and c.joint is None}
+        offsets = {
+            name: float(c.value)
+            for c in found
+            if c.severity in ("warn", "fail") and c.joint is None and isinstance(c.threshold, Mapping)
+            for name in c.threshold.get("trajectories", ())
+        }
         notes = []
 
         def change(raw: RawTrajectory) -> RawTrajectory:
@@ -69,17 +77,86 @@ class TimeOffset(AbstractCheck):
 
         return each(log, change), notes
 
-    def _torque(self, log: Log, raw: RawTrajectory, robot: Robot) -> list[Check]:
+    def _session(self, log: Log, shifts: list["_Shifts"], session: list[RawTrajectory]) -> list[Check]:
+        """What the recordings of one session say together."""
+        sure = [x for x in shifts if self._shared(x, log)]
+        late = [x for x in sure if abs(x.common) > self._limit(x)]
+        found = [c for x in shifts for c in self._single(x, log)]
+        if late and len(session) > 1 and all(abs(x.common - late[0].common) < self._limit(x) for x in sure):
+            weights = [sum(x.gains.values()) for x in sure]
+            value = float(np.average([x.common for x in sure], weights=weights))
+            seen = f"the torque comes {_apart(value)} in all {len(session)} recordings of this session: "
+            seen += ", ".join(f"{x.trajectory} {1e3 * x.common:.3g} ms" for x in sure)
+            seen += f"; {len(session) - len(sure)} cannot tell" if len(sure) < len(session) else ""
+            found.append(self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session)))
+        else:
+            for x in late:
+                said = ", ".join(f"{log.joints[j]} {1e3 * s:.3g}" for j, s in x.offsets.items())
+                seen = f"the torque comes {_apart(x.common)} (per joint [ms]: {said})"
+                found.append(self._late(x.trajectory, x.common, self._limit(x), seen, (x.trajectory,)))
+        told = {x.trajectory for x in late}
+        for x in sure if not any(c.severity == "warn" and c.trajectory is None for c in found) else ():
+            if x.trajectory not in told:
+                seen = f"torque and motion agree to {1e3 * abs(x.common):.2g} ms on {len(x.offsets)} joints"
+                threshold = {"channel": "tau", "seconds": self._limit(x)}
+                found.append(Check(self.name, "ok", x.trajectory, value=x.common, threshold=threshold, seen=seen))
+        return found
+
+    def _limit(self, x: "_Shifts") -> float:
+        return max(self.samples / x.rate, self.least)
+
+    def _shared(self, x: "_Shifts", log: Log) -> bool:
+        """Whether most joints have one offset, and at least one of them clearly."""
+        values = np.array(list(x.offsets.values()))
+        near = np.abs(values - x.common) < np.maximum(self.agree * abs(x.common), self._limit(x) / 2)
+        sharp = np.array([x.gains[j] for j in x.offsets]) > self.sharp
+        clear = abs(x.common) <= self._limit(x) or np.sum(near & sharp) >= 1
+        return bool(near.mean() > 0.6 and near.sum() >= min(3, len(log.joints)) and clear)
+
+    def _late(self, trajectory: str | None, value: float, limit: float, seen: str, names: tuple[str, ...]) -> Check:
+        return Check(
+            self.name,
+            "warn",
+            trajectory,
+            value=value,
+            threshold={"channel": "tau", "seconds": limit, "trajectories": list(names)},
+            seen=seen,
+            meaning="two clocks, or one channel that was filtered or buffered",
+            advice="one clock for both channels, or data.torque_lag",
+            source="first order: a hold and the order of reading make up to 1.5 samples",
+        )
+
+    def _single(self, x: "_Shifts", log: Log) -> list[Check]:
+        """Joints that differ from the others."""
+        limit = self._limit(x)
+        return [
+            Check(
+                self.name,
+                "note",
+                x.trajectory,
+                log.joints[joint],
+                value=float(s),
+                threshold={"channel": "tau", "seconds": limit},
+                seen=f"this joint's torque alone comes {1e3 * s:.3g} ms later (others {1e3 * x.common:.3g} ms)",
+                meaning="a delay or a lag of its drive, or gear play: an effect, not a defect of the log",
+                source="ours",
+            )
+            for joint, s in x.offsets.items()
+            if 2 * limit < abs(s - x.common) < self.drive and x.gains[joint] > 2 * self.sharp and len(x.offsets) > 2
+        ]
+
+    def _shifts(self, log: Log, raw: RawTrajectory, robot: Robot) -> "_Shifts | None":
+        """The shift of every joint that can be timed; None where none can."""
         parts = stretches(log)
         most = int(self.widest * parts[0].rate) if parts else 0
         parts = tuple(x for x in parts if len(x.q) > 4 * most + 20 and x.rate == parts[0].rate)
         if not parts or not np.ptp(newton_metres(log, raw), axis=0).any():
-            return []
+            return None
         shifts = np.arange(-most, most + 1, max(1, most // 25))
         inner = tuple(_inside(x, most + 2) for x in parts)
         evidence = gather(log, robot, 2048, inner)
         if evidence is None:
-            return []
+            return None
         explained, _, excited = matched(evidence)
         judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained))
         offsets, gains = {}, {}
@@ -100,81 +177,25 @@ class TimeOffset(AbstractCheck):
             if 0 < best < len(fine) - 1:
                 offsets[joint] = _vertex(fine[best - 1 : best + 2], values[best - 1 : best + 2]) / parts[0].rate
                 gains[joint] = residual(0) / max(values[best], 1e-300)
-        return self._judged(raw.name, log, offsets, gains, parts[0].rate)
-
-    def _judged(
-        self, trajectory: str, log: Log, offsets: dict[int, float], gains: dict[int, float], rate: float
-    ) -> list[Check]:
-        """What the joints share, and who differs."""
         if not offsets:
-            return []
-        values = np.array(list(offsets.values()))
-        common = float(np.median(values))
-        limit = max(self.samples / rate, self.least)
-        near = np.abs(values - common) < np.maximum(self.agree * abs(common), limit / 2)
-        sharp = np.array([gains[j] for j in offsets]) > self.sharp
-        shared = near.mean() > 0.6 and near.sum() >= min(3, len(log.joints)) and np.sum(near & sharp) >= 1
-        said = ", ".join(f"{log.joints[j]} {1e3 * x:.3g}" for j, x in offsets.items())
-        if abs(common) > limit and shared:
-            return [
-                Check(
-                    self.name,
-                    "warn",
-                    trajectory,
-                    value=common,
-                    threshold=limit,
-                    seen=f"the torque comes {1e3 * abs(common):.3g} ms {'after' if common > 0 else 'before'} the "
-                    f"motion that it drives (per joint [ms]: {said})",
-                    meaning="two clocks, or one channel that was filtered or buffered",
-                    advice="one clock for both channels, or data.torque_lag",
-                    source="first order: a hold and the order of reading make up to 1.5 samples",
-                )
-            ]
-        found = []
-        for joint, x in offsets.items():
-            if 2 * limit < abs(x - common) < self.drive and gains[joint] > 2 * self.sharp and len(offsets) > 2:
-                found.append(
-                    Check(
-                        self.name,
-                        "note",
-                        trajectory,
-                        log.joints[joint],
-                        value=float(x),
-                        threshold=limit,
-                        seen=f"this joint's torque alone comes {1e3 * x:.3g} ms later (others {1e3 * common:.3g} ms)",
-                        meaning="a delay or a lag of its drive, or gear play: an effect, not a defect of the log",
-                        advice="",
-                        source="ours",
-                    )
-                )
-        return found
+            return None
+        return _Shifts(raw.name, offsets, gains, float(np.median(list(offsets.values()))), parts[0].rate)
 
-    def _commands(self, log: Log) -> list[Check]:
-        """How far q follows behind q_ref."""
-        found = []
-        parts = stretches(log) if any(raw.q_ref is not None for raw in log.trajectories) else ()
-        for name in dict.fromkeys(x.trajectory for x in parts if "q_ref" in x.extra):
-            mine = [x for x in parts if x.trajectory == name]
-            error = np.concatenate([x.extra["q_ref"] - x.q for x in mine])
-            speed = np.concatenate([x.qd for x in mine])
-            moving = rms(speed) > 0.01
-            power = np.sum(speed[:, moving] ** 2)
-            lag = float(np.sum(error[:, moving] * speed[:, moving]) / power) if power > 0 else 0.0
-            if abs(lag) > max(self.lag, self.samples / mine[0].rate):
-                found.append(
-                    Check(
-                        self.name,
-                        "note",
-                        name,
-                        value=lag,
-                        threshold=self.lag,
-                        seen=f"q follows q_ref {1e3 * lag:.3g} ms later",
-                        meaning="the controller's tracking error; commanded positions are no measured ones",
-                        advice="",
-                        source="ours",
-                    )
-                )
-        return found
+
+@dataclass(frozen=True)
+class _Shifts:
+    """Of one recording: joint -> seconds that its torque comes late, and how much higher the residual variance is
+    without a shift; the median offset, and the rate [Hz]."""
+
+    trajectory: str
+    offsets: dict[int, float]
+    gains: dict[int, float]
+    common: float
+    rate: float
+
+
+def _apart(seconds: float) -> str:
+    return f"{1e3 * abs(seconds):.3g} ms {'after' if seconds > 0 else 'before'} the motion that it drives"
 
 
 def _inside(x: Stretch, margin: int) -> Stretch:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,13 +31,6 @@ POSITIONS = {1 / DEGREE: "radians that were converted from degrees once too ofte
 """Logged over SI for positions too small to be seen by their limits; degrees are seen by these."""
 
 CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-TORQUES = {1e3: "N mm or mN m", 1e-3: "kN m", 1e6: "N m times 1000 twice", 1e-6: "N m over 1000 twice"}
-"""Far from any physical cause: mended."""
-
-FOREIGN = {0.101972: "kgf m", 8.85075: "lbf in", 141.612: "ozf in", 100.0: "N cm", 0.01: "hundreds of N m"}
-"""Near enough to other causes that the user has to decide."""
-
-CERTAIN = "exact ratio of two units (effects of an arm change a torque by less than a factor of two)"
 
 
 @dataclass(frozen=True)
@@ -85,11 +78,15 @@ class MotionUnits(AbstractCheck):
                 if check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
                     continue
                 together = ("q", "q_ref", "q_link") if channel == "q" else (channel,)
-                slides = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
-                by = factor if channel == "t" else np.where(slides, 1.0, factor)
+                kept = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
+                kept = kept | np.array([check.joint not in (None, name) for name in log.joints])
+                by = factor if channel == "t" else np.where(kept, 1.0, factor)
                 parts = {c: getattr(raw, c) / by for c in together if getattr(raw, c) is not None}
                 raw = replace(raw, **parts)
-                notes.append(f"{raw.name}: {', '.join(parts)} divided by {factor:.7g}, {check.meaning.split(':')[0]}")
+                of = f" of {check.joint}" if check.joint else ""
+                notes.append(
+                    f"{raw.name}: {', '.join(parts)}{of} divided by {factor:.7g}, {check.meaning.split(':')[0]}"
+                )
             return raw
 
         return each(log, change), notes
@@ -120,8 +117,13 @@ class MotionUnits(AbstractCheck):
             sure = beyond.sum() >= max(1, 0.3 * turning.sum()) and (robot is not None or beyond.sum() > 1)
             if robot is not None:
                 one = replace(log, trajectories=(raw,))
-                fits = [_agreement(gather(_scaled(one, k, turning), robot, 1024)) for k in (1.0, DEGREE)]
-                sure = sure and not fits[1] < fits[0] - 0.05
+                some = [_agreement(gather(_scaled(one, DEGREE, which), robot, 1024)) for which in (turning, beyond)]
+                if not beyond[turning].all() and some[1] > max(some[0], 0.5) + 0.1:
+                    found += [
+                        self._single(log, raw.name, int(j), float(reach[j]), some) for j in np.flatnonzero(beyond)
+                    ]
+                    continue
+                sure = sure and not some[0] < _agreement(gather(one, robot, 1024)) - 0.05
             joint = log.joints[int(np.argmax(np.where(turning, reach / limit, 0)))]
             against = "the limits" if robot is not None else f"{self.turns:.3g} rad"
             seen = f"{beyond.sum()} joints go beyond {against}, {joint} to {reach[log.joints.index(joint)]:.4g}; "
@@ -141,8 +143,17 @@ class MotionUnits(AbstractCheck):
             found.append(self._seen("q", None, best, best, POSITIONS[best], seen))
         return found
 
+    def _single(self, log: Log, trajectory: str, j: int, reach: float, fits: list[float]) -> Check:
+        seen = (
+            f"{log.joints[j]} goes to {reach:.4g}, beyond its limits; with it alone divided by 57.3 the nominal torque "
+        )
+        seen += f"explains {fits[1]:.2g} of the torque, with all joints {fits[0]:.2g}"
+        return replace(self._seen("q", trajectory, DEGREE, DEGREE, "degrees", seen), joint=log.joints[j])
+
     def _derivatives(self, log: Log) -> list[Check]:
         found = []
+        if all(raw.qd is None and raw.qdd is None for raw in log.trajectories):
+            return [self.skipped("neither qd nor qdd is logged", "qd")]
         parts = stretches(log)
         for name in dict.fromkeys(x.trajectory for x in parts):
             mine = [x for x in parts if x.trajectory == name]
@@ -181,93 +192,6 @@ class MotionUnits(AbstractCheck):
             meaning=f"{channel} is in {unit}: every derived torque would be off",
             advice=f"{channel} in SI units, rad and s",
             source="exact ratio of two units",
-        )
-
-
-@dataclass(frozen=True)
-class TorqueUnits(AbstractCheck):
-    """Torques in N mm, currents without gains, and so on: by their slope on the nominal torque, friction taken out.
-
-    Attributes:
-        within: factor around a power of 1000 (ours: between 1.4 and 700 no unit lies; an arm's effects stay below 2).
-        foreign: relative distance from the units in FOREIGN (ours: few of them differ by less).
-        plausible: slopes from the inverse of it to it are an arm's own (ours).
-        correlation: of torque and nominal torque of joints that are judged.
-        excited: least RMS of a joint's nominal torque, of what random states ask of it (ours: below, friction rules).
-        most: share of the judged joints that have to agree, within a factor of `spread`.
-    """
-
-    name: ClassVar[str] = "unit_error"
-    within: float = 1.4
-    foreign: float = 0.05
-    plausible: float = 3.0
-    correlation: float = 0.8
-    excited: float = 0.03
-    most: float = 0.8
-    spread: float = 2.0
-
-    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """For the whole log; the value is logged over expected torque."""
-        missing = log.torque_unit == "A" and log.drive_gain is None
-        evidence = None if robot is None or not log.trajectories else gather(log, robot)
-        ratios = {} if evidence is None else self._ratios(log, evidence)
-        if missing:
-            return [self._without_gains(ratios)]
-        if len(ratios) < min(2, len(log.joints)):
-            return []
-        values = np.array(list(ratios.values()))
-        ratio = float(np.exp(np.median(np.log(values))))
-        alike = np.abs(np.log(values / ratio)) < np.log(self.spread)
-        said = ", ".join(f"{joint} {x:.3g}" for joint, x in ratios.items())
-        seen = f"logged torque over nominal torque, friction taken out: {said}"
-        factor = next((k for k in TORQUES if abs(np.log(ratio / k)) < np.log(self.within)), None)
-        if factor is not None and alike.mean() >= self.most:
-            return [self._seen("fail", ratio, factor, seen, f"tau is in {TORQUES[factor]}")]
-        if 1 / self.plausible < ratio < self.plausible:
-            return []
-        factor = _nearest(ratio, FOREIGN, self.foreign)
-        if factor and np.mean(np.abs(values / factor - 1) < 3 * self.foreign) >= self.most:
-            return [self._seen("warn", ratio, factor, seen, f"tau may be in {FOREIGN[factor]}")]
-        return [self._seen("warn", ratio, None, seen, "tau looks like currents or counts, one factor for each joint")]
-
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """Divide by the exact factor."""
-        mine = [c for c in found if c.severity == "fail" and isinstance(c.threshold, Mapping)]
-        mine = [c for c in mine if c.threshold["channel"] == "tau" and c.threshold["factor"]]
-        if not mine:
-            return log, []
-        factor = mine[0].threshold["factor"]
-        log = each(log, lambda raw: replace(raw, tau=raw.tau / factor))
-        return log, [f"torques divided by {factor:g}, {mine[0].meaning.split(':')[0]}"]
-
-    def _ratios(self, log: Log, evidence: Evidence) -> dict[str, float]:
-        """Slope of every joint that can be judged."""
-        out = {}
-        for joint, name in enumerate(log.joints):
-            columns = evidence.columns(joint)
-            nominal, tau = left(evidence.nominal[:, joint], columns), left(evidence.tau[:, joint], columns)
-            if rms(nominal) < self.excited * evidence.reach[joint] or correlation(tau, nominal) < self.correlation:
-                continue
-            out[name] = slope(tau, nominal)
-        return out
-
-    def _without_gains(self, ratios: dict[str, float]) -> Check:
-        gains = {joint: 1 / x for joint, x in ratios.items()}
-        said = ", ".join(f"{joint} {x:.3g}" for joint, x in gains.items())
-        seen = "torque_unit is A and there are no drive gains"
-        seen += f"; the nominal torques suggest [N m/A] {said}" if said else ""
-        return self._seen("fail", None, None, seen, "currents cannot be compared with torques")
-
-    def _seen(self, severity: str, value: Any, factor: float | None, seen: str, what: str) -> Check:
-        return Check(
-            self.name,
-            severity,
-            value=value,
-            threshold={"channel": "tau", "factor": factor, "plausible": [1 / self.plausible, self.plausible]},
-            seen=seen,
-            meaning=f"{what}: gains, payloads and friction would all be off by it",
-            advice="torques in N m, or torque_unit=A with data.drive_gain=[…] in N m/A",
-            source=CERTAIN,
         )
 
 

@@ -138,9 +138,10 @@ class Outliers(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory, channel and joint; the value is the number of samples."""
         found = []
-        for raw in log.trajectories:
-            if len(raw.t) < 50 or not is_series(raw, roughness=0.5):
-                continue
+        series = [raw for raw in log.trajectories if len(raw.t) >= 50 and is_series(raw, roughness=0.5)]
+        if not series:
+            return [self.skipped("no time series of 50 rows")]
+        for raw in series:
             for channel in present(raw):
                 for joint, name in enumerate(log.joints):
                     rows = self._of(raw, channel, joint)

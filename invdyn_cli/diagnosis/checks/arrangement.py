@@ -1,0 +1,262 @@
+"""Which order and signs of the columns the physics asks for, by likelihood, and which others it cannot tell from that.
+
+Every arrangement of the positions (an exchange of two joints, a known order of all, one joint's sign) gives another
+motion, and with it a likelihood for every torque column on every joint (`fitness`). Arrangements that are wrong cost
+what makes them rare beforehand; those that are as likely as the best are told, too.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from invdyn_cli.diagnosis.checks.evidence import gather, nominal_torque
+from invdyn_cli.diagnosis.checks.fitness import Fitness, Rows, fitness, rows_of
+from invdyn_cli.diagnosis.checks.memory import once_for_a_log
+from invdyn_cli.logfile import Log
+from invdyn_cli.types import Robot
+
+FLAW = 5.0
+"""Log of the odds against each thing that is wrong in a log, before it is looked at; its place costs the log of their
+number on top (ours: one log in a hundred and fifty)."""
+
+FOUND = 8.0
+"""Log of the odds, that cost included, from which on an arrangement is stated (ours: once in three thousand)."""
+
+ALIKE = 5.0
+"""Log of the likelihood ratio below which two arrangements count as alike (Kass, Raftery 1995: 5 is very strong)."""
+
+OWN = 4.0
+"""Log of the odds against a factor of a column's own, counts for instance: it may lie in a range of ten thousand."""
+
+BEYOND, PAST = 0.1, 4.0
+"""[rad; m] past a joint's limits that speak against an arrangement, and by how much each joint does."""
+
+MOVED = 0.02
+"""[rad; m] RMS of a position about its mean below which nothing shows whose it is."""
+
+MOST = 0.7
+"""Share of the joints that change places in a known order that have to move (ours)."""
+
+UNITS = (1.0, 1e3, 1e-3)
+"""Logged torque over N m while orders and signs are looked for; else every column has a factor of its own."""
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """Joint j of the robot: positions from column `order[j]` times `signs[j]`, torque from `columns[j]` times
+    `turned[j]`. `likelihood`: log; `support`: of it what the bodies' torque adds to friction, spring, rotor and offset,
+    which fit wherever joints move alike; `plain`: what the URDF's torque adds to these as it stands; `cost`: log of the
+    odds against what would be wrong."""
+
+    order: tuple[int, ...]
+    signs: tuple[float, ...]
+    columns: tuple[int, ...]
+    turned: tuple[float, ...]
+    likelihood: float
+    support: float
+    plain: float
+    cost: float
+
+    def beside(self, other: "Arrangement") -> float:
+        """Log of the odds for this arrangement against another one, as far as all three likelihoods agree: a rigid
+        body with errors in every parameter fits much where joints move in phase; the URDF has to fit better, too."""
+        gain = min(getattr(self, x) - getattr(other, x) for x in ("likelihood", "support", "plain"))
+        return gain - self.cost + other.cost
+
+    @property
+    def key(self) -> tuple:
+        """What makes it differ from others."""
+        return self.order, self.signs, self.columns, self.turned
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`logged`: the columns as they stand; `best`: the likeliest; `alike`: others as likely as the best; `judged` (n,):
+    whether the torque of each joint, so arranged, is explained by its rigid body."""
+
+    logged: Arrangement
+    best: Arrangement
+    alike: tuple[Arrangement, ...]
+    judged: np.ndarray
+
+    @property
+    def stated(self) -> bool:
+        """Whether the log asks for another arrangement than the logged one."""
+        return self.best.key != self.logged.key
+
+
+@once_for_a_log
+def arrangement(log: Log, robot: Robot) -> Verdict | None:
+    """What the columns of a log say of their order and signs; None where nothing moves long enough."""
+    evidence = gather(log, robot, 1024) if log.trajectories else None
+    if evidence is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
+        return None
+    if not np.ptp(evidence.motion.q, axis=0).any():
+        return None
+    rows = rows_of(evidence, without_gravity="gravity" in log.compensated)
+    return _search(rows, robot)
+
+
+def _search(rows: Rows, robot: Robot) -> Verdict:
+    """In a unit that all joints have; where factors of their own are far likelier, with these."""
+    unit = _unit(rows, robot)
+    first = fitness(rows, robot, (unit,))
+    verdict, fit = _searched(rows, robot, unit, 0, first.effective)
+    at = np.arange(robot.dofs), np.array(verdict.best.columns)
+    common, own = (fit.likelihood[at][..., k].max(1).sum() for k in (0, -1))
+    if own - OWN * robot.dofs > common + FLAW:
+        verdict, _ = _searched(rows, robot, unit, -1, first.effective)
+    return verdict
+
+
+def _searched(rows: Rows, robot: Robot, unit: float, mode: int, effective: np.ndarray) -> tuple[Verdict, Fitness]:
+    """The verdict with a common unit (mode 0) or factors of the columns' own (-1), and the fitness of its motion."""
+    n = robot.dofs
+    start = (tuple(range(n)), (1.0,) * n)
+    look = _Look(rows, robot, unit, mode, effective)
+    best = logged = look.at(start)[0]
+    for _ in range(n):
+        for motion in _near((best.order, best.signs), rows, robot) if n > 1 else ():
+            look.at(motion)
+        top = look.best(best)
+        if top.key == best.key:
+            break
+        best = top
+    if best.key != logged.key:  # the noise was judged in wrong places
+        home = fitness(rows.arranged(best.order, best.signs), robot, (unit,), None, best.columns).effective
+        look = _Look(rows, robot, unit, mode, home)
+        logged = look.at(start)[0]
+        for motion in [(best.order, best.signs), *_near((best.order, best.signs), rows, robot)]:
+            look.at(motion)
+        best = look.best(logged)
+    alike = [x for x in look.tried.values() if x.key != best.key and x.beside(best) + x.cost - best.cost > -ALIKE]
+    fit = look.fits[(best.order, best.signs)]
+    at = np.arange(n), np.array(best.columns)
+    judged = (fit.explained[at] > 0.5) & (fit.likelihood[at][..., mode].max(1) > fit.lost[at] + 3.0)
+    return Verdict(logged, best, tuple(sorted(alike, key=lambda x: -x.likelihood)), judged), fit
+
+
+class _Look:
+    """Arrangements that were tried, and the fitness of every arrangement of the positions among them."""
+
+    def __init__(self, rows: Rows, robot: Robot, unit: float, mode: int, effective: np.ndarray):
+        self.rows, self.robot, self.unit, self.mode, self.effective = rows, robot, unit, mode, effective
+        self.tried: dict[tuple, Arrangement] = {}
+        self.fits: dict[tuple, Fitness] = {}
+
+    def at(self, motion: tuple) -> list[Arrangement]:
+        """Arrangements of the torque columns on one of the positions; the first is in its order, no sign turned."""
+        if motion not in self.fits:
+            self.fits[motion] = fitness(self.rows.arranged(*motion), self.robot, (self.unit,), self.effective)
+        fit = self.fits[motion]
+        order, signs = motion
+        cost = _cost(order, signs, self.rows, self.robot)
+        made = list(_on_motion(order, signs, fit, self.mode, cost))
+        for one in made:
+            self.tried.setdefault(one.key, one)
+        return made
+
+    def best(self, start: Arrangement) -> Arrangement:
+        """The start, or one whose odds beside it are FOUND: of these the simplest, unless another one has such odds
+        beside it. What a large gain in one place would hide in another is so judged by itself."""
+        better = sorted(
+            ((x.cost, -x.beside(start), x) for x in self.tried.values() if x.beside(start) > FOUND),
+            key=lambda x: x[:2],
+        )
+        best = start
+        for _, _, one in better:
+            if best is start or one.beside(best) > FOUND:
+                best = one
+        return best
+
+
+def _unit(rows: Rows, robot: Robot) -> float:
+    """The factor in UNITS that makes the torques about as large as the URDF's, whatever their order."""
+    nominal, _ = nominal_torque(robot, rows.motion)
+    ratio = np.median(rows.tau.std(0)) / max(float(np.median(nominal.std(0))), 1e-300)
+    return min(UNITS, key=lambda x: abs(np.log(max(ratio, 1e-300) / x)))
+
+
+def _near(motion: tuple, rows: Rows, robot: Robot) -> Iterator[tuple]:
+    """Arrangements of positions one step from one: exchanges, known orders, single signs; of joints that move."""
+    order, signs = motion
+    moves = rows.motion.q.std(0) > MOVED
+    for a, b in itertools.combinations(np.flatnonzero(moves[list(order)]).tolist(), 2):
+        changed = list(order)
+        changed[a], changed[b] = changed[b], changed[a]
+        yield tuple(changed), signs
+    for known in known_orders(robot).values():
+        if np.mean([moves[i] for j, i in enumerate(known) if i != order[j]] or [False]) > MOST:
+            yield known, signs
+    for j in np.flatnonzero(moves[list(order)]).tolist():
+        yield order, tuple(-s if k == j else s for k, s in enumerate(signs))
+
+
+def known_orders(robot: Robot) -> dict[str, tuple[int, ...]]:
+    """Orders in which drivers publish joints: name -> for every joint of the robot, its column."""
+    n = robot.dofs
+    alphabet = sorted(range(n), key=lambda j: robot.joints[j])
+    orders = {
+        "alphabetical, as ROS 2 publishes joint states": tuple(alphabet.index(j) for j in range(n)),
+        "the robot's columns, named alphabetically": tuple(alphabet),
+        "from the tip to the base": tuple(reversed(range(n))),
+    }
+    if n >= 3:
+        orders["elbow first, as the UR driver publishes joint states"] = (2, 1, 0, *range(3, n))
+    return {name: order for name, order in orders.items() if order != tuple(range(n))}
+
+
+def _cost(order: tuple[int, ...], signs: tuple[float, ...], rows: Rows, robot: Robot) -> float:
+    """Log odds against an arrangement of the positions."""
+    n = len(order)
+    q = rows.motion.q[:, list(order)] * np.array(signs)
+    past = np.maximum(np.asarray(robot.lower) - q.min(0), q.max(0) - np.asarray(robot.upper)) > BEYOND
+    flips = sum(s < 0 for s in signs)
+    return _of_order(order, robot) + flips * (FLAW + np.log(n)) + PAST * float(past.sum())
+
+
+def _of_order(order: tuple[int, ...], robot: Robot) -> float:
+    n, moved = len(order), sum(i != j for j, i in enumerate(order))
+    if not moved:
+        return 0.0
+    if order in known_orders(robot).values():
+        return FLAW + 1.0
+    return FLAW + (moved - 1) * np.log(n * (n - 1) / 2)
+
+
+def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[Arrangement]:
+    """Arrangements of the torque columns beside one of the positions: the same order first; the likeliest; and those
+    that differ from these in one exchange or one sign."""
+    n = len(order)
+    every = np.arange(n)
+    orders = [tuple(order)]
+    table, direct = fit.likelihood[..., mode], fit.plain[..., mode]
+    for scores in (table.max(2), table.max(2) - fit.lost, direct.max(2)):
+        joints, columns = linear_sum_assignment(-scores)
+        orders.append(tuple(int(i) for i in columns[np.argsort(joints)]))
+    bases = set(orders)
+    for base in tuple(bases):
+        for a, b in itertools.combinations(range(n), 2):
+            changed = list(base)
+            changed[a], changed[b] = changed[b], changed[a]
+            orders.append(tuple(changed))
+    for chosen in dict.fromkeys(orders):
+        both = table[every, list(chosen)]  # (n, 2)
+        plain = direct[every, list(chosen)]
+        alone = fit.lost[every, list(chosen)].sum()
+        moved = sum(a != b for a, b in zip(chosen, order, strict=True))
+        extra = FLAW + (moved - 1) * np.log(max(n * (n - 1) / 2, 1)) if moved else 0.0
+        flips = both[:, 1] - both[:, 0] > FLAW + np.log(n)
+        patterns = [np.zeros(n, bool), flips, np.ones(n, bool)]
+        if chosen in bases:
+            patterns += [flips ^ (every == j) for j in range(n)]
+        for pattern in patterns:
+            likelihood = float(np.where(pattern, both[:, 1], both[:, 0]).sum())
+            turns = FLAW if pattern.all() and n > 1 else pattern.sum() * (FLAW + np.log(n))
+            turned = tuple(-1.0 if x else 1.0 for x in pattern)
+            spent = float(cost + extra + turns)
+            as_is = float(np.where(pattern, plain[:, 1], plain[:, 0]).sum())
+            yield Arrangement(tuple(order), tuple(signs), chosen, turned, likelihood, likelihood - alone, as_is, spent)

@@ -1,0 +1,303 @@
+"""Columns in another order than the robot's joints, or with the opposite sign: what the physics asks for
+(`arrangement`), stated where nothing else is as likely, and corrected only then."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FOUND, Arrangement, Verdict, arrangement, known_orders
+from invdyn_cli.diagnosis.checks.evidence import Evidence, gather
+from invdyn_cli.diagnosis.checks.fits import left, rms, slope
+from invdyn_cli.diagnosis.checks.rows import each, present
+from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.types import Check, Robot
+
+SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; ours: odds of e^8"
+NO_MOTION = "no motion, or a torque that never changes"
+POSITIONS = ("q", "qd", "qdd", "q_ref", "q_link")
+
+
+@dataclass(frozen=True)
+class JointOrder(AbstractCheck):
+    """Torque columns, or all columns, in another order of joints than the robot's.
+
+    The value lists, for every joint of the robot, the column that belongs to it; `threshold` has the order of the
+    positions ("order"), of the torques ("columns"), and the log of the odds that are asked for. What others are as
+    likely is said, and then nothing is corrected.
+    """
+
+    name: ClassVar[str] = "joint_order"
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """For the whole log."""
+        if robot is None:
+            return [self.skipped("no robot")]
+        if len(log.joints) < 2:
+            return [self.skipped("one joint has no order")]
+        verdict = arrangement(log, robot)
+        if verdict is None:
+            return [self.skipped(NO_MOTION)]
+        best, straight = verdict.best, tuple(range(robot.dofs))
+        others = self._others(verdict)
+        found = []
+        unjudged = [log.joints[j] for j in np.flatnonzero(~verdict.judged)]
+        if unjudged:
+            why = "no rigid-body torque shows in these columns, their order is not judged: "
+            found.append(self.skipped(why + ", ".join(unjudged), "tau"))
+        if (best.order, best.columns) == (straight, straight):
+            if others:
+                found.append(self._ambiguous("note", log, robot, "the columns as they stand", others))
+            return found or [Check(self.name, "ok", value=list(straight), seen="no other order is as likely")]
+        words = _words(log, robot, best.order, best.columns)
+        if others:
+            return [*found, self._ambiguous("warn", log, robot, words, others)]
+        gain = best.beside(verdict.logged)
+        return [*found, self._seen(robot, best, words, gain)]
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Put the columns in order."""
+        for check in found:
+            if check.severity != "fail":
+                continue
+            order, columns = check.threshold["order"], check.threshold["columns"]
+
+            def change(raw: RawTrajectory, order=order, columns=columns) -> RawTrajectory:
+                moved = {c: x[:, columns if c == "tau" else order] for c, x in present(raw).items()}
+                return replace(raw, **moved)
+
+            log = each(log, change)
+            if log.drive_gain is not None:
+                log = replace(log, drive_gain=np.asarray(log.drive_gain)[columns])
+            which = "all" if order == columns else "torque" if order == sorted(order) else "position"
+            moves = columns if order == sorted(order) else order
+            words = ", ".join(f"{log.joints[i]} -> {log.joints[j]}" for j, i in enumerate(moves) if i != j)
+            return log, [f"{which} columns put in the robot's order: {words}"]
+        return log, []
+
+    def _others(self, verdict: Verdict) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """Other orders (of positions, of torques) that are as likely as the best, but for joints without a torque that
+        shows: of these two may always be exchanged."""
+        best, kept = verdict.best, []
+        for one in verdict.alike:
+            pair = one.order, one.columns
+            if pair == (best.order, best.columns) or pair in kept:
+                continue
+            moved = {j for a, b in ((one.order, best.order), (one.columns, best.columns)) for j in _differ(a, b)}
+            if any(verdict.judged[j] for j in moved):
+                kept.append(pair)
+        return kept
+
+    def _seen(self, robot: Robot, best: Arrangement, words: str, gain: float) -> Check:
+        return Check(
+            self.name,
+            "fail",
+            value=list(best.columns if best.order == tuple(sorted(best.order)) else best.order),
+            threshold={"order": list(best.order), "columns": list(best.columns), "log_odds": FOUND},
+            seen=f"{words}: log odds of {gain:.3g} against the order as logged, and no other order comes within "
+            f"{ALIKE:g} of it",
+            meaning="torques stand in the columns of other joints"
+            if best.order == tuple(range(robot.dofs))
+            else "the log's columns stand in another order of joints than the robot's",
+            advice="the order of joint_names, as the driver publishes them",
+            source=SOURCE,
+        )
+
+    def _ambiguous(self, severity: str, log: Log, robot: Robot, words: str, others: list) -> Check:
+        said = [_words(log, robot, *one) for one in others[:3]]
+        more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+        joints = sorted({j for order, columns in others for j in (*_moved(order), *_moved(columns))})
+        names = " and ".join(log.joints[j] for j in joints[:3])
+        return Check(
+            self.name,
+            severity,
+            value=None,
+            threshold={"log_odds": ALIKE, "alike": [{"order": list(a), "columns": list(b)} for a, b in others]},
+            seen=f"ambiguous: {words}; as likely: {'; '.join(said)}{more}",
+            meaning="this motion does not show which column is which; nothing is changed",
+            advice=f"a recording in which {names} move one after another, where gravity loads them",
+            source=SOURCE,
+        )
+
+
+@dataclass(frozen=True)
+class SignError(AbstractCheck):
+    """Torques, or positions with their velocities, that have the opposite sign, of all joints or of some.
+
+    A flip is stated where no arrangement without it is as likely: neither a spring nor an offset, a rotor, a
+    placeholder inertia or a tool explains the torque as well.
+
+    Attributes:
+        correlation: of torque and nominal torque, friction taken out, below minus which a torque that is left as it is
+            is warned of (ours).
+        size: factor by which a single flipped torque may be larger or smaller than the nominal one (ours: a payload
+            may turn the torque of the joint behind which it hangs, and makes it another size).
+        plausible: median factor on all joints from the inverse of which to which sizes count (ours: else currents).
+    """
+
+    name: ClassVar[str] = "sign_error"
+    correlation: float = 0.75
+    size: float = 2.0
+    plausible: float = 3.0
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """All joints at once, else single ones; the value is the factor, -1."""
+        if robot is None:
+            return [self.skipped("no robot", "tau")]
+        verdict = arrangement(log, robot)
+        evidence = gather(log, robot) if verdict is not None else None
+        if verdict is None or evidence is None:
+            return [self.skipped(NO_MOTION, "tau")]
+        sizes, values = self._sizes(evidence)
+        best, every = verdict.best, (verdict.best, *verdict.alike)
+        n = robot.dofs
+        found = []
+        pairs = [{(x.signs[j], x.turned[j]) for x in every} for j in range(n)]
+        turned = [j for j in range(n) if pairs[j] <= {(1, -1), (-1, -1)} and len(pairs[j]) == 1 and verdict.judged[j]]
+        moved = [j for j in range(n) if pairs[j] <= {(-1, 1), (-1, -1)} and len(pairs[j]) == 1]
+        either = [j for j in range(n) if len(pairs[j]) > 1 and (1, 1) not in pairs[j]]
+        gain = best.beside(verdict.logged)
+        upright = [j for j in range(n) if best.turned[j] > 0 and verdict.judged[j]]
+        if len(turned) > 1 and not upright and not moved:
+            found.append(self._seen(log, None, "tau", gain, "all torques"))
+        else:
+            for j in turned:
+                if j in moved:
+                    what = f"the axis of {log.joints[j]} (q, qd and torque)"
+                    found.append(self._seen(log, j, "q, tau", gain, what))
+                elif self._fits(sizes, j):
+                    found.append(self._seen(log, j, "tau", gain, f"the torque of {log.joints[j]}"))
+        what = "the position and velocity of {}, but not its torque,"
+        found += [self._seen(log, j, "q", gain, what.format(log.joints[j])) for j in moved if j not in turned]
+        found += [self._either(log, j, pairs[j], gain) for j in either]
+        told = {c.joint for c in found}
+        if None not in told:
+            doubted = [j for j in range(n) if log.joints[j] not in told and values[j] < -self.correlation]
+            found += [self._doubted(log, j, float(values[j])) for j in doubted if self._fits(sizes, j)]
+        told = {c.joint for c in found}
+        unsure = [log.joints[j] for j in range(n) if not verdict.judged[j] or len(pairs[j]) > 1]
+        unsure = [name for name in unsure if name not in told]
+        if unsure:
+            found.append(self.skipped("this motion does not show the sign of " + ", ".join(unsure), "tau"))
+        return found or [Check(self.name, "ok", value=1.0, seen="no joint's sign can be turned without a worse fit")]
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Turn them round."""
+        signs = {"q": np.ones(len(log.joints)), "tau": np.ones(len(log.joints))}
+        notes = []
+        for check in found:
+            if check.severity != "fail" or not isinstance(check.threshold, Mapping):
+                continue
+            channels = check.threshold["channel"].split(", ")
+            for channel in channels:
+                signs[channel][slice(None) if check.joint is None else log.joints.index(check.joint)] = -1
+            words = {"q": "q and its derivatives", "tau": "torque"}
+            what = " and ".join(words[c] for c in channels)
+            notes.append(f"sign of {what} turned: {check.joint or 'all joints'}")
+        if not notes:
+            return log, []
+
+        def change(raw: RawTrajectory) -> RawTrajectory:
+            by = {c: signs["q" if c in POSITIONS else "tau"] for c in present(raw)}
+            return replace(raw, **{c: x * by[c] for c, x in present(raw).items() if np.any(by[c] < 0)})
+
+        return each(log, change), notes
+
+    def _sizes(self, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) slope of torque on nominal torque, friction taken out, NaN where a joint is not judged; correlation (0
+        there)."""
+        _, cosine, excited = matched(evidence)
+        slopes = np.full(len(excited), np.nan)
+        for j in np.flatnonzero(excited > EXCITED):
+            tau, nominal = (left(x[:, j], evidence.columns(int(j))) for x in (evidence.tau, evidence.nominal))
+            slopes[j] = slope(tau, nominal) if rms(nominal) > 0 else np.nan
+        return slopes, np.where(np.isfinite(slopes), np.diag(cosine), 0.0)
+
+    def _fits(self, sizes: np.ndarray, j: int) -> bool:
+        """Whether a turned torque has the size of a turned torque."""
+        known = np.abs(sizes[np.isfinite(sizes)])
+        if not np.isfinite(sizes[j]):
+            return True
+        middle = float(np.median(known))
+        currents = not 1 / self.plausible < middle < self.plausible
+        return currents or 1 / self.size < abs(sizes[j]) < self.size
+
+    def _either(self, log: Log, j: int, pairs: set, value: float) -> Check:
+        names = {(1, -1): "its torque", (-1, 1): "its q and qd", (-1, -1): "its axis (q, qd and torque)"}
+        words = " or ".join(name for pair, name in names.items() if pair in pairs)
+        return Check(
+            self.name,
+            "warn",
+            joint=log.joints[j],
+            value=-1.0,
+            threshold={"channel": "q or tau", "log_odds": FOUND},
+            seen=f"ambiguous: {words} may have the opposite sign; log odds of {value:.3g} against the signs as logged",
+            meaning="a sign is wrong and this motion does not show which; nothing is changed",
+            advice="a recording in which this joint moves alone, where gravity loads it",
+            source=SOURCE,
+        )
+
+    def _doubted(self, log: Log, j: int, value: float) -> Check:
+        return Check(
+            self.name,
+            "warn",
+            joint=log.joints[j],
+            value=value,
+            threshold={"channel": "tau", "correlation": -self.correlation},
+            seen=f"correlation of torque and nominal torque, friction taken out: {value:.2f}",
+            meaning=f"the torque of {log.joints[j]} runs against the URDF's, and a spring, or another inertia than the "
+            "URDF's, explains it as well as an opposite sign: it is left as it is",
+            advice="the sign convention of this torque; a motion in which gravity loads the joint tells",
+            source=SOURCE,
+        )
+
+    def _seen(self, log: Log, j: int | None, channel: str, value: float, what: str) -> Check:
+        return Check(
+            self.name,
+            "fail",
+            joint=None if j is None else log.joints[j],
+            value=-1.0,
+            threshold={"channel": channel, "log_odds": FOUND},
+            seen=f"log odds of {value:.3g} against the signs as logged; no arrangement without this turn comes within "
+            f"{ALIKE:g}",
+            meaning=f"{what} has the opposite sign of the URDF's: a load's instead of the drive's, or an axis reversed",
+            advice="the sign convention of the channel; positive torque drives towards positive q",
+            source=SOURCE,
+        )
+
+
+def _words(log: Log, robot: Robot, order: tuple[int, ...], columns: tuple[int, ...]) -> str:
+    """An arrangement in words."""
+    straight = tuple(range(robot.dofs))
+    if (order, columns) == (straight, straight):
+        return "the columns as they stand"
+    if order == columns:
+        name = next((name for name, known in known_orders(robot).items() if known == order), None)
+        exchanged = _exchange(log, order)
+        if name and len(_moved(order)) > 2:
+            return f"all columns are {name}"
+        return f"all columns: {exchanged}" + (f" ({name})" if name else "")
+    parts = []
+    if order != straight:
+        parts.append(f"positions: {_exchange(log, order)}")
+    if columns != straight:
+        parts.append(f"torques: {_exchange(log, columns)}")
+    return ", ".join(parts)
+
+
+def _exchange(log: Log, order: tuple[int, ...]) -> str:
+    moved = _moved(order)
+    if len(moved) == 2:
+        return f"{log.joints[moved[0]]} and {log.joints[moved[1]]} exchanged"
+    return ", ".join(f"{log.joints[order[j]]} is {log.joints[j]}" for j in moved)
+
+
+def _moved(order: tuple[int, ...]) -> list[int]:
+    return [j for j, i in enumerate(order) if i != j]
+
+
+def _differ(one: tuple[int, ...], other: tuple[int, ...]) -> list[int]:
+    return [j for j, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]

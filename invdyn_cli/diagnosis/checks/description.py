@@ -1,0 +1,214 @@
+"""The robot description by itself, and beside the log: placeholders, a tool that is not there, how the base stands."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.evidence import Evidence, gather, nominal_torque, regressor_rows
+from invdyn_cli.diagnosis.checks.fits import left
+from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.errors import listed
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log
+from invdyn_cli.types import Check, Motion, Robot
+
+SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+@dataclass(frozen=True)
+class Description(AbstractCheck):
+    """The URDF: inertias that are zero or placeholders, centres of mass at link origins, no `<dynamics>`; and from the
+    torques, the mass at the arm's end and the direction of gravity.
+
+    Attributes:
+        tool: [kg] by which the mass at the end has to be off, and `share` of the arm's mass (ours: cables and screws).
+        sure: standard deviations, of blocks of the log, that it takes (ours).
+        tilt: [degrees] of fitted gravity from the URDF's (ours: mounting errors, and what inertials that are off look
+            like, stay below); `better`: ratio of what stays of the torque before and after.
+    """
+
+    name: ClassVar[str] = "urdf"
+    tool: float = 0.2
+    share: float = 0.01
+    sure: float = 5.0
+    tilt: float = 8.0
+    better: float = 1.5
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Of the file first, then of what the log says of it."""
+        if robot is None:
+            return [self.skipped("no robot")]
+        found = list(self._written(robot))
+        evidence = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
+        judged = self._joints(evidence)
+        if evidence is None or len(judged) < 2:
+            found.append(self.skipped("too few joints whose torque follows the URDF's: tool and base are not compared"))
+            return found
+        found += self._gravity(evidence, robot, judged)
+        return found + self._tool(evidence, robot, judged)
+
+    def _written(self, robot: Robot) -> Iterator[Check]:
+        """What the file's numbers say without a log."""
+        try:
+            root = ET.fromstring(robot.urdf)
+        except ET.ParseError:
+            return
+        links = {x.get("name", ""): x.find("inertial") for x in root.findall("link")}
+        moving = [x for x in root.findall("joint") if x.get("name") in robot.joints]
+        carried = {x.find("child").get("link"): x.get("name") for x in moving}  # type: ignore[union-attr]
+        inertias = {name: _six(x) for name, x in links.items() if x is not None}
+        masses = {name: _number(x.find("mass"), "value") for name, x in links.items() if x is not None}
+        own = [name for name in carried if name in links]
+        none = [name for name in own if masses.get(name, 0.0) <= 0]
+        zero = [name for name in own if name not in none and not np.any(inertias[name])]
+        solid = [name for name in own if masses.get(name, 0.0) > 0 and name not in zero]
+        round_ = [name for name in solid if np.ptp(inertias[name][[0, 3, 5]]) < 1e-9 + 1e-6 * inertias[name].max()]
+        round_ = [name for name in round_ if not np.any(inertias[name][[1, 2, 4]])]
+        alike = [a for a in solid if any(a != b and np.array_equal(inertias[a], inertias[b]) for b in solid)]
+        origins = [name for name in solid if not np.any(_triple(links[name]))]
+        yield from self._line("warn", none, "no mass", "its weight and inertia are missing in every torque", carried)
+        yield from self._line("warn", zero, "zero inertia", "a body with a mass has an inertia", carried)
+        why = "a placeholder, no body's: torques of acceleration are off"
+        yield from self._line("note", round_, "equal moments of inertia on all axes", why, carried)
+        alike = [name for name in alike if name not in round_]
+        yield from self._line("note", alike, "the same inertia as another link, digit for digit", why, carried)
+        why = "a centre of mass on the joint's axis carries no gravity torque: rarely so"
+        yield from self._line("note", origins, "the centre of mass at the link's origin", why, carried)
+        if moving and not any(x.find("dynamics") is not None for x in moving):
+            yield Check(
+                self.name,
+                "note",
+                seen="no joint has a <dynamics> element",
+                meaning="the simulation has no friction; the diagnosis will find some on every joint",
+                source="URDF",
+            )
+
+    def _line(self, severity: str, names: list[str], what: str, why: str, carried: dict) -> Iterator[Check]:
+        if not names:
+            return
+        yield Check(
+            self.name,
+            severity,
+            joint=carried[names[0]] if len(names) == 1 else None,
+            value=names,
+            seen=f"{what}: {listed(names, most=8)}",
+            meaning=why,
+            advice="the manufacturer's inertials, or those of the CAD model",
+            source="URDF",
+        )
+
+    def _joints(self, evidence: Evidence | None) -> list[int]:
+        """Joints whose torque follows the URDF's."""
+        if evidence is None:
+            return []
+        explained, _, excited = matched(evidence)
+        return np.flatnonzero((excited > EXCITED) & (np.diag(explained) > 0.5)).tolist()
+
+    def _gravity(self, evidence: Evidence, robot: Robot, judged: list[int]) -> list[Check]:
+        """The direction of gravity in the base frame, by least squares beside friction."""
+        still = Motion(evidence.motion.q, *[np.zeros_like(np.asarray(evidence.motion.q))] * 2)
+        axes = [nominal_torque(replace(robot, gravity=np.eye(3)[k]), still)[1] for k in range(3)]
+        inertial = evidence.nominal - evidence.gravity
+        rows, target, before = [], [], 0.0
+        for j in judged:
+            own = evidence.columns(j)
+            y = left(evidence.tau[:, j] - inertial[:, j], own)
+            scale = max(float(np.std(left(evidence.tau[:, j] - evidence.nominal[:, j], own))), 1e-9)
+            rows.append(left(np.stack([x[:, j] for x in axes], axis=1), own) / scale)
+            target.append(y / scale)
+            before += len(y)
+        columns, wanted = np.concatenate(rows), np.concatenate(target)
+        known = np.asarray(robot.gravity, float)
+        if np.linalg.norm(known) == 0 or np.linalg.matrix_rank(columns, tol=1e-3 * np.linalg.norm(columns, 2)) < 3:
+            return [self.skipped("gravity's direction does not show: too few joints change their load")]
+        fitted, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
+        after = float(np.sum((wanted - columns @ fitted) ** 2))
+        cosine = fitted @ known / max(np.linalg.norm(fitted) * np.linalg.norm(known), 1e-300)
+        angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+        if angle < self.tilt or before < self.better * after:
+            return []
+        return [
+            Check(
+                self.name,
+                "warn",
+                value=angle,
+                threshold={"degrees": self.tilt, "ratio": self.better},
+                seen=f"gravity fits best along {np.round(fitted, 2).tolist()} m/s^2 in the base frame, {angle:.3g} "
+                f"degrees from {np.round(known, 2).tolist()}; what stays of the torque falls by {before / after:.3g}",
+                meaning="the base is mounted otherwise than the URDF says",
+                advice="robot.gravity or robot.base_rpy",
+                source="ours: inertials that are off make less",
+            )
+        ]
+
+    def _tool(self, evidence: Evidence, robot: Robot, judged: list[int]) -> list[Check]:
+        """Mass and first moments at the end of the arm, beside friction and the links' own errors, by blocks."""
+        rows, columns = regressor_rows(robot, evidence.motion)
+        end = columns[:, :, -10:-6]
+        blocks = []
+        for chosen in np.array_split(np.arange(len(rows)), 6):
+            fit = self._end(evidence, rows, columns, end, judged, np.setdiff1d(np.arange(len(rows)), chosen))
+            blocks.append(fit)
+        values = np.array(blocks)
+        mass = float(values.mean())
+        deviation = float(np.sqrt(5 / 6 * np.sum((values - mass) ** 2)))
+        total = float(np.asarray(robot.inertial)[:, 0].sum())
+        if abs(mass) < max(self.tool, self.share * total, self.sure * deviation):
+            return []
+        word = "less" if mass < 0 else "more"
+        why = "the URDF has a tool that the robot does not have" if mass < 0 else "the robot has a tool or a payload"
+        return [
+            Check(
+                self.name,
+                "note",
+                joint=robot.joints[-1],
+                value=mass,
+                threshold={"kg": self.tool, "deviations": self.sure},
+                seen=f"the arm's end weighs {abs(mass):.3g} kg {word} than the URDF says (standard deviation "
+                f"{deviation:.2g} kg)",
+                meaning=f"{why}, or a link before it is off by as much",
+                advice="the URDF with the tool that was mounted, or robot.payload",
+                source="ours: cables and screws make less",
+            )
+        ]
+
+    def _end(self, evidence, rows, columns, end, judged, kept) -> float:
+        """Mass [kg] at the end by ridge, beside friction and a tenth of every joint's nominal torque."""
+        parts, wanted = [], []
+        for j in judged:
+            own = evidence.columns(j)[rows][kept]
+            rest = left((evidence.tau - evidence.nominal)[rows][kept, j], own)
+            scale = max(float(rest.std()), 1e-9)
+            gain = left(evidence.nominal[rows][kept, j], own)
+            block = np.zeros((len(kept), len(judged)))
+            block[:, judged.index(j)] = 0.1 * gain
+            parts.append(np.column_stack([left(end[j][kept], own) * [2.0, 0.2, 0.2, 0.2], block]) / scale)
+            wanted.append(rest / scale)
+        x, y = np.concatenate(parts), np.concatenate(wanted)
+        p = x.shape[1]
+        weight = 50.0 / len(kept)  # independent rows
+        theta = np.linalg.solve(weight * x.T @ x + np.eye(p), weight * x.T @ y)
+        return float(2.0 * theta[0])
+
+
+def _six(inertial: ET.Element | None) -> np.ndarray:
+    tag = None if inertial is None else inertial.find("inertia")
+    return np.array([_number(tag, name) for name in SIX])
+
+
+def _number(tag: ET.Element | None, name: str) -> float:
+    try:
+        return float(tag.get(name, "0")) if tag is not None else 0.0
+    except ValueError:
+        return 0.0
+
+
+def _triple(inertial: ET.Element | None) -> np.ndarray:
+    origin = None if inertial is None else inertial.find("origin")
+    try:
+        return np.array([float(x) for x in origin.get("xyz", "0 0 0").split()]) if origin is not None else np.zeros(3)
+    except ValueError:
+        return np.zeros(3)

@@ -1,0 +1,175 @@
+"""The unit of the torque columns, of all joints and of each by itself, by likelihood."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy.stats import norm
+
+from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
+from invdyn_cli.diagnosis.checks.evidence import gather
+from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
+from invdyn_cli.diagnosis.checks.rows import each
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.logfile import Log
+from invdyn_cli.types import Check, Robot
+
+UNITS = {
+    "N m": 1.0,
+    "N mm or mN m": 1e3,
+    "kN m": 1e-3,
+    "N m times 1000 twice": 1e6,
+    "N m over 1000 twice": 1e-6,
+    "N cm": 100.0,
+    "kgf cm": 10.1972,
+    "kgf m": 0.101972,
+    "lbf in": 8.85075,
+    "ozf in": 141.612,
+}
+"""Logged number for a newton metre."""
+
+RATED = {"percent of rated torque": 100.0, "per mille of rated torque": 1000.0}
+"""The same, over the URDF's effort limit, which stands for the rated torque."""
+
+CERTAIN = ("N mm or mN m", "kN m", "N m times 1000 twice", "N m over 1000 twice")
+"""Far from any physical cause: corrected. The others are told, and left for the user to decide."""
+
+
+GAIN, LARGE, SELDOM = 0.25, 0.7, 0.03
+"""Standard deviation of the log of logged over expected torque that gains, payloads and inertials make (ours: E4 of the
+effects); of the few joints, with this chance, on which they make more."""
+
+RANGE = 18.0
+"""Width of the log of a factor of a joint's own: currents and counts, 1e-4 to 1e4 for a newton metre."""
+
+
+@dataclass(frozen=True)
+class TorqueUnits(AbstractCheck):
+    """Torques in N mm, kgf cm, percent, currents, counts: the likelihood of logged over expected torque on every joint,
+    for each unit, for a factor of each joint's own, and for single joints in a unit of theirs."""
+
+    name: ClassVar[str] = "unit_error"
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """For all joints, else for single ones; the value is logged over expected torque."""
+        missing = log.torque_unit == "A" and log.drive_gain is None
+        evidence = gather(log, robot, 1024) if robot is not None and log.trajectories else None
+        if evidence is None or robot is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
+            why = "no robot" if robot is None else "no motion, or a torque that never changes"
+            return [self._without_gains({})] if missing else [self.skipped(why, "tau")]
+        fit = fitness(rows_of(evidence, without_gravity="gravity" in log.compensated), robot, (1.0,))
+        at = np.arange(robot.dofs)
+        judged = np.flatnonzero((fit.plain[at, at, 0, -1] > FOUND) & (fit.factor[at, at] > 0))
+        ratios = {log.joints[j]: float(fit.factor[j, j]) for j in judged}
+        if missing:
+            return [self._without_gains(ratios)]
+        if len(judged) < min(2, robot.dofs):
+            return [self.skipped("fewer than two joints whose torque follows the URDF's", "tau")]
+        found = self._judged(log, robot, ratios, judged)
+        left = [name for name in log.joints if name not in ratios]
+        if left:
+            found.append(self.skipped("torque does not follow the URDF's, unit not judged: " + ", ".join(left), "tau"))
+        if any(c.severity != "skipped" for c in found):
+            return found
+        return [*found, Check(self.name, "ok", value=1.0, threshold={"channel": "tau"}, seen="tau is in N m")]
+
+    def _judged(self, log: Log, robot: Robot, ratios: dict[str, float], judged: np.ndarray) -> list[Check]:
+        """What the ratios say."""
+        names, factors = _candidates(robot)
+        ratio = np.array(list(ratios.values()))
+        likelihood = _log_density(np.log(ratio[:, None] / factors[judged]))  # (joints, units)
+        middle = float(np.exp(np.median(np.log(ratio))))
+        common = likelihood.sum(0) - FLAW * (np.arange(len(names)) > 0)
+        own = -np.log(RANGE) * len(ratio) - FLAW
+        single = likelihood - (FLAW + np.log(robot.dofs)) * (np.arange(len(names)) > 0)
+        singles = single.max(1).sum()
+        best = int(np.argmax(common))
+        if max(common[best], own, singles) - common[0] < FOUND:
+            return []
+        said = ", ".join(f"{joint} {x:.3g}" for joint, x in ratios.items())
+        if singles > max(common[best] if best else -np.inf, own):
+            return self._single(log, names, factors, single, judged, ratio)
+        if own > common[best]:
+            gains = ", ".join(f"{joint} {1 / x:.3g}" for joint, x in ratios.items())
+            seen = f"logged torque over nominal torque: {said}; N m per logged unit: {gains}"
+            return [self._seen("warn", None, middle, None, seen, _foreign(middle))]
+        alike = [names[k] for k in range(len(names)) if k != best and common[k] > common[best] - ALIKE]
+        seen = f"logged torque over nominal torque: {said}; log odds of {common[best] - common[0]:.3g} against N m"
+        seen += f"; as likely: {', '.join(alike)}" if alike else ""
+        sure = names[best] in CERTAIN and not alike
+        factor = float(np.ravel(factors[:, best])[0])
+        return [self._seen("fail" if sure else "warn", None, middle, factor, seen, f"tau is in {names[best]}")]
+
+    def _single(self, log, names, factors, likelihood, judged, ratio) -> list[Check]:
+        """Joints whose torque has another unit than the others'."""
+        found = []
+        for row, j in enumerate(judged.tolist()):
+            best = int(np.argmax(likelihood[row]))
+            gain = likelihood[row, best] - likelihood[row, 0]
+            if best == 0 or gain < FOUND:
+                continue
+            near = np.flatnonzero(likelihood[row] > likelihood[row, best] - ALIKE)
+            alike = [names[k] for k in near if k not in (0, best)]
+            seen = f"logged torque over nominal torque {ratio[row]:.4g}; log odds of {gain:.3g} against N m"
+            seen += f"; as likely: {', '.join(alike)}" if alike else ""
+            sure = names[best] in CERTAIN and not alike
+            what, factor = f"tau of {log.joints[j]} is in {names[best]}", float(factors[j, best])
+            found.append(self._seen("fail" if sure else "warn", log.joints[j], float(ratio[row]), factor, seen, what))
+        return found
+
+    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Divide by the exact factor."""
+        by, notes = np.ones(len(log.joints)), []
+        for check in found:
+            if check.severity != "fail" or not isinstance(check.threshold, Mapping):
+                continue
+            if check.threshold["channel"] != "tau" or not check.threshold["factor"]:
+                continue
+            by[slice(None) if check.joint is None else log.joints.index(check.joint)] = check.threshold["factor"]
+            of = f" of {check.joint}" if check.joint else ""
+            notes.append(f"torques{of} divided by {check.threshold['factor']:g}, {check.meaning.split(':')[0]}")
+        return (each(log, lambda raw: replace(raw, tau=raw.tau / by)), notes) if notes else (log, [])
+
+    def _without_gains(self, ratios: dict[str, float]) -> Check:
+        said = ", ".join(f"{joint} {1 / x:.3g}" for joint, x in ratios.items() if x > 0)
+        seen = "torque_unit is A and there are no drive gains"
+        seen += f"; the nominal torques suggest [N m/A] {said}" if said else ""
+        return self._seen("fail", None, None, None, seen, "currents cannot be compared with torques")
+
+    def _seen(self, severity, joint, value, factor, seen: str, what: str) -> Check:
+        return Check(
+            self.name,
+            severity,
+            joint=joint,
+            value=value,
+            threshold={"channel": "tau", "factor": factor, "log_odds": FOUND},
+            seen=seen,
+            meaning=f"{what}: gains, payloads and friction would all be off by it",
+            advice="torques in N m, or torque_unit=A with data.drive_gain=[…] in N m/A",
+            source="likelihood of exact ratios of units, gains and payloads 25 % off (ours)",
+        )
+
+
+def _log_density(x: np.ndarray) -> np.ndarray:
+    """Of the log of a ratio over a unit's."""
+    parts = [np.log(1 - SELDOM) + norm.logpdf(x, scale=GAIN), np.log(SELDOM) + norm.logpdf(x, scale=LARGE)]
+    return np.logaddexp(*parts)
+
+
+def _candidates(robot: Robot) -> tuple[list[str], np.ndarray]:
+    """Names of units, N m first, and logged number per N m (n, units); those of rated torque where limits are known."""
+    limits = np.asarray(robot.effort_limit, float)
+    names = list(UNITS)
+    factors = [np.full(robot.dofs, x) for x in UNITS.values()]
+    if np.all(np.isfinite(limits)) and np.all(limits > 0) and np.ptp(limits) > 0.01 * limits.max():
+        names += list(RATED)
+        factors += [x / limits for x in RATED.values()]
+    return names, np.stack(factors, axis=1)
+
+
+def _foreign(ratio: float) -> str:
+    """What a factor of each joint's own may be: a drive gives 1 to 300 N m at the joint for an ampere."""
+    large = "currents in mA or counts" if ratio > 3 else "currents or counts"
+    kind = "currents in A" if 1 / 300 < ratio < 1 else large
+    return f"tau looks like {kind}, one factor for each joint"

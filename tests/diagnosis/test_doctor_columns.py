@@ -1,0 +1,145 @@
+"""Order and signs of columns come from the physics: what is stated is right, and what cannot be told is not changed."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.arms import random_arm
+from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
+from invdyn_cli.diagnosis.checks.description import Description
+from invdyn_cli.diagnosis.checks.evidence import nominal_torque
+from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
+from invdyn_cli.diagnosis.checks.torques import GravityRemoved
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Motion
+from tests.diagnosis.sick import changed, sound
+
+COLUMNS = (JointOrder(), SignError())
+
+
+@pytest.fixture(scope="module", params=range(2))
+def drawn(request, tmp_path_factory):
+    """A generator, an arm of five joints, and a log of one that is up to 15 % off, with friction on every joint."""
+    draw = np.random.default_rng(40 + request.param)
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(random_arm(draw, 5))
+    robot = load_urdf(path)
+    truth = replace(robot, inertial=robot.inertial * draw.uniform(0.85, 1.15, robot.dofs)[:, None])
+    return draw, robot, sound(robot, request.param, seconds=20, coulomb=0.2, truth=truth, channels=("qd",))
+
+
+def put(log, order=None, q: Any = 1.0, tau: Any = 1.0, columns=None):
+    """The log with its columns in another order, and signs."""
+    raw = log.trajectories[0]
+    order = np.arange(raw.q.shape[1]) if order is None else order
+    columns = order if columns is None else columns
+    return changed(log, q=raw.q[:, order] * q, qd=raw.qd[:, order] * q, tau=raw.tau[:, columns] * tau)
+
+
+def right_or_ambiguous(found, order, columns):
+    """Whether a finding states these orders, or names them among the likely ones."""
+    known = [c.threshold for c in found if c.check == "joint_order" and isinstance(c.threshold, dict)]
+    pairs = [(x["order"], x["columns"]) for x in known if "order" in x]
+    pairs += [(x["order"], x["columns"]) for one in known for x in one.get("alike", ())]
+    return (list(order), list(columns)) in pairs
+
+
+def test_a_sound_log_states_nothing(drawn):
+    """Friction on every joint and masses 15 % off are no other order and no sign."""
+    _, robot, log = drawn
+    found = doctor.examine(log, robot, COLUMNS)
+    assert [c for c in found.checks if c.severity in ("warn", "fail")] == []
+
+
+def test_exchanged_joints(drawn):
+    """Two joints exchanged, in the torques alone and in all columns: stated, or ambiguous with the truth; what is
+    stated is corrected to the log as it was."""
+    draw, robot, log = drawn
+    straight = np.arange(robot.dofs)
+    for whole in (True, False):
+        a, b = draw.choice(robot.dofs, 2, replace=False)
+        order = straight.copy()
+        order[[a, b]] = order[[b, a]]
+        bad = put(log, order) if whole else put(log, columns=order)
+        found = doctor.examine(bad, robot, COLUMNS)
+        assert right_or_ambiguous(found.checks, order if whole else straight, order), found.checks
+        if any(c.check == "joint_order" and c.severity == "fail" for c in found.checks):
+            mended, _ = doctor.mend(bad, found, robot, COLUMNS)
+            np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
+            np.testing.assert_array_equal(mended.trajectories[0].q, log.trajectories[0].q)
+
+
+def test_alphabetical_order_is_named(drawn):
+    """Columns in the order in which ROS 2 publishes joint states are called that."""
+    _, robot, log = drawn
+    names = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2")
+    robot, log = replace(robot, joints=names), replace(log, joints=names)
+    alphabet = np.argsort(names)
+    found = doctor.examine(put(log, alphabet), robot, COLUMNS)
+    seen = [c for c in found.checks if c.check == "joint_order" and c.severity in ("warn", "fail")]
+    assert len(seen) == 1 and "alphabetical, as ROS 2 publishes joint states" in seen[0].seen
+
+
+@pytest.mark.parametrize("channel", ["tau", "q", "q, tau"])
+def test_one_joint_with_the_opposite_sign(channel, drawn):
+    """The torque, the position with its velocity, or all of one joint turned round: that joint and channel are named,
+    or it is left, and named as one whose sign the motion does not show; no other joint is touched."""
+    draw, robot, log = drawn
+    joint = int(draw.integers(robot.dofs))
+    sign = np.where(np.arange(robot.dofs) == joint, -1.0, 1.0)
+    bad = put(log, q=sign if "q" in channel else 1.0, tau=sign if "tau" in channel else 1.0)
+    found = doctor.examine(bad, robot, COLUMNS)
+    mine = [c for c in found.checks if c.check == "sign_error"]
+    stated = [(c.joint, c.threshold["channel"]) for c in mine if c.severity == "fail"]
+    assert stated in ([(robot.joints[joint], channel)], [])
+    if not stated:
+        assert any(robot.joints[joint] in c.seen for c in mine if c.severity == "skipped") or (
+            robot.joints[joint] in [c.joint for c in mine if c.severity == "warn"]
+        ), found.checks
+
+
+def test_placeholder_inertias(drawn):
+    """Zero, round and repeated inertias are doubtful, those of a CAD program are not."""
+    _, robot, _ = drawn
+    assert not doubtful_inertias(robot).any()
+    rows = np.array(robot.inertial)
+    rows[1, 4:] = np.diag([0.1, 0.1, 0.1])[np.tril_indices(3)]
+    rows[1, 1:4] = 0
+    rows[2, 1:] = 0
+    assert doubtful_inertias(replace(robot, inertial=rows)).tolist() == [False, True, True, False, False]
+
+
+def test_gravity_is_missed_on_a_worn_arm(drawn):
+    """Gravity taken out of torques with friction on every joint, of an arm that is 15 % off, is declared; with gravity
+    in it nothing is."""
+    _, robot, log = drawn
+    raw = log.trajectories[0]
+    still = np.zeros_like(raw.q)
+    bad = changed(log, tau=raw.tau - nominal_torque(robot, Motion(raw.q, still, still))[0])
+    check = (GravityRemoved(),)
+    assert [c.severity for c in doctor.examine(bad, robot, check).checks] == ["fail"]
+    assert [c.severity for c in doctor.examine(log, robot, check).checks] == ["ok"]
+
+
+def test_a_tool_that_the_robot_lacks(drawn):
+    """A URDF with a tool of 1 to 2 kg at the end, that the robot lacks, is told, the mass within a third; so are a base
+    that leans by 15 to 40 degrees, and links without an inertia."""
+    draw, robot, log = drawn
+    mass = float(draw.uniform(1.0, 2.0))
+    rows = np.array(robot.inertial)
+    rows[-1] += mass * np.array([1, 0, 0, 0.1, 0.01, 0, 0.01, 0, 0, 0])
+    found = doctor.examine(log, replace(robot, inertial=rows), (Description(),)).checks
+    masses = [c.value for c in found if "end weighs" in c.seen]
+    assert len(masses) == 1 and masses[0] == pytest.approx(-mass, rel=0.33), (masses, mass)
+    angle = float(np.radians(draw.uniform(15, 40)))
+    leaning = replace(robot, gravity=9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+    tilts = [c.value for c in doctor.examine(log, leaning, (Description(),)).checks if "gravity fits" in c.seen]
+    assert tilts == pytest.approx([np.degrees(angle)], abs=6)
+    text = robot.urdf
+    for name in ("ixx", "iyy", "izz"):
+        text = text.replace(f'{name}="', f'{name}="0" {name}_was="', 1)
+    found = doctor.examine(log, replace(robot, urdf=text), (Description(),)).checks
+    assert [c.joint for c in found if "zero inertia" in c.seen] == [robot.joints[0]]
