@@ -38,10 +38,7 @@ class CoupledFriction(AbstractTorqueEffect):
         "coulomb sign(s) + damping s + armature ds/dt, s = qd + ratio qd_driver; ratio times as much on the driver, "
         "the joint before"
     )
-    reference = (
-        "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002; "
-        "Gautier, Janot and Vandanjon, IEEE TCST 2013"
-    )
+    reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
     parameters = {
         "coulomb": Parameter("N m", 0.0),
         "damping": Parameter("N m s/rad", 0.0),

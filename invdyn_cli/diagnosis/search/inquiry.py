@@ -232,14 +232,7 @@ def _searched(
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
     model = Model(evidence)
-    # a drive that two joints share takes up half of all that is still missing: with it from the first step on a search
-    # must come to plainly more than with it beside what else was found
-    simple = [c for c in pool if c.effect.point != "torque" or len(c.columns) == 1]
-    late = [search(judge, pool, always, search(judge, simple, always, start, most), most) for start in starts]
-    early = [search(judge, pool, always, start, most) for start in starts]
-    losses = [min(judge.loss((*always, *one)) for one in found) for found in (early, late)]
-    found = early if losses[0] < PLAINLY * losses[1] else late
-    hypothesis = min(found, key=lambda one: judge.loss((*always, *one)))
+    hypothesis = _begun(judge, pool, always, starts, most)
     seen: list[set[tuple]] = []
     loss = np.inf
     loads: dict[int, list[np.ndarray]] = {}
@@ -280,6 +273,23 @@ def _searched(
         pool = [c for c in pool if c.key not in unlikely]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
         hypothesis = simplified(hypothesis)
+
+
+def _begun(
+    judge: Judge, pool: Sequence[Candidate], always: Hypothesis, starts: Sequence[Hypothesis], most: int
+) -> Hypothesis:
+    """The best of what a search comes to from each of `starts`. A drive that two joints share takes up half of all that
+    is still missing: with it from the first step on a search must come to PLAINLY more than with it beside the rest."""
+
+    def best(pool: Sequence[Candidate], starts: Sequence[Hypothesis]) -> Hypothesis:
+        found = (search(judge, pool, always, start, most) for start in starts)
+        return min(found, key=lambda one: judge.loss((*always, *one)))
+
+    simple = [c for c in pool if c.effect.point != "torque" or len(c.columns) == 1]
+    if len(simple) == len(pool):
+        return best(pool, starts)
+    late, early = best(pool, [best(simple, starts)]), best(pool, starts)
+    return early if judge.loss((*always, *early)) < PLAINLY * judge.loss((*always, *late)) else late
 
 
 def others_of(acting: Sequence[Acting], one: Acting) -> list[Acting]:
