@@ -175,7 +175,7 @@ TORQUES = ("N", "kg")
 
 def _finding(finding: Finding, scales: Mapping[str, Scale]) -> Finding:
     finding = replace(finding, gain={joint: scales[joint].gain(x) for joint, x in finding.gain.items()})
-    if finding.joint not in scales:
+    if finding.joint is None or finding.joint not in scales:
         return finding
     own = scales[finding.joint]
     return replace(finding, parameters={name: own.quantity(q) for name, q in finding.parameters.items()})

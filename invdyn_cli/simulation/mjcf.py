@@ -285,7 +285,7 @@ def _tendons(root: ET.Element, made: _Numbers) -> None:
         given = {"frictionloss": p["coulomb"], "damping": p["damping"], "armature": p.get("armature", 0.0)}
         stick = STICK if p["coulomb"] else {}
         numbers = {k: _said(v) for k, v in {**given, **stick}.items() if np.any(v)}
-        drive = ET.SubElement(tendons, "fixed", name=f"{names[0]}_drive", **numbers)
+        drive = ET.SubElement(tendons, "fixed", {"name": f"{names[0]}_drive", **numbers})
         for name, factor in zip(names, (1.0, p["ratio"]), strict=True):
             ET.SubElement(drive, "joint", joint=name, coef=_said(factor))
 

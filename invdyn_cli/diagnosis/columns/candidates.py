@@ -131,15 +131,15 @@ def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: in
             columns.append(np.gradient(columns[0]) * evidence.recording.filter.rate)
         parts.append(np.stack(columns))
     numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
-    columns: dict[int, tuple] = {joint: ((), numbers)}
+    where: dict[int, tuple] = {joint: ((), numbers)}
     if effect.coupled:
         driver, share = evidence.robot.parents[joint], effect.share_on_driver(shape)
-        columns[driver] = (), evidence.append(driver, list(share * filtered(evidence.recording, parts, driver)))
+        where[driver] = (), evidence.append(driver, list(share * filtered(evidence.recording, parts, driver)))
     if len(numbers) > len(precision):
         level = np.sqrt(np.mean(evidence.tables[joint][:, 0] ** 2))
         unit = np.sqrt(np.mean(np.concatenate([p[0] for p in parts], axis=-1) ** 2))
         precision = np.append(precision, 1 / max(STICK_TIME * level / max(unit, 1e-12), 1e-12) ** 2)
-    return Candidate(effect, joint, shape, columns, precision)
+    return Candidate(effect, joint, shape, where, precision)
 
 
 def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: int, shape: Parameters) -> Candidate:

@@ -118,7 +118,7 @@ class Evidence:
         rate again, since rows are so few that a slope between them is none."""
         out, filter = columns, self.recording.filter
         through = [a for a in acting if isinstance(a.effect, AbstractChannelEffect) and a.effect.invertible]
-        for j in {a.joint for a in through if len(columns)}:
+        for j in {a.joint for a in through if len(columns) and a.joint is not None}:
             out = out.copy() if out is columns else out
             for number, piece in enumerate(self.recording.pieces):
                 at = np.flatnonzero(self.piece == number)
