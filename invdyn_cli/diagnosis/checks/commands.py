@@ -162,19 +162,13 @@ class CommandUnits(AbstractCheck):
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per recording; the value is q_ref over q."""
-        if all(raw.q_ref is None for raw in log.trajectories):
-            return [self.skipped("q_ref is not logged", "q_ref")]
-        found = []
-        fits = following(log)
+        fits, found = _followed(self, log)
         for one in fits:
-            if one.explained < EXPLAINED:
-                found.append(self.skipped(_unlike(one), "q_ref", one.trajectory))
-                continue
             ratios = 1 / one.factor[np.isfinite(one.factor)]
             unit = next((u for u in UNITS if np.mean(np.abs(np.abs(ratios) / u - 1) < self.within) >= self.most), None)
             if unit is not None:
                 found.append(self._seen(one, float(np.median(np.abs(ratios))), unit, UNITS[unit]))
-        return found or ([] if fits else [self.skipped("no joint moves beside q_ref", "q_ref")])
+        return found
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide q_ref by the exact factor."""
@@ -217,13 +211,8 @@ class CommandSigns(AbstractCheck):
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per recording and joint; the value is the slope."""
-        if all(raw.q_ref is None for raw in log.trajectories):
-            return [self.skipped("q_ref is not logged", "q_ref")]
-        found = []
-        for one in following(log):
-            if one.explained < EXPLAINED:
-                found.append(self.skipped(_unlike(one), "q_ref", one.trajectory))
-                continue
+        fits, found = _followed(self, log)
+        for one in fits:
             for j in np.flatnonzero(np.abs(one.factor + 1) < self.within):
                 found.append(
                     Check(
@@ -270,14 +259,8 @@ class CommandLag(AbstractCheck):
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per recording; the value is the lag [s]."""
-        if all(raw.q_ref is None for raw in log.trajectories):
-            return [self.skipped("q_ref is not logged", "q_ref")]
-        found = []
-        fits = following(log)
+        fits, found = _followed(self, log)
         for one in fits:
-            if one.explained < EXPLAINED:
-                found.append(self.skipped(_unlike(one), "q_ref", one.trajectory))
-                continue
             limit = max(self.lag, self.samples / log.rate if log.rate > 0 else 0.0)
             word = "later" if one.lag > 0 else "earlier"
             seen = f"q follows q_ref {1e3 * abs(one.lag):.4g} ms {word} (single joints {1e3 * one.least:.4g} to "
@@ -296,7 +279,7 @@ class CommandLag(AbstractCheck):
                     source="ours",
                 )
             )
-        return found or [self.skipped("no joint moves beside q_ref", "q_ref")]
+        return found
 
 
 def _meaning(lag: float, limit: float) -> str:
@@ -305,6 +288,17 @@ def _meaning(lag: float, limit: float) -> str:
     if lag < 0 or lag > 0.5:
         return "longer than a controller lags, or the wrong way: q_ref and q have different clocks or buffers"
     return "the controller's tracking lag, or different clocks; commanded positions are no measured ones"
+
+
+def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Check]]:
+    """The recordings whose q follows q_ref, and of the others why the check was skipped."""
+    if all(raw.q_ref is None for raw in log.trajectories):
+        return [], [check.skipped("q_ref is not logged", "q_ref")]
+    fits = following(log)
+    if not fits:
+        return [], [check.skipped("no joint moves beside q_ref", "q_ref")]
+    skipped = [check.skipped(_unlike(one), "q_ref", one.trajectory) for one in fits if one.explained < EXPLAINED]
+    return [one for one in fits if one.explained >= EXPLAINED], skipped
 
 
 def _unlike(one: Following) -> str:
