@@ -156,11 +156,11 @@ class ExcitationTable:
         heads = ("q", "max |qd|", "max |qdd|", "tau", "reversals", "rest %", "slow %", "cannot show")
         excitation = self.examination.excitation
         condition = next(iter(excitation.values())).get("condition")
-        caption = "" if condition is None else f"condition of the regressor {significant(condition)}; "
+        known = "" if condition is None else f"condition of the regressor {significant(condition)}; "
         tables = []
         for part in parts:
-            caption = f"{caption}q in rad or m, tau in N m or N" if part is parts[-1] else None
-            table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption)
+            below = f"{known}q in rad or m, tau in N m or N" if part is parts[-1] else None
+            table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=below)
             table.add_column("joint", overflow="fold", min_width=10)
             for k in part:
                 words = heads[k] == "cannot show"

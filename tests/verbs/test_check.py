@@ -70,6 +70,7 @@ def test_tables_fold(width, arm):
     assert max(map(len, text.splitlines())) <= width
     for head in ("reversals", "rest %", "slow %", "max |qdd|", "cannot"):
         assert head in text
+    assert "q in rad or m, tau in N m or N" in " ".join(text.split()) and "None" not in text
     for x in examination.excitation.values():
         assert f"{significant(x['q'][0])} … {significant(x['q'][1])}" in text
         assert f" {significant(max(map(abs, x['qdd'])))}" in text
