@@ -13,7 +13,7 @@ import time
 import traceback
 import zlib
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -280,7 +280,8 @@ def main(argv: Sequence[str]) -> int:
     plan = [(1000 * options.seed + k, names[k % len(names)]) for k in range(options.logs)]
     plan += [(1000 * options.seed + 500 + k, "") for k in range(options.clean)]
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        for one in pool.map(count, *zip(*plan, strict=True)):
+        for done in as_completed([pool.submit(count, *one) for one in plan]):
+            one = done.result()
             if isinstance(one, str):
                 print(one, flush=True)
                 continue
@@ -291,6 +292,7 @@ def main(argv: Sequence[str]) -> int:
                 f"{one.verdict}, terms {100 * max(one.errors, default=0):.0f} %)",
                 flush=True,
             )
+    counted.sort(key=lambda c: c.seed)
     if counted:
         tell(folder, "worn", f"seed {options.seed}", table(counted), counted)
     return 0
