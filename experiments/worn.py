@@ -62,7 +62,7 @@ COUNTS, RIGHT = 0.03, 0.1
 
 @dataclass(frozen=True)
 class RandomWalk(AbstractReference):
-    """Every joint follows noise behind a low-pass, like an arm that is led by hand."""
+    """Every joint follows noise that was filtered by a low-pass, as when somebody leads the arm by hand."""
 
     cutoff: float = 0.3
     speed: float = 0.5

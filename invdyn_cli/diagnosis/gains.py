@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis import standard
+from invdyn_cli.diagnosis.checks.rows import in_newton_metres
 from invdyn_cli.diagnosis.columns.evidence import started
 from invdyn_cli.diagnosis.columns.recording import ROLES, Conditioning, prepare
 from invdyn_cli.logfile import Log
@@ -79,8 +80,7 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Con
     """
     value, relative = np.ones(robot.dofs), np.ones(robot.dofs)
     for number in range(ROUNDS):
-        trajectories = tuple(replace(x, tau=x.tau * value) for x in log.trajectories)
-        recording = prepare(replace(log, torque_unit="N m", trajectories=trajectories), inertia, windows, options)
+        recording = prepare(in_newton_metres(replace(log, drive_gain=value)), inertia, windows, options)
         evidence = started(robot, recording)
         columns = standard.columns_of(evidence, log.torque_side)
         own = np.concatenate([columns.own, evidence.nominal.T[None]])

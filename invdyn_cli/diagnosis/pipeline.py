@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis import doctor, extension, gains, known, repeats, standard
+from invdyn_cli.diagnosis.checks.rows import in_newton_metres
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
@@ -224,7 +225,7 @@ def _scores(evidence: Evidence, residual: np.ndarray) -> dict[str, dict[str, flo
 
 def _signals(evidence: Evidence, made: findings.Made, more: standard.Beside) -> Signals:
     return Signals(
-        trajectory=np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece],
+        trajectory=evidence.trajectory,
         t=evidence.on_rows("t"),
         q=evidence.on_rows("q"),
         qd=evidence.on_rows("qd"),
@@ -251,15 +252,6 @@ def _typical_inertia(robot: Robot) -> np.ndarray:
         unit[j] = 1.0
         inertia[j] = np.median(rigid_torque(weightless, Motion(q, 0 * q, unit))[j])
     return inertia
-
-
-def in_newton_metres(log: Log) -> Log:
-    """The log with torques in N m, where its drive gains are known."""
-    if log.torque_unit != "A" or log.drive_gain is None:
-        return log
-    gain = np.asarray(log.drive_gain)
-    trajectories = tuple(replace(x, tau=x.tau * gain) for x in log.trajectories)
-    return replace(log, torque_unit="N m", trajectories=trajectories)
 
 
 def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):

@@ -95,7 +95,7 @@ class Columns:
 
     def _motions(self, left: np.ndarray, rows: np.ndarray) -> list[Sums]:
         """What every trajectory says."""
-        names = np.array([p.trajectory for p in self.evidence.recording.pieces])[self.evidence.piece]
+        names = self.evidence.trajectory
         return [self._sums(left, rows & (names == name)) for name in dict.fromkeys(names[rows].tolist())]
 
     def _sums(self, left: np.ndarray, rows: np.ndarray) -> Sums:

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.evidence import Stretch, stretches
+from invdyn_cli.diagnosis.checks.fits import lowest
 from invdyn_cli.diagnosis.checks.memory import once_for_a_log
 from invdyn_cli.diagnosis.checks.rows import each
 from invdyn_cli.interfaces import AbstractCheck
@@ -117,9 +118,9 @@ def _near(q: np.ndarray, ref: np.ndarray, lag: int, step: int, most: int) -> _Pe
     y, x = q[max(0, at) : len(q) + min(0, at)], ref[max(0, -at) : len(q) - max(0, at)]
     y, x = y - y.mean(0), x - x.mean(0)
     factor = np.sum(y * x, axis=0) / np.maximum(np.sum(x**2, axis=0), 1e-300)
-    single = np.array([_lowest(fine, column) for column in np.log(missed).T])
+    single = np.array([lowest(fine, column) for column in np.log(missed).T])
     explained = 1 - float(np.median(missed[np.argmin(pooled)]))
-    return _Peak(_lowest(fine, pooled), float(np.exp(pooled.min())), single, factor, explained)
+    return _Peak(lowest(fine, pooled), float(np.exp(pooled.min())), single, factor, explained)
 
 
 def _missed(q: np.ndarray, ref: np.ndarray, lags: np.ndarray, step: int) -> np.ndarray:
@@ -136,15 +137,6 @@ def _missed(q: np.ndarray, ref: np.ndarray, lags: np.ndarray, step: int) -> np.n
         scale = power * np.sum(x**2, axis=0)
         out[k] = 1 - np.divide(np.sum(x * y, axis=0) ** 2, scale, out=np.zeros_like(scale), where=scale > 0)
     return np.maximum(out, 1e-9)
-
-
-def _lowest(x: np.ndarray, y: np.ndarray) -> float:
-    """Where y over the evenly spaced x is lowest, refined by a parabola."""
-    k = int(np.argmin(y))
-    if not 0 < k < len(y) - 1:
-        return float(x[k])
-    curve = y[k - 1] - 2 * y[k] + y[k + 1]
-    return float(x[k] + (0.5 * (y[k - 1] - y[k + 1]) / curve if curve > 0 else 0.0) * (x[1] - x[0]))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.evidence import Stretch, gather, stretches
-from invdyn_cli.diagnosis.checks.fits import span
+from invdyn_cli.diagnosis.checks.fits import lowest, span
 from invdyn_cli.diagnosis.checks.rows import each, newton_metres, taken
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
@@ -175,7 +175,7 @@ class TimeOffset(AbstractCheck):
             values = [residual(int(s)) for s in fine]
             best = int(np.argmin(values))
             if 0 < best < len(fine) - 1:
-                offsets[joint] = _vertex(fine[best - 1 : best + 2], values[best - 1 : best + 2]) / parts[0].rate
+                offsets[joint] = lowest(fine, np.array(values)) / parts[0].rate
                 gains[joint] = residual(0) / max(values[best], 1e-300)
         if not offsets:
             return None
@@ -206,9 +206,3 @@ def _inside(x: Stretch, margin: int) -> Stretch:
 def _torque_at(parts: tuple[Stretch, ...], stretch: np.ndarray, row: np.ndarray, joint: int, shift: int) -> np.ndarray:
     """(R,) the torque `shift` samples later than the rows."""
     return np.concatenate([x.tau[row[stretch == i] + shift, joint] for i, x in enumerate(parts)])
-
-
-def _vertex(x: np.ndarray, y: Sequence[float]) -> float:
-    """Where the parabola through three evenly spaced points is lowest."""
-    curve = y[0] - 2 * y[1] + y[2]
-    return float(x[1] + (0.5 * (y[0] - y[2]) / curve if curve > 0 else 0.0) * (x[1] - x[0]))

@@ -55,6 +55,14 @@ def newton_metres(log: Log, raw: RawTrajectory) -> np.ndarray:
     return raw.tau * log.drive_gain if log.torque_unit == "A" and log.drive_gain is not None else raw.tau
 
 
+def in_newton_metres(log: Log) -> Log:
+    """The log with torques in N m, where its drive gains are known."""
+    if log.torque_unit != "A" or log.drive_gain is None:
+        return log
+    trajectories = tuple(replace(raw, tau=newton_metres(log, raw)) for raw in log.trajectories)
+    return replace(log, torque_unit="N m", trajectories=trajectories)
+
+
 def median_step(t: np.ndarray) -> float:
     """Median of the steps that go forward in t (T,) [s], NaN where there is none."""
     steps = np.diff(t)

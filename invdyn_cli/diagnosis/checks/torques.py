@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.arrangement import UNITS
 from invdyn_cli.diagnosis.checks.evidence import Evidence, gather
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope, span
@@ -82,10 +83,10 @@ class GravityRemoved(AbstractCheck):
         value = float(np.median(np.abs(slopes)))
         if value > self.slope:
             return [Check(self.name, "ok", value=float(np.median(slopes)), seen="the torque follows gravity")]
-        units, at = (1.0, 1e3, 1e-3), np.arange(robot.dofs)
+        at = np.arange(robot.dofs)
         # Noise is judged where the log says that it is right: without gravity, if that is gone.
-        noise = fitness(rows_of(evidence, without_gravity=True), robot, units).effective
-        both = [fitness(rows_of(evidence, without_gravity=x), robot, units, noise) for x in (False, True)]
+        noise = fitness(rows_of(evidence, without_gravity=True), robot, UNITS).effective
+        both = [fitness(rows_of(evidence, without_gravity=x), robot, UNITS, noise) for x in (False, True)]
         gains = []
         for name in ("likelihood", "plain"):
             before, after = (getattr(x, name)[at, at].max(axis=(1, 2)).sum() for x in both)

@@ -73,18 +73,28 @@ def gather(
                     continue
                 # what the shapes depend on is the same for all pieces: the longest one tells
                 longest = max((s[joint] for s in states), key=lambda s: len(s.t))
-                for shape in effect.shapes(longest):
-                    evidence.candidates.append(torque_candidate(evidence, effect, joint, shape))
+                shapes = effect.shapes(longest)
             elif isinstance(effect, AbstractChannelEffect):
-                for shape in _channel_shapes(evidence, effect, joint):
-                    evidence.candidates.append(channel_candidate(evidence, effect, joint, shape))
+                shapes = _channel_shapes(evidence, effect, joint)
             elif isinstance(effect, AbstractGearEffect):
                 load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
                 if inertia.min() <= LEAST_INERTIA:  # links without inertia follow any gear: nothing of it shows
                     continue
-                for shape in effect.shapes(load, inertia, recording.filter.rate):
-                    evidence.candidates.append(gear_candidate(evidence, effect, joint, shape))
+                shapes = effect.shapes(load, inertia, recording.filter.rate)
+            else:
+                continue
+            evidence.candidates += [joint_candidate(evidence, effect, joint, shape) for shape in shapes]
     return evidence
+
+
+def joint_candidate(evidence: Evidence, effect: AbstractEffect, joint: int, shape: Parameters) -> Candidate:
+    """The trial of an effect of one joint's torque, channel or gear at these parameters."""
+    if isinstance(effect, AbstractGearEffect):
+        return gear_candidate(evidence, effect, joint, shape)
+    if isinstance(effect, AbstractChannelEffect):
+        return channel_candidate(evidence, effect, joint, shape)
+    assert isinstance(effect, AbstractTorqueEffect)
+    return torque_candidate(evidence, effect, joint, shape)
 
 
 def _channel_shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: int) -> list[Parameters]:

@@ -136,6 +136,11 @@ class Evidence:
         return np.concatenate([getattr(p, name)[..., filter.rows(len(p.t))].T for p in pieces])
 
     @property
+    def trajectory(self) -> np.ndarray:
+        """(R,) name of every row's trajectory."""
+        return np.array([p.trajectory for p in self.recording.pieces])[self.piece]
+
+    @property
     def dofs(self) -> int:
         """Number of joints."""
         return len(self.tables)

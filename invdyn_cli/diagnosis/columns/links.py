@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import channel_candidate, gear_candidate, nominal, torque_candidate
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.candidates import joint_candidate, nominal
+from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.effects.composition import rigid_torque
-from invdyn_cli.interfaces import AbstractChannelEffect, AbstractGearEffect, AbstractTorqueEffect
 
 
 def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
@@ -26,16 +25,6 @@ def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
         kept={key: value for key, value in evidence.kept.items() if key[0] == "grams"},
         candidates=[c for c in evidence.candidates if not c.effect.loaded],
     )
-    made.candidates += [_anew(made, c) for c in evidence.candidates if c.effect.loaded]
+    again = [c for c in evidence.candidates if c.effect.loaded]
+    made.candidates += [joint_candidate(made, c.effect, c.joint, c.shape) for c in again if c.joint is not None]
     return made
-
-
-def _anew(evidence: Evidence, c: Candidate) -> Candidate:
-    """A candidate's trial on another evidence."""
-    assert c.joint is not None
-    if isinstance(c.effect, AbstractGearEffect):
-        return gear_candidate(evidence, c.effect, c.joint, c.shape)
-    if isinstance(c.effect, AbstractChannelEffect):
-        return channel_candidate(evidence, c.effect, c.joint, c.shape)
-    assert isinstance(c.effect, AbstractTorqueEffect)
-    return torque_candidate(evidence, c.effect, c.joint, c.shape)

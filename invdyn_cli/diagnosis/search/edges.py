@@ -26,7 +26,7 @@ def summed(
     Args:
         squares: the weighted squares (R,) that effects leave of every row.
     """
-    acting, names = list(acting), np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    acting, names = list(acting), evidence.trajectory
     for number, one in enumerate(acting):
         if one.when is None:
             continue

@@ -174,7 +174,7 @@ def _window(
 ) -> tuple[float, When | None, np.ndarray]:
     """What an effect explains in its best window, less its price; the window, and its torque (R, n)."""
     t, k = evidence.on_rows("t"), len(place.columns)
-    names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    names = evidence.trajectory
     used = evidence.valid * measured.weights
     best: tuple[float, When | None, np.ndarray] = -np.inf, None, left
     for name in dict.fromkeys(names):

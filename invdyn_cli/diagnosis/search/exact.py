@@ -278,7 +278,7 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
         moments.append(x @ (residual[at] * scale[at]).ravel())
     normal, moment = np.array(normals), np.array(moments)
     centre, replicas = solved(normal.sum(0), moment.sum(0), precision), []
-    recording = _recordings(evidence)[[np.argmax(evidence.block == b) for b in blocks]]
+    recording = evidence.trajectory[[np.argmax(evidence.block == b) for b in blocks]]
     for numbers in [blocks, recording] if len(np.unique(recording)) >= RECORDINGS else [blocks]:
         others = [
             numbers != k for k in np.unique(numbers)
@@ -290,11 +290,6 @@ def _spread(evidence, model, acting, theta, labels, extra, timing, precision, sc
     values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
     unknown = (vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / unit[:, None]).T
     return tuple(replicas), unknown[:, : len(theta)]
-
-
-def _recordings(evidence: Evidence) -> np.ndarray:
-    """(R,) number of each row's trajectory."""
-    return np.unique([p.trajectory for p in evidence.recording.pieces], return_inverse=True)[1][evidence.piece]
 
 
 def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:

@@ -8,13 +8,14 @@ import numpy as np
 
 from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns.candidates import gear_candidate, load_on, trial_at
-from invdyn_cli.diagnosis.columns.evidence import STICK_TIME, Candidate, Evidence
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.recording import ROLES
-from invdyn_cli.diagnosis.search import events, naming, noise, realisable, resting
+from invdyn_cli.diagnosis.search import events, naming, noise, resting
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, Judge, parameters_of, read_all
 from invdyn_cli.diagnosis.search.late import told_apart
+from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.steps import WHOLE, search
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.transmission import TorqueRipple
@@ -242,10 +243,10 @@ def _searched(
         seen.append({c.key for c in hypothesis})
         around = beside(hypothesis)
         refined = refine(evidence, model, acting_of(judge, around, hypothesis), choosing, measured.weights, around)
-        unlikely = _unlikely(evidence, model, measured, refined)
-        if unlikely:
-            pool = [c for c in pool if c.key not in unlikely]
-            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
+        odd = unlikely(evidence, model, measured, refined)
+        if odd:
+            pool = [c for c in pool if c.key not in odd]
+            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
             continue
         trials = tuple(trial_at(evidence, a, others_of(refined.acting, a)) for a in refined.acting)
         more = [*trials, *_geared(evidence, refined.acting, loads)]
@@ -267,11 +268,11 @@ def _searched(
         )
         judge.refresh()
         whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, around)
-        unlikely = _unlikely(evidence, model, measured, chosen) | _unlikely(evidence, model, measured, whole)
-        if not unlikely:
+        odd = unlikely(evidence, model, measured, chosen) | unlikely(evidence, model, measured, whole)
+        if not odd:
             return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close, usual)
-        pool = [c for c in pool if c.key not in unlikely]
-        hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in unlikely), most)
+        pool = [c for c in pool if c.key not in odd]
+        hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
         hypothesis = simplified(hypothesis)
 
 
@@ -327,61 +328,8 @@ def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[
     return [Acting(c.effect, c.joint, p, c.when) for c, p in read_all(judge.evidence, hypothesis, theta)]
 
 
-CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
-"""Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
-the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it; and
-how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
-
-DROP = 1.1
-"""Of the Coulomb level, what the static one is at least in any gear that has two."""
-
-PERIODS = 1.5
-"""Of a ripple, below which it is no ripple but any bend of the torque over the angle."""
-
 NEARLY = 0.9
 """Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
-
-
-def _unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
-    """Effects and joints whose parameters came out as no such effect has them."""
-    odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
-    return odd | realisable.beyond(evidence, refined)
-
-
-def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
-    """Whether an effect with these parameters can be told from what only looks like it."""
-    one = refined.acting[place]
-    if one.effect.name == "torque_saturation":
-        return _is_a_limit(evidence, model, measured, refined, place)
-    if one.effect.name == "torque_ripple":
-        return one.parameters["cycles"] * float(np.ptp(evidence.on_rows("q")[:, one.joint])) > 2 * np.pi * PERIODS
-    if one.effect.name == "stribeck_friction":
-        stuck = STICK_TIME * float(
-            np.std(evidence.on_rows("qdd"), axis=0)[one.joint]
-        )  # its speed changes so much meanwhile
-        return one.parameters["velocity"] > stuck and one.parameters["static"] > DROP * one.parameters["coulomb"]
-    return True
-
-
-def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
-    """Whether a saturation is one: the torque that moved the joint stays within its limit, for the nominal model too,
-    and what was asked for beyond is more than what swings on either side of every model."""
-    saturation = refined.acting[place]
-    j, limit = saturation.joint, saturation.parameters["limit"]
-    assert j is not None
-    used = evidence.valid[:, j]
-    others = [a for k, a in enumerate(refined.acting) if k != place]
-    beyond = np.abs(model.without(refined, others) - refined.residual)[used, j]
-    left = refined.residual[used, j]
-    clipped = beyond > CLIPPED * beyond.max()
-    if not 0 < clipped.mean() < SELDOM or np.mean(beyond[clipped] ** 2) < BEYOND**2 * np.mean(left[~clipped] ** 2):
-        return False
-    if np.mean(beyond**2) > PLAIN**2 * np.mean(left**2):
-        return True
-    reach = min(
-        float(np.quantile(np.abs(x[used, j]), 0.99)) for x in (evidence.tau - refined.residual, evidence.nominal)
-    )
-    return limit > 0.75 * reach and limit > 3 * measured.deviation[j]
 
 
 def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:

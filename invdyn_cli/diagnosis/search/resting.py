@@ -66,7 +66,7 @@ def _rest(
     assert one.when is not None
     pieces = [p for p in evidence.recording.pieces if p.trajectory == one.when.trajectory]
     ends = float(min(p.t[0] for p in pieces)), float(max(p.t[-1] for p in pieces))
-    names = np.array([p.trajectory for p in evidence.recording.pieces])[evidence.piece]
+    names = evidence.trajectory
     row = evidence.recording.filter.keep / evidence.recording.filter.rate
     t = evidence.on_rows("t")[telling & (names == one.when.trajectory)]
     for start, end in pairwise([ends[0], *t, ends[1]]):

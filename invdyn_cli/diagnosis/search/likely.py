@@ -1,0 +1,60 @@
+"""Parameters that no such effect has: what came out of a refinement and only looks like its effect."""
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import STICK_TIME, Evidence
+from invdyn_cli.diagnosis.search import noise, realisable
+from invdyn_cli.diagnosis.search.exact import Model, Refined
+
+CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
+"""Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
+the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it; and
+how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
+
+DROP = 1.1
+"""Of the Coulomb level, what the static one is at least in any gear that has two."""
+
+PERIODS = 1.5
+"""Of a ripple, below which it is no ripple but any bend of the torque over the angle."""
+
+
+def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
+    """Effects and joints whose parameters came out as no such effect has them."""
+    odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
+    return odd | realisable.beyond(evidence, refined)
+
+
+def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
+    """Whether an effect with these parameters can be told from what only looks like it."""
+    one = refined.acting[place]
+    if one.effect.name == "torque_saturation":
+        return _is_a_limit(evidence, model, measured, refined, place)
+    if one.effect.name == "torque_ripple":
+        return one.parameters["cycles"] * float(np.ptp(evidence.on_rows("q")[:, one.joint])) > 2 * np.pi * PERIODS
+    if one.effect.name == "stribeck_friction":
+        stuck = STICK_TIME * float(
+            np.std(evidence.on_rows("qdd"), axis=0)[one.joint]
+        )  # its speed changes so much meanwhile
+        return one.parameters["velocity"] > stuck and one.parameters["static"] > DROP * one.parameters["coulomb"]
+    return True
+
+
+def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
+    """Whether a saturation is one: the torque that moved the joint stays within its limit, for the nominal model too,
+    and what was asked for beyond is more than what swings on either side of every model."""
+    saturation = refined.acting[place]
+    j, limit = saturation.joint, saturation.parameters["limit"]
+    assert j is not None
+    used = evidence.valid[:, j]
+    others = [a for k, a in enumerate(refined.acting) if k != place]
+    beyond = np.abs(model.without(refined, others) - refined.residual)[used, j]
+    left = refined.residual[used, j]
+    clipped = beyond > CLIPPED * beyond.max()
+    if not 0 < clipped.mean() < SELDOM or np.mean(beyond[clipped] ** 2) < BEYOND**2 * np.mean(left[~clipped] ** 2):
+        return False
+    if np.mean(beyond**2) > PLAIN**2 * np.mean(left**2):
+        return True
+    reach = min(
+        float(np.quantile(np.abs(x[used, j]), 0.99)) for x in (evidence.tau - refined.residual, evidence.nominal)
+    )
+    return limit > 0.75 * reach and limit > 3 * measured.deviation[j]
