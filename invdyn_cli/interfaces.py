@@ -15,7 +15,7 @@ import numpy as np
 
 from invdyn_cli.chunks import CHUNK, in_chunks
 from invdyn_cli.errors import UsageError
-from invdyn_cli.types import Array, Check, Dataset, Fit, Header, Motion, PyTree, Robot, Splits
+from invdyn_cli.types import Array, Check, Dataset, EffectText, Fit, Header, Motion, PyTree, Robot, Splits
 
 Progress = Callable[[float, str], None]
 """Called with the share that is done, 0 to 1, and a short note (a loss, say)."""
@@ -186,6 +186,9 @@ class AbstractEffect(abc.ABC):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    """Its name in a sentence."""
+    meaning: ClassVar[str] = ""
+    """What it is, in a sentence for someone who never met it."""
     equation: ClassVar[str]
     reference: ClassVar[str]
     parameters: ClassVar[Mapping[str, Parameter]]
@@ -205,14 +208,20 @@ class AbstractEffect(abc.ABC):
     """Effects that are special cases of it: the simpler one is named unless the data ask for more."""
     advice: ClassVar[str] = ""
     """What to record to tell it from its confounders."""
-    picture: ClassVar[str] = "t"
-    """Over what its picture is drawn: t, q, qd, qdd, load, slope (d torque / dt) or body."""
+    panels: ClassVar[tuple[str, ...]] = ()
+    """What its picture shows, names of `report.diagnosis_figures.PANELS`; () for the residual over time."""
     loaded: ClassVar[bool] = False
     """Whether its columns hang on the torque that the joint transmits."""
     group: ClassVar[str] = "anomaly"
     """"standard" for what every arm has beside its URDF, "anomaly" for what only some have."""
     shows: ClassVar[tuple[str, ...]] = ()
     """Tests of the residual (`types.ResidualTest.against`) in which it shows first where a model lacks it."""
+
+    @property
+    def text(self) -> EffectText:
+        """How a report speaks of it."""
+        adds = self.point in ("torque", "force")
+        return EffectText(self.title, self.meaning, self.equation, tuple(self.parameters), adds, self.panels)
 
     def refuse(self, parameters: Parameters) -> str:
         """Why these values are no physics, "" if they are."""

@@ -278,7 +278,7 @@ def plain(value: Any) -> Any:
 
 def _finding_tree(finding: Finding) -> dict[str, Any]:
     return {
-        **vars(finding),
+        **{name: x for name, x in vars(finding).items() if name != "text"},
         "parameters": {name: vars(x) for name, x in finding.parameters.items()},
         "gain": {joint: vars(x) for joint, x in finding.gain.items()},
         "rejected": [{"effect": effect, "why": why} for effect, why in finding.rejected],

@@ -305,6 +305,26 @@ class Gain:
 
 
 @dataclass(frozen=True)
+class EffectText:
+    """How a report speaks of an effect.
+
+    Attributes:
+        title: its name in a sentence.
+        meaning: what it is, in a sentence for someone who never met it.
+        equation: its term, with the names of `parameters` in it.
+        adds: whether the equation is a torque that is added to the nominal one.
+        panels: what its picture shows, as `AbstractEffect.panels`.
+    """
+
+    title: str
+    meaning: str
+    equation: str
+    parameters: tuple[str, ...]
+    adds: bool
+    panels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Finding:
     """One cause, as a line of diagnosis.json.
 
@@ -320,6 +340,7 @@ class Finding:
         rejected: (effect, why not) of every rival.
         advice: what to record to be surer.
         group: "standard" for what every arm has beside its URDF, else "anomaly".
+        text: how a report speaks of the effect; None: as the catalogue has it.
     """
 
     effect: str
@@ -334,6 +355,7 @@ class Finding:
     rejected: tuple[tuple[str, str], ...] = ()
     advice: str = ""
     group: str = "anomaly"
+    text: EffectText | None = None
 
 
 @dataclass(frozen=True)

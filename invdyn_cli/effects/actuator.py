@@ -28,13 +28,14 @@ class RotorInertia(AbstractTorqueEffect):
 
     name = "rotor_inertia"
     title = "rotor inertia"
+    meaning = "The motor's own inertia, seen through the gear."
     equation = "armature qdd"
     reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
     parameters = {"armature": Parameter("kg m²", 0.0)}
     sides = MOTOR_SIDES
     confounders = (("link_inertia_error",),)
     advice = "accelerations of the joint in postures that change the inertia it carries"
-    picture = "qdd"
+    panels = ("acceleration",)
     group = "standard"
     shows = ("acceleration",)
 
@@ -54,6 +55,7 @@ class TorqueOffset(AbstractTorqueEffect):
 
     name = "torque_offset"
     title = "torque offset"
+    meaning = "A constant torque, such as the zero offset of a sensor."
     equation = "offset"
     reference = "Swevers, Verdonck and De Schutter, IEEE Control Systems 2007"
     parameters = {"offset": Parameter("N m")}
@@ -79,7 +81,8 @@ class TorqueOffsetDrift(AbstractTorqueEffect):
     """A zero that wanders while a trajectory lasts."""
 
     name = "torque_offset_drift"
-    title = "drift of the torque offset"
+    title = "torque offset drift"
+    meaning = "A torque offset that changes at a constant rate."
     equation = "rate t"
     reference = "Albu-Schäffer, Haddadin, Ott, Stemmer, Wimböck and Hirzinger, Industrial Robot 2007"
     parameters = {"rate": Parameter("N m/s")}
@@ -103,13 +106,14 @@ class TorqueGainError(AbstractChannelEffect):
 
     name = "torque_gain_error"
     title = "torque gain error"
+    meaning = "A wrong torque constant or sensor scale: the joint delivers a fixed multiple of what is logged."
     equation = "delivered = gain · logged"
     loaded = True
     reference = "Gautier and Briot, ASME JDSMC 2014"
     parameters = {"gain": Parameter("-", 0.4, 2.5)}
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
     advice = "a known payload: it tells a gain from masses"
-    picture = "load"
+    panels = ("nominal_torque",)
     shows = ("load",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
@@ -134,12 +138,13 @@ class TorqueDelay(AbstractChannelEffect):
 
     name = "torque_delay"
     title = "torque delay"
+    meaning = "The torque reaches the joint later than the log says."
     equation = "delivered(t) = logged(t − delay)"
     reference = "first order: delay · d torque/dt"
     parameters = {"delay": Parameter("s", 0.0, SLOWEST)}
     confounders = (("actuator_lag",), ("viscous_friction",))
     advice = "fast motion: a delay grows with frequency as a line, a lag bends and damps"
-    picture = "slope"
+    panels = ("torque_rate", "time_shift")
     shows = ("torque_slope",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
@@ -164,12 +169,13 @@ class ActuatorLag(AbstractChannelEffect):
 
     name = "actuator_lag"
     title = "actuator lag"
+    meaning = "The delivered torque follows the logged one as a first-order filter does."
     equation = "time_constant · d delivered/dt + delivered = logged"
     reference = "first-order current loop"
     parameters = {"time_constant": Parameter("s", 0.0, SLOWEST)}
     confounders = (("torque_delay",), ("viscous_friction",))
     advice = TorqueDelay.advice
-    picture = "slope"
+    panels = ("torque_rate", "time_shift")
     shows = ("torque_slope",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
@@ -206,12 +212,13 @@ class TorqueSaturation(AbstractChannelEffect):
 
     name = "torque_saturation"
     title = "torque saturation"
+    meaning = "The drive gives no more than a limit, however much is commanded."
     invertible = False  # what was asked for beyond the limit, no model can know
     equation = "delivered = clip(logged, ±limit)"
     reference = "data sheets of drives"
     parameters = {"limit": Parameter("N m", 0.0)}
     advice = "the measured torque or current beside the commanded one"
-    picture = "load"
+    panels = ("clipping",)
     shows = ("load",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:

@@ -34,6 +34,7 @@ class CoupledFriction(AbstractTorqueEffect):
 
     name = "coupled_friction"
     title = "coupled friction"
+    meaning = "Friction and inertia of a drive that two joints turn: they share a gear."
     equation = (
         "coulomb sign(s) + damping s + armature ds/dt, s = qd + ratio qd_driver; ratio times as much on the driver, "
         "the joint before"
@@ -56,7 +57,7 @@ class CoupledFriction(AbstractTorqueEffect):
     nonlinear = ("ratio",)
     chosen = ("ratio",)
     advice = "each of the two joints moved alone while the other is held, then both together, both ways"
-    picture = "qd"
+    panels = ("velocity", "shared_velocity")
     shows = ("neighbours",)
     coupled = True
     jumps = True

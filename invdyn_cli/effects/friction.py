@@ -21,6 +21,7 @@ class ViscousFriction(AbstractTorqueEffect):
 
     name = "viscous_friction"
     title = "viscous friction"
+    meaning = "Friction that grows in proportion to velocity."
     equation = "damping qd"
     reference = ARMSTRONG
     parameters = {"damping": Parameter("N m s/rad", 0.0)}
@@ -32,7 +33,7 @@ class ViscousFriction(AbstractTorqueEffect):
         ("stribeck_friction",),
     )
     advice = "constant speeds in both directions, at least three of them"
-    picture = "qd"
+    panels = ("velocity",)
     group = "standard"
     shows = ("velocity",)
 
@@ -52,13 +53,14 @@ class CoulombFriction(AbstractTorqueEffect):
 
     name = "coulomb_friction"
     title = "Coulomb friction"
+    meaning = "Friction against the motion, the same at every speed."
     equation = "coulomb sign(qd)"
     reference = ARMSTRONG
     parameters = {"coulomb": Parameter("N m", 0.0)}
     confounders = (("stribeck_friction",), ("asymmetric_coulomb_friction",), ("load_dependent_friction",))
     advice = "slow motion through many reversals, below 0.05 rad/s too"
     jumps = True
-    picture = "qd"
+    panels = ("velocity",)
     group = "standard"
     shows = ("velocity", "reversals")
 
@@ -78,13 +80,14 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
 
     name = "asymmetric_coulomb_friction"
     title = "asymmetric Coulomb friction"
+    meaning = "Coulomb friction with different levels in the two directions."
     equation = "positive for qd > 0, −negative for qd < 0"
     reference = "Elhami and Brookfield, Proc. IMechE 1996"
     parameters = {"positive": Parameter("N m", 0.0), "negative": Parameter("N m", 0.0)}
     confounders = (("coulomb_friction", "torque_offset"),)
     contains = ("coulomb_friction",)
     advice = "the torque in a posture that needs none, with the joint at rest and free: an offset stays, friction goes"
-    picture = "qd"
+    panels = ("velocity",)
     shows = ("velocity", "reversals")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -111,6 +114,7 @@ class StribeckFriction(AbstractTorqueEffect):
 
     name = "stribeck_friction"
     title = "Stribeck friction"
+    meaning = "Friction that is higher near standstill and falls as the speed grows."
     equation = "(coulomb + (static − coulomb) exp(−(qd/velocity)²)) sign(qd)"
     reference = "Bo and Pavelescu, Wear 1982; " + ARMSTRONG
     parameters = {
@@ -123,7 +127,7 @@ class StribeckFriction(AbstractTorqueEffect):
     nonlinear = ("velocity",)
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
     jumps = True
-    picture = "qd"
+    panels = ("velocity", "near_standstill")
     shows = ("velocity", "reversals")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -154,6 +158,7 @@ class LoadDependentFriction(AbstractTorqueEffect):
 
     name = "load_dependent_friction"
     title = "load-dependent friction"
+    meaning = "Friction that grows with the torque that the gear transmits."
     equation = "mu |transmitted torque| sign(qd)"
     loaded = True
     reference = "Gogoussis and Donath, ICRA 1988; Hamon, Gautier and Garrec, IROS 2010"
@@ -161,7 +166,7 @@ class LoadDependentFriction(AbstractTorqueEffect):
     confounders = (("coulomb_friction",), ("torque_gain_error",))
     advice = "the same slow motion both ways in postures of different load, or with and without a known payload"
     jumps = True
-    picture = "load"
+    panels = ("velocity", "load")
     shows = ("load",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -180,12 +185,13 @@ class QuadraticFriction(AbstractTorqueEffect):
 
     name = "quadratic_friction"
     title = "quadratic friction"
+    meaning = "Friction that grows with the square of velocity."
     equation = "drag qd |qd|"
     reference = "Waiboer, Aarts and Jonker, Multibody Dynamics 2005"
     parameters = {"drag": Parameter("N m s²/rad²", 0.0)}
     confounders = (("viscous_friction",), ("thermal_friction_drift",))
     advice = "constant speeds up to the fastest the joint can do, both ways"
-    picture = "qd"
+    panels = ("velocity",)
     shows = ("velocity",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -209,7 +215,8 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
     trials: int = 6
 
     name = "thermal_friction_drift"
-    title = "thermal drift of friction"
+    title = "thermal friction drift"
+    meaning = "Viscous friction that falls as the gear warms up."
     equation = "(warm + (cold − warm) exp(−t/time_constant)) qd"
     reference = "Simoni, Beschi, Legnani and Visioli, IROS 2015; Bittencourt and Gunnarsson, ASME JDSMC 2012"
     parameters = {
@@ -221,7 +228,7 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
     contains = ("viscous_friction",)
     nonlinear = ("time_constant",)
     advice = "the same trajectory cold and after 20 minutes of motion"
-    picture = "qd"
+    panels = ("velocity", "slope_over_time")
     shows = ("time",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -263,6 +270,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
 
     name = "presliding_hysteresis"
     title = "presliding hysteresis"
+    meaning = "Friction that yields like a spring after every reversal, before the joint slides."
     equation = "stiffness z, dz/dt = qd − stiffness/coulomb |qd| z"
     reference = "Dahl, AIAA Journal 1976; Canudas de Wit, Olsson, Åström and Lischinsky, IEEE TAC 1995"
     parameters = {"coulomb": Parameter("N m", 0.0), "stiffness": Parameter("N m/rad", 1e-3)}
@@ -270,7 +278,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     contains = ("coulomb_friction",)
     nonlinear = ("stiffness",)
     advice = "small reversals of a few milliradians, slow and fast: bristles know the way since the last one, not speed"
-    picture = "q"
+    panels = ("loops_over_position",)
     shows = ("reversals",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:

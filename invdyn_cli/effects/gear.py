@@ -33,12 +33,13 @@ class Backlash(AbstractGearEffect):
 
     name = "backlash"
     title = "backlash"
+    meaning = "Play in the gear."
     equation = "link free of the motor within ±gap/2"
     reference = "Nordin and Gutman, Automatica 2002"
     parameters = {"gap": Parameter("rad", 1e-5, 0.1)}
     confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
     advice = "the same slow motion with the load always pulling to one side, and through its zero; a link encoder"
-    picture = "load"
+    panels = ("loops_over_load",)
     shows = ("load_zeros",)
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
@@ -63,12 +64,13 @@ class JointElasticity(AbstractGearEffect):
 
     name = "joint_elasticity"
     title = "joint elasticity"
+    meaning = "A gear that deflects under load."
     equation = "torque = stiffness (motor angle − link angle)"
     reference = "Spong, ASME JDSMC 1987"
     parameters = {"stiffness": Parameter("N m/rad", 1.0)}
     confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
     advice = "a chirp up to the resonance: phase of a delay grows as a line, that of a spring with its square"
-    picture = "load"
+    panels = ("loops_over_load",)
     shows = ("torque_slope", "acceleration")
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:

@@ -25,12 +25,13 @@ class Payload(AbstractBodyEffect):
 
     name = "payload"
     title = "payload"
+    meaning = "A body on the last link that the URDF does not have: a tool, a load."
     equation = "a body of this mass at com in the frame of the last moving joint"
     reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
     parameters = {"mass": Parameter("kg"), "com": Parameter("m"), "inertia": Parameter("kg m²")}
     confounders = (("link_inertia_error",), ("torque_gain_error",))
     advice = "the same trajectory without the load, or the tool on a scale"
-    picture = "body"
+    panels = ("joints",)
     shows = ("load", "acceleration")
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
@@ -59,8 +60,9 @@ class LinkInertiaError(AbstractBodyEffect):
     """Other inertials of one link than the model has. Only base parameters show; what does not stays as it was."""
 
     name = "link_inertia_error"
-    title = "wrong inertials of a link"
-    equation = "other mass, first moments and inertia of one link"
+    title = "link inertia error"
+    meaning = "A link's mass, centre of mass or inertia differs from the URDF's."
+    equation = "another mass, first moment and inertia of one link"
     reference = "Gautier and Khalil, IEEE T-RA 1990"
     parameters = {"mass": Parameter("kg"), "moment": Parameter("kg m"), "inertia": Parameter("kg m²")}
     confounders = (
@@ -74,7 +76,7 @@ class LinkInertiaError(AbstractBodyEffect):
         ("joint_spring",),
     )
     advice = "an exciting trajectory that moves all joints fast and over their whole range"
-    picture = "body"
+    panels = ("joints",)
     group = "standard"
     shows = ("angle", "acceleration", "neighbours")
 
@@ -102,12 +104,13 @@ class BaseTilt(AbstractBodyEffect):
 
     name = "base_tilt"
     title = "base tilt"
+    meaning = "The base does not stand level."
     equation = "gravity = 9.81 (sin angle cos azimuth, sin angle sin azimuth, −cos angle)"
     reference = "Atkeson, An and Hollerbach, IJRR 1986"
     parameters = {"angle": Parameter("rad", 0.0, np.pi), "azimuth": Parameter("rad")}
     confounders = (("link_inertia_error",), ("encoder_offset",), ("torque_offset",))
     advice = "a spirit level on the base; turning the first joint, whose torque a true vertical leaves at zero"
-    picture = "body"
+    panels = ("joints",)
     shows = ("angle",)
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
@@ -139,12 +142,13 @@ class EncoderOffset(AbstractMotionEffect):
 
     name = "encoder_offset"
     title = "encoder offset"
+    meaning = "The joint's zero is not where the URDF has it."
     equation = "logged q = true q + offset"
     reference = "Hollerbach and Wampler, IJRR 1996"
     parameters = {"offset": Parameter("rad", -0.8, 0.8)}
     confounders = (("link_inertia_error",), ("base_tilt",), ("torque_offset",))
     advice = "a calibration of the joint's zero by an outer measurement"
-    picture = "body"
+    panels = ("position",)
     shows = ("angle",)
 
     def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:

@@ -26,14 +26,15 @@ class PayloadChange(AbstractBodyEffect):
     """A body that is taken up and put down."""
 
     name = "payload_change"
-    title = "payload taken up"
+    title = "payload change"
+    meaning = "A body that the arm picked up or released."
     equation = "a body of this mass at com in the frame of the last moving joint, for a time"
     reference = "Gaz and De Luca, IROS 2017"
     parameters = Payload.parameters
     passing = True
     confounders = (("external_contact",), ("torque_gain_change",))
     advice = "the load held through several postures, turned by the wrist: weight and centre of mass move as one body"
-    picture = "t"
+    panels = ("joints",)
     shows = ("time",)
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
@@ -54,14 +55,15 @@ class TorqueGainChange(AbstractChannelEffect):
     """A drive that gives more or less than before: weakened, derated, at another temperature."""
 
     name = "torque_gain_change"
-    title = "change of the torque gain"
+    title = "torque gain change"
+    meaning = "An actuator that becomes weaker or stronger during the recording."
     equation = "delivered = gain · logged, for a time"
     reference = "Gautier and Briot, ASME JDSMC 2014"
     parameters = TorqueGainError.parameters
     passing = True
     confounders = (("payload_change",), ("external_contact",))
     advice = "the same trajectory before and after the change"
-    picture = "t"
+    panels = ("nominal_torque",)
     shows = ("time",)
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
@@ -83,6 +85,7 @@ class ExternalContact(AbstractForceEffect):
 
     name = "external_contact"
     title = "external contact"
+    meaning = "A force on the arm from something that it touched."
     equation = "−Jᵀ force, J of the joint frame's origin, for a time"
     reference = "Haddadin, De Luca and Albu-Schäffer, IEEE T-RO 2017"
     parameters = {"force": Parameter("N")}
@@ -90,7 +93,7 @@ class ExternalContact(AbstractForceEffect):
     passing = True
     confounders = (("external_contact",), ("payload_change",), ("torque_gain_change",))
     advice = "a force sensor or a camera at the contact; the contact held while the arm moves on"
-    picture = "t"
+    panels = ("joints",)
     shows = ("time",)
 
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:

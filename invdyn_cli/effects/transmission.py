@@ -22,6 +22,7 @@ class TorqueRipple(AbstractTorqueEffect):
 
     name = "torque_ripple"
     title = "torque ripple"
+    meaning = "A torque that is periodic in the joint's angle: cogging, or a gear that is not round."
     equation = "amplitude sin(cycles q + phase)"
     reference = "Taghirad and Bélanger, ASME JDSMC 1998; Tuttle and Seering, IEEE T-RA 1996"
     parameters = {
@@ -32,7 +33,7 @@ class TorqueRipple(AbstractTorqueEffect):
     confounders = (("joint_spring",),)
     nonlinear = ("cycles",)
     advice = "a slow constant speed over a whole turn, logged fast enough"
-    picture = "q"
+    panels = ("angle", "angle_spectrum")
     shows = ("ripple",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -57,13 +58,14 @@ class JointSpring(AbstractTorqueEffect):
 
     name = "joint_spring"
     title = "joint spring"
+    meaning = "A torque that pulls the joint back to a rest angle: a cable, a hose, a balancer."
     equation = "stiffness (q − rest)"
     reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
     parameters = {"stiffness": Parameter("N m/rad", 0.0), "rest": Parameter("rad")}
     confounders = (("link_inertia_error",), ("torque_offset",), ("base_tilt",), ("encoder_offset",))
     contains = ("torque_offset",)
     advice = "postures over the joint's whole range: gravity bends as a sine, a spring does not"
-    picture = "q"
+    panels = ("position",)
     shows = ("angle",)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:

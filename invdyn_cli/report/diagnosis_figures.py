@@ -37,35 +37,33 @@ from invdyn_cli.report.quantities import best_gain
 from invdyn_cli.report.replay_figure import REPLAY, replay_figure
 from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_figure
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import EFFECTS, headline_of, picture, place, rivals_of, shortened
+from invdyn_cli.report.wording import headline_of, picture, place, rivals_of, shortened, text_of
 from invdyn_cli.types import Diagnosis
 
 OVERVIEW = "overview"
 
 Panel = Callable[[Axes, Exhibit], None]
-PANELS: dict[str, tuple[Panel, ...]] = {
-    "viscous_friction": (laws.over_velocity,),
-    "coulomb_friction": (laws.over_velocity,),
-    "asymmetric_coulomb_friction": (laws.over_velocity,),
-    "quadratic_friction": (laws.over_velocity,),
-    "presliding_hysteresis": (laws.loops_over_position,),
-    "backlash": (laws.loops_over_load,),
-    "joint_elasticity": (laws.loops_over_load,),
-    "stribeck_friction": (laws.over_velocity, laws.near_standstill),
-    "load_dependent_friction": (laws.over_velocity, laws.over_load),
-    "coupled_friction": (laws.over_velocity, laws.over_shared_velocity),
-    "thermal_friction_drift": (laws.over_velocity, laws.slope_over_time),
-    "torque_ripple": (laws.over_angle, laws.spectrum_over_angle),
-    "joint_spring": (laws.over_position,),
-    "encoder_offset": (laws.over_position,),
-    "rotor_inertia": (laws.over_acceleration,),
-    "torque_gain_error": (channel_laws.over_nominal,),
-    "torque_gain_change": (channel_laws.over_nominal,),
-    "torque_delay": (channel_laws.over_rate, channel_laws.misfit_over_shift),
-    "actuator_lag": (channel_laws.over_rate, channel_laws.misfit_over_shift),
-    "torque_saturation": (channel_laws.clipping,),
+PANELS: dict[str, Panel] = {
+    "velocity": laws.over_velocity,
+    "near_standstill": laws.near_standstill,
+    "slope_over_time": laws.slope_over_time,
+    "shared_velocity": laws.over_shared_velocity,
+    "load": laws.over_load,
+    "loops_over_load": laws.loops_over_load,
+    "loops_over_position": laws.loops_over_position,
+    "position": laws.over_position,
+    "angle": laws.over_angle,
+    "angle_spectrum": laws.spectrum_over_angle,
+    "acceleration": laws.over_acceleration,
+    "nominal_torque": channel_laws.over_nominal,
+    "torque_rate": channel_laws.over_rate,
+    "time_shift": channel_laws.misfit_over_shift,
+    "clipping": channel_laws.clipping,
 }
-BODIES = ("payload", "payload_change", "external_contact", "link_inertia_error", "base_tilt")
+"""What an effect's picture may show (`AbstractEffect.panels`), two of them at most."""
+
+JOINTS = "joints"
+"""The panel that shows all joints over time."""
 
 
 def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -91,10 +89,11 @@ def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = 
 
 def draw(exhibit: Exhibit) -> Figure:
     """The picture that fits the effect; one without a picture of its own is shown over time."""
-    effect = exhibit.finding.effect
-    if effect in BODIES:
+    names = text_of(exhibit.finding).panels
+    if JOINTS in names:
         return all_joints(exhibit)
-    return law_and_time(exhibit, PANELS[effect]) if effect in PANELS else level(exhibit)
+    panels = [PANELS[name] for name in names if name in PANELS]
+    return law_and_time(exhibit, panels[:2]) if panels else level(exhibit)
 
 
 def law_and_time(exhibit: Exhibit, panels: Sequence[Panel]) -> Figure:
@@ -188,7 +187,7 @@ def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     figure.get_layout_engine().set(h_pad=0.06, w_pad=0.06)  # type: ignore[union-attr]
     headline = f"{place(finding)}: {headline_of(finding)}"
-    meaning = EFFECTS[finding.effect].meaning if finding.effect in EFFECTS else ""
+    meaning = text_of(finding).meaning
     if finding.status == "ambiguous":
         meaning = f"This log cannot tell it from {' or '.join(shortened(rivals_of(finding))) or 'others'}."
     gain, joint = "", best_gain(finding.gain)

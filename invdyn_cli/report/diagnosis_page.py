@@ -18,7 +18,6 @@ from invdyn_cli.report.replay_figure import REPLAY
 from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_section
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
-    EFFECTS,
     NO_BREAK,
     STATUS_WORDS,
     VERDICT_WORDS,
@@ -28,9 +27,11 @@ from invdyn_cli.report.wording import (
     claims,
     estimates,
     joints_of,
+    law,
     place,
     rivals_of,
     standard_rows,
+    text_of,
     units_of,
     when,
     words,
@@ -217,10 +218,9 @@ def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[s
     status = _pill(finding.status, STATUS_WORDS)
     said = f"{place(finding)}: {cause(finding)}"
     out = f'<div class="cause" id="finding-{number}"><h3>{escape(said)} {status}</h3>\n'
-    effect = EFFECTS.get(finding.effect)
-    if effect:
-        out += f'<p>{escape(effect.meaning)} <span class="name">{escape(finding.effect)}</span></p>'
-        out += f'<p class="law">{effect.law}</p>'
+    text = text_of(finding)
+    out += f'<p>{escape(text.meaning)} <span class="name">{escape(finding.effect)}</span></p>'
+    out += f'<p class="law">{law(text)}</p>' if text.equation else ""
     name = picture_name(number, finding)
     out += picture(drawn[name], CAPTION, said) if name in drawn else ""
     out += "</div>"

@@ -1,142 +1,15 @@
-"""Effects in words, and what a diagnosis says of them: names, equations, headlines, statuses."""
+"""What a diagnosis says of effects, in words: names, laws, headlines, statuses."""
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.wording import in_table
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
-from invdyn_cli.types import Diagnosis, Finding
-
-
-@dataclass(frozen=True)
-class Effect:
-    """How an effect is spoken of.
-
-    Attributes:
-        words: its name in a sentence.
-        law: its term as HTML, parameters in <i>: what it adds to the torque of the nominal model, or for a channel
-            effect what is delivered for what is logged (DESIGN, section 6).
-        meaning: one sentence for who never met it.
-    """
-
-    words: str
-    law: str
-    meaning: str
-
-
-EFFECTS: dict[str, Effect] = {
-    "viscous_friction": Effect("viscous friction", "τ += <i>damping</i> q̇", "A drag that grows with the speed."),
-    "coulomb_friction": Effect(
-        "Coulomb friction", "τ += <i>coulomb</i> sign(q̇)", "A drag against the motion that is the same at every speed."
-    ),
-    "asymmetric_coulomb_friction": Effect(
-        "asymmetric Coulomb friction",
-        "τ += <i>positive</i> where q̇ &gt; 0, −<i>negative</i> where q̇ &lt; 0",
-        "A constant drag that is stronger in one direction than in the other.",
-    ),
-    "stribeck_friction": Effect(
-        "Stribeck friction",
-        "τ += (<i>coulomb</i> + (<i>static</i> − <i>coulomb</i>) exp(−(q̇/<i>velocity</i>)²)) sign(q̇)",
-        "A drag that is higher near standstill and falls off as the joint gets going.",
-    ),
-    "load_dependent_friction": Effect(
-        "load-dependent friction",
-        "τ += <i>mu</i> |τ<sub>transmitted</sub>| sign(q̇)",
-        "A drag that grows with the torque that the gear has to carry.",
-    ),
-    "quadratic_friction": Effect(
-        "quadratic friction", "τ += <i>drag</i> q̇ |q̇|", "A drag that grows with the square of the speed."
-    ),
-    "presliding_hysteresis": Effect(
-        "presliding hysteresis",
-        "τ += <i>stiffness</i> z, dz/dt = q̇ − (<i>stiffness</i>/<i>coulomb</i>) |q̇| z",
-        "A friction that first yields like a spring after every reversal.",
-    ),
-    "coupled_friction": Effect(
-        "coupled friction",
-        "s = q̇ + <i>ratio</i> q̇<sub>driver</sub>; τ += <i>coulomb</i> sign(s) + <i>damping</i> s + <i>armature</i> ṡ, "
-        "τ<sub>driver</sub> += <i>ratio</i> times as much",
-        "Friction and inertia of a drive that the joint before its own turns as well, as in a wrist whose joints share "
-        "a gear.",
-    ),
-    "thermal_friction_drift": Effect(
-        "friction that warms up",
-        "τ += (<i>warm</i> + (<i>cold</i> − <i>warm</i>) exp(−t/<i>time_constant</i>)) q̇",
-        "A viscous friction that falls as the gear gets warm.",
-    ),
-    "torque_offset_drift": Effect("torque offset drift", "τ += <i>rate</i> t", "A torque zero that walks off."),
-    "backlash": Effect("backlash", "the link is free of the motor within <i>gap</i> (full width)", "Play in the gear."),
-    "joint_elasticity": Effect(
-        "joint elasticity", "a spring of <i>stiffness</i> between motor and link", "A gear that winds up under load."
-    ),
-    "torque_ripple": Effect(
-        "torque ripple",
-        "τ += <i>amplitude</i> sin(<i>cycles</i> q + <i>phase</i>)",
-        "A torque that waves with the joint's angle: cogging, or a gear that is not round.",
-    ),
-    "joint_spring": Effect(
-        "joint spring",
-        "τ += <i>stiffness</i> (q − <i>rest</i>)",
-        "Something that pulls the joint back to a rest angle: a cable, a hose, a balancer.",
-    ),
-    "rotor_inertia": Effect(
-        "rotor inertia", "τ += <i>armature</i> q̈", "The motor's own inertia, as felt through the gear."
-    ),
-    "torque_gain_error": Effect(
-        "torque gain error",
-        "delivered = <i>gain</i> × logged",
-        "A torque sensor or constant whose scale is off: the joint delivers another multiple of what is logged.",
-    ),
-    "torque_gain_change": Effect(
-        "torque gain change",
-        "delivered = <i>gain</i> × logged, within the window",
-        "An actuator that gets weaker or stronger on the way.",
-    ),
-    "torque_offset": Effect("torque offset", "τ += <i>offset</i>", "A constant torque: a sensor's zero, say."),
-    "torque_delay": Effect(
-        "torque delay",
-        "delivered(t) = logged(t − <i>delay</i>)",
-        "The torque reaches the joint later than the log says.",
-    ),
-    "actuator_lag": Effect(
-        "actuator lag",
-        "<i>time_constant</i> · d(delivered)/dt + delivered = logged",
-        "The torque follows the logged one like a first-order filter.",
-    ),
-    "torque_saturation": Effect(
-        "torque saturation",
-        "delivered = clip(logged, ±<i>limit</i>)",
-        "The drive gives no more than a limit, whatever is asked of it.",
-    ),
-    "payload": Effect(
-        "payload",
-        "τ += Y<sub>last link</sub>(q, q̇, q̈) · (<i>mass</i>, <i>mass</i> <i>com</i>, …)",
-        "A body on the last link that the URDF does not have: a tool, a load.",
-    ),
-    "payload_change": Effect(
-        "payload change",
-        "τ += Y<sub>last link</sub>(q, q̇, q̈) · (<i>mass</i>, <i>mass</i> <i>com</i>, …), within the window",
-        "Something that the arm picked up or put down.",
-    ),
-    "external_contact": Effect(
-        "external contact", "τ −= J(q)ᵀ <i>force</i>, within the window", "Something that the arm touched."
-    ),
-    "link_inertia_error": Effect(
-        "link inertia error",
-        "τ += Y<sub>link</sub>(q, q̇, q̈) Δφ",
-        "One link's mass, centre of mass or inertia is not what the URDF says.",
-    ),
-    "base_tilt": Effect(
-        "base tilt",
-        "gravity = 9.81 (sin <i>angle</i> cos <i>azimuth</i>, sin <i>angle</i> sin <i>azimuth</i>, −cos <i>angle</i>)",
-        "The base does not stand level.",
-    ),
-    "encoder_offset": Effect(
-        "encoder offset", "logged q = true q + <i>offset</i>", "The joint's zero is not where the URDF has it."
-    ),
-}
+from invdyn_cli.types import Diagnosis, EffectText, Finding
 
 STATUS_WORDS = {
     "named": "named",
@@ -161,7 +34,24 @@ VERDICT_WORDS = {
 
 def words(effect: str) -> str:
     """The effect's name in a sentence; a name that is not known with its underscores as blanks."""
-    return EFFECTS[effect].words if effect in EFFECTS else effect.replace("_", " ")
+    return EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
+
+
+def text_of(finding: Finding) -> EffectText:
+    """How its effect is spoken of: a user's own effect brings its text with it."""
+    if finding.text is None and finding.effect in EFFECTS:
+        return EFFECTS[finding.effect].text
+    return finding.text or EffectText(words(finding.effect), "", "", (), False, ())
+
+
+def law(text: EffectText) -> str:
+    """The effect's equation as HTML: parameters in <i>, and what is added to the nominal torque behind "τ +="."""
+    marked = escape(text.equation)
+    for name in sorted(text.parameters, key=len, reverse=True):
+        marked = re.sub(rf"\b{name}\b", f"<i>{name}</i>", marked)
+    for name, symbol in (("qdd", "q̈"), ("qd", "q̇")):
+        marked = re.sub(rf"\b{name}(?![a-z])", symbol, marked)
+    return f"τ += {marked}" if text.adds else marked
 
 
 def capital(text: str) -> str:

@@ -6,13 +6,16 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Text
 
-from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.report import laws
-from invdyn_cli.report.diagnosis_figures import BODIES, PANELS, draw, draw_all
+from invdyn_cli.report.diagnosis_figures import JOINTS as EACH
+from invdyn_cli.report.diagnosis_figures import PANELS, draw, draw_all
+from invdyn_cli.report.diagnosis_page import page
 from invdyn_cli.report.exhibits import exhibits, recordings, telling_window
-from invdyn_cli.report.wording import EFFECTS, claims, picture
-from invdyn_cli.types import Quantity
+from invdyn_cli.report.wording import claims, picture
+from invdyn_cli.types import EffectText, Quantity
 from tests.diagnoses import (
     ARM,
     DELAY,
@@ -61,18 +64,31 @@ def test_every_effect_can_be_drawn(effect):
     """The picture of any effect names it and its joint in the title, and has a unit on every axis that has a label."""
     exhibit = exhibits(one(effect))[0]
     figure = draw(exhibit)
-    words = EFFECTS[effect].words if effect in EFFECTS else effect
+    words = EFFECTS[effect].title if effect in EFFECTS else effect
     assert figure.get_suptitle().startswith(f"{'whole arm' if effect in ARM else 'joint3'}: {words}")
     labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
     assert labels and all(label.endswith("]") or label == "samples" for label in labels)
     assert figure.legends
 
 
-def test_pictures_are_of_known_effects():
-    """No picture is kept for a name that is not in the vocabulary, which has every effect that is looked for."""
-    assert set(PANELS) | set(BODIES) <= set(EFFECTS)
-    assert set(CATALOGUE) <= set(EFFECTS) and set(CATALOGUE) <= set(EVERY_EFFECT)
-    assert not set(PANELS) & set(BODIES)
+def test_pictures_are_known():
+    """Every effect asks for panels that there are, two at most, or for all joints; every panel is asked for."""
+    asked = {name: effect.panels for name, effect in EFFECTS.items()}
+    assert {x for panels in asked.values() for x in panels} == {*PANELS, EACH}
+    assert all(len(panels) <= 2 for panels in asked.values()) and set(EFFECTS) <= set(EVERY_EFFECT)
+
+
+def test_an_effect_of_the_users_is_drawn_and_told():
+    """A finding whose effect is not in the catalogue brings its text: its panels are drawn, its meaning stands in the
+    picture and on the page, and its equation has its parameters in italics."""
+    text = EffectText("cable drag", "A cable that drags.", "drag qd |qd|", ("drag",), True, ("velocity",))
+    diagnosis = one("viscous_friction")
+    (finding,) = claims(diagnosis)
+    diagnosis = replace(diagnosis, findings=(replace(finding, effect="cable_drag", text=text),))
+    figure = draw(exhibits(diagnosis)[0])
+    assert len(figure.axes) == 2 and any("A cable that drags." in str(x) for x in figure.findobj(Text))
+    html = page(diagnosis, "lbr", [])
+    assert "A cable that drags." in html and "τ += <i>drag</i> q̇ |q̇|" in html
 
 
 def test_medians_show_the_law():

@@ -5,11 +5,12 @@ from html.parser import HTMLParser
 
 import pytest
 
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.report.diagnosis_figures import draw_all
 from invdyn_cli.report.diagnosis_page import page, write_report
 from invdyn_cli.report.quantities import gain_text, quantity_text
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import EFFECTS, claims, joints_of, picture, words
+from invdyn_cli.report.wording import claims, joints_of, law, picture, words
 from invdyn_cli.types import Check, Gain, Quantity
 from tests.diagnoses import EVERY_EFFECT, log_unusable, make_diagnosis, nothing_found, quantities
 
@@ -137,7 +138,8 @@ def test_every_effect_has_its_law(effect):
     timed = page(replace(diagnosis, findings=(replace(finding, trajectory="run_3", window=(8.0, 14.0)),)), "lbr", [])
     assert timed.count("8.00 to 14.0 s of run_3") == 2 and " s of run_3" not in text
     if effect in EFFECTS:
-        assert f'<p class="law">{EFFECTS[effect].law}</p>' in text
+        assert f'<p class="law">{law(EFFECTS[effect].text)}</p>' in text
+        assert all(f"<i>{x}</i>" in text for x in EFFECTS[effect].parameters if x in EFFECTS[effect].equation)
 
 
 def test_everything_is_escaped(tmp_path):

@@ -188,6 +188,6 @@ def test_the_summary_names_every_cause_that_is_a_row():
     titles = {name: effect.title for name, effect in CATALOGUE.items()}
     said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), titles)
     assert (
-        "wrong inertials of a link on joint3" in said
+        "link inertia error on joint3" in said
         and "what every arm has (friction and the like) on 1 joint" in said
     )

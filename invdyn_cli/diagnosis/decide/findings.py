@@ -109,6 +109,7 @@ def report(
             advice=effect.advice,
             evidence=_facts(evidence, terms[i]) | _equals(evidence.robot, rivals),
             group=effect.group,
+            text=effect.text,
         )
         if candidate.when is not None:
             finding = _timed(finding, whole.acting[i], ends[i])
@@ -322,6 +323,7 @@ def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, p
         parameters=_quantities(asymmetric, level, _slides(inquiry.evidence.robot, hypothesis[i])),
         gain=_gains(inquiry, hypothesis, (i, partner), after),
         advice=asymmetric.advice,
+        text=asymmetric.text,
         evidence={
             **finding.evidence,
             "coulomb": float(whole.theta[both[0]]),
