@@ -20,9 +20,9 @@ from experiments.cases import SIZES, Case, draw_case
 from experiments.confusion import WHOLE_ARM, claims
 from experiments.options import options_of
 from experiments.results import tell
+from experiments.truth import mjcf_of
 from invdyn_cli.diagnosis import Options as Wanted
 from invdyn_cli.diagnosis import diagnose, extension
-from invdyn_cli.simulation import mjcf
 from invdyn_cli.simulation.replay import replay
 
 ENOUGH = 0.8
@@ -87,7 +87,7 @@ def played(seed: int, case: Case) -> Replayed:
     finally:
         extension.replayed = real
     found = diagnosis.replay
-    nominal, truth = (mjcf.written(case.robot, x)[0] for x in ((), case.hidden))
+    nominal, truth = (mjcf_of(case.robot, x)[0] for x in ((), case.hidden))
     best = replay(nominal, truth, kept["stretches"], case.robot.joints)
     return Replayed(
         seed=seed,

@@ -15,6 +15,7 @@ import numpy as np
 
 from invdyn_cli.chunks import CHUNK, in_chunks
 from invdyn_cli.errors import UsageError
+from invdyn_cli.joints import NO_PLACE, NO_TIME, JointState, SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array, Check, Dataset, EffectText, Fit, Header, Motion, PyTree, Robot, Splits
 
 Progress = Callable[[float, str], None]
@@ -153,23 +154,6 @@ class Parameter(NamedTuple):
     upper: float = np.inf
 
 
-class JointState(NamedTuple):
-    """One joint over time, (T,) each or one sample: t [s], q, qd, qdd, sign(qd) without jumps at rest, and the rigid
-    body's torque [N m; N] that the joint transmits; `before`, of what remembers: q (P,) until then, where it is
-    known; `width` [rad/s; m/s] within which the sign goes straight through zero; `driver`: the joint before it in the
-    chain, where there is one."""
-
-    t: Array
-    q: Array
-    qd: Array
-    qdd: Array
-    sign: Array
-    transmitted: Array
-    before: Array | None = None
-    width: Array | float = 1e-3
-    driver: "JointState | None" = None
-
-
 Parameters = Mapping[str, Any]
 """Parameters of an effect by name, in the units that the effect declares."""
 
@@ -214,8 +198,48 @@ class AbstractEffect(abc.ABC):
     """Whether its columns hang on the torque that the joint transmits."""
     group: ClassVar[str] = "anomaly"
     """"standard" for what every arm has beside its URDF, "anomaly" for what only some have."""
+    jumps: ClassVar[bool] = False
+    """Whether its torque jumps where the joint turns back."""
+    load: ClassVar[bool] = False
+    """Whether it is a body that the last link carries."""
+    turns_gravity: ClassVar[bool] = False
+    """Whether it moves gravity and no inertials: nothing of it shows where nothing falls."""
+    invertible: ClassVar[bool] = True
+    """Of a channel: whether what was logged follows from what reached the joint; if not, models are compared with the
+    latter."""
+    factor: ClassVar[str] = ""
+    """Of a channel that only multiplies what was logged: the parameter that does."""
+    late_by: ClassVar[str] = ""
+    """The parameter [s] by which what it delivers comes late: effects that have one differ to second order only."""
+    of_joint: ClassVar[bool] = True
+    """Whether it acts on a joint, or its link; if not, on the whole arm."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """What a joint's motion must have to show it, names of `diagnosis.checks.excitation.NEEDS`."""
+    sum_of: ClassVar[Mapping[str, Mapping[str, float]]] = {}
+    """Of an effect that is the sum of others whatever the motion: each one's name, and how much its parameter adds to
+    each parameter here."""
+    scanned: ClassVar[tuple[Parameters, ...]] = ()
+    """Of an effect whose nonlinear parameters are scanned for in a log: those that a design of motions tries."""
     shows: ClassVar[tuple[str, ...]] = ()
     """Tests of the residual (`types.ResidualTest.against`) in which it shows first where a model lacks it."""
+
+    def is_ordinary(self, shape: Parameters) -> bool:
+        """Whether its columns at these nonlinear parameters help to measure the noise: of many trials, some; none whose
+        columns hold the log's noise themselves."""
+        return True
+
+    def is_plain(self, parameters: Parameters, state: JointState) -> bool:
+        """Whether an effect of these parameters can be told, on this motion of its joint, from what only looks like
+        it."""
+        return True
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any] | None:
+        """Parameters of an ordinary size on a joint like this; None where no size is ordinary."""
+        return None
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        """What of it the file of a simulator holds, beside other inertials and another gravity."""
+        return SimulatorTerms(lost=NO_TIME if self.passing else NO_PLACE)
 
     @property
     def text(self) -> EffectText:
@@ -241,8 +265,6 @@ class AbstractTorqueEffect(AbstractEffect):
     point = "torque"
     coupled: ClassVar[bool] = False
     """Whether it is of a gear that its joint shares with the joint before it (`JointState.driver`)."""
-    jumps: ClassVar[bool] = False
-    """Whether the first of its columns jumps where the joint turns back."""
 
     @abc.abstractmethod
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -254,6 +276,10 @@ class AbstractTorqueEffect(AbstractEffect):
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         """Values of the nonlinear parameters to try on this motion."""
         return ({},)
+
+    def jump(self, columns: Sequence[Array]) -> Array:
+        """Of an effect that jumps, the part of its columns that does."""
+        return columns[0]
 
     def share_on_driver(self, parameters: Parameters) -> float:
         """Of a coupled effect: what share of its term acts on the joint before its own."""
@@ -276,8 +302,9 @@ class AbstractChannelEffect(AbstractEffect):
     """An effect between the logged torque of a joint and what the joint receives."""
 
     point = "channel"
-    invertible: ClassVar[bool] = True
-    """Whether what was logged follows from what reached the joint; if not, models are compared with the latter."""
+
+    def is_ordinary(self, shape: Parameters) -> bool:
+        return bool(self.factor)
 
     @abc.abstractmethod
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
@@ -293,7 +320,7 @@ class AbstractChannelEffect(AbstractEffect):
 
 
 class AbstractBodyEffect(AbstractEffect):
-    """An effect on masses or gravity: another robot."""
+    """An effect on masses or gravity: another robot; of a joint, on the inertials of its link."""
 
     point = "body"
 

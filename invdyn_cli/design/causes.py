@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import body_columns, gravity_columns
-from invdyn_cli.diagnosis.columns.evidence import DRY, STICK_TIME
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
     Acting,
@@ -24,6 +23,7 @@ from invdyn_cli.effects.composition import (
     rigid_torque,
     sign_of,
 )
+from invdyn_cli.effects.friction import STICK_TIME
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -41,9 +41,6 @@ OFFSET_STEP = 1e-3
 
 ANGLE_STEP = 1e-3
 """[rad; m] Step of the slope of a torque over a joint's angle."""
-
-CYCLES = (6.0, 12.0, 24.0, 48.0)
-"""[1/rev] Ripples to try where none was found."""
 
 INERTIAL_SHARE = 0.3
 """Of a link's mass, first moments and inertia, by which they may be wrong where they are allowed for."""
@@ -157,7 +154,7 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
     if isinstance(effect, AbstractChannelEffect):
         assert joint is not None
         tau, rate = scenes.torque[joint], scenes.rate
-        if effect.name == "torque_gain_error":
+        if effect.factor:
             return [([{joint: tau}], np.zeros(1))]
         trials = [p for p in effect.shapes(tau.ravel(), rate) if all(v > 0 for v in p.values())]
         trials = [cause.parameters] if exact and cause.parameters is not None else trials
@@ -169,7 +166,8 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
     flat, shape = _flat(scenes), scenes.shape
     if isinstance(effect, AbstractMotionEffect):
         assert joint is not None
-        ends = [rigid_torque(robot, effect.true({"offset": x}, flat, joint)) for x in (OFFSET_STEP, -OFFSET_STEP)]
+        (name,) = effect.parameters
+        ends = [rigid_torque(robot, effect.true({name: x}, flat, joint)) for x in (OFFSET_STEP, -OFFSET_STEP)]
         slope = ((ends[0] - ends[1]) / (2 * OFFSET_STEP)).reshape(shape)
         return [([dict(enumerate(slope))], np.array([1 / 0.3**2]))]
     assert isinstance(effect, AbstractBodyEffect)
@@ -207,9 +205,9 @@ def _shapes(cause: Cause, state: JointState, exact: bool) -> Sequence[Parameters
     assert isinstance(effect, AbstractTorqueEffect)
     if exact and cause.parameters is not None:
         return [effect.shape_of(cause.parameters)]
-    if effect.name == "torque_ripple":
-        own = [cause.parameters["cycles"]] if cause.parameters else []
-        return [{"cycles": c} for c in dict.fromkeys((*own, *CYCLES))]
+    if effect.scanned:
+        own = [effect.shape_of(cause.parameters)] if cause.parameters else []
+        return [*own, *(x for x in effect.scanned if x not in own)]
     return effect.shapes(state)
 
 
@@ -268,8 +266,8 @@ def _torque_columns(
     states = scenes.states(joint, driver)
     made = [np.stack(x) for x in zip(*(effect.basis(s, shape) for s in states), strict=True)]
     precision = np.zeros(len(made))
-    if effect.name in (*DRY, "asymmetric_coulomb_friction"):  # the milliseconds in which a joint that turns back sticks
-        jump = made[0] if effect.name in DRY else made[0] + made[1]
+    if effect.jumps:  # the milliseconds in which a joint that turns back sticks
+        jump = np.asarray(effect.jump(made))
         scale = STICK_TIME * level[joint] / max(float(np.sqrt(np.mean(jump**2))), 1e-12)
         made.append(np.gradient(jump, axis=-1) * scenes.rate)
         precision = np.append(precision, 1 / max(scale, 1e-12) ** 2)

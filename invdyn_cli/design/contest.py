@@ -19,21 +19,21 @@ from scipy import signal
 from invdyn_cli.design.causes import Cause, Column, Scenes, Usual, columns, link_columns, term
 from invdyn_cli.design.sizes import SHARE, typical
 from invdyn_cli.diagnosis.columns.evidence import REST_SPEED
+from invdyn_cli.effects.actuator import TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
+from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.interfaces import AbstractTorqueEffect
 from invdyn_cli.types import Robot
 
 Side = tuple[Cause, ...]
 """A set of causes that together explain a log: one of the names that stay open."""
 
-NUISANCES = ("torque_offset", "coulomb_friction", "viscous_friction")
+NUISANCES = (TorqueOffset.name, CoulombFriction.name, ViscousFriction.name)
 """What every joint has a little of, and a diagnosis must allow for."""
 
 LEAST_SIZE, LARGEST_FACTOR = 0.3, 1e3
 """Of the largest side's size, what another is taken for at least; and the largest factor for that."""
-
-SAME = {"asymmetric_coulomb_friction": ("coulomb_friction", "torque_offset")}
-"""Effects that are the sum of others, whatever the motion."""
 
 MOST_TRIALS = 9
 """Combinations of a rival's nonlinear parameters that are tried."""
@@ -152,7 +152,7 @@ def evaluated(contest: Contest, scenes: Scenes) -> Evaluation:
         return np.arange(len(table) - len(made), len(table))
 
     def trials_of(cause: Cause, exact: bool = False) -> list[tuple[np.ndarray, np.ndarray]]:
-        key = (*cause.key, exact, cause.effect.name == "torque_ripple" and id(cause.parameters))
+        key = (*cause.key, exact, bool(cause.effect.scanned) and id(cause.parameters))
         if key not in cache:
             cache[key] = [(numbers(x), p) for x, p in columns(robot, cause, scenes, level, exact)]
         return cache[key]
@@ -250,14 +250,14 @@ def _nuisances(true: Side, rival: Side) -> list[Cause]:
 def _links(true: Side, rival: Side) -> list[int]:
     """Joints whose link's inertials are allowed for: where neither side is nearly such an error itself."""
     both = (*true, *rival)
-    if any(c.effect.point != "torque" or ("link_inertia_error",) in c.effect.confounders for c in both):
+    if any(c.effect.point != "torque" or (LinkInertiaError.name,) in c.effect.confounders for c in both):
         return []
     return sorted({c.joint for c in both if c.joint is not None})
 
 
 def _parts(side: Side) -> set[tuple[str, int | None]]:
     """Effects and joints, what is the same as two others taken for them: nothing in the motion parts those."""
-    return {(name, c.joint) for c in side for name in SAME.get(c.effect.name, (c.effect.name,))}
+    return {(name, c.joint) for c in side for name in c.effect.sum_of or (c.effect.name,)}
 
 
 def _holds(general: Side, special: Side) -> bool:

@@ -202,8 +202,7 @@ def _names(pairs: Sequence[Told]) -> str:
 def cause_of(name: str, joint: str | None, parameters: Mapping[str, Any] | None, robot: Robot) -> Cause:
     """A cause by its names; what acts on the whole arm has no joint, and the joint of what needs one is the last."""
     effect = EFFECTS[name]
-    arm = isinstance(effect, AbstractBodyEffect) and name != "link_inertia_error"
-    number = None if arm else robot.dofs - 1 if joint is None else robot.joints.index(joint)
+    number = None if not effect.of_joint else robot.dofs - 1 if joint is None else robot.joints.index(joint)
     if isinstance(effect, AbstractBodyEffect | AbstractMotionEffect) and parameters is not None:
         parameters = {k: np.asarray(v, float) if np.ndim(v) else float(v) for k, v in parameters.items()}
     return Cause(effect, number, parameters)

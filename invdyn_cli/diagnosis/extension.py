@@ -1,6 +1,6 @@
 """The better simulation: what a diagnosis found as an MJCF and a URDF, and replayed in MuJoCo beside the log.
 
-Effects and simulation do not know each other; here the one's names and parameters become the other's.
+Effects and simulation do not know each other: an effect says in plain numbers what a file holds of it.
 """
 
 from collections.abc import Sequence
@@ -12,15 +12,14 @@ from invdyn_cli import urdf
 from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.recording import Recording
-from invdyn_cli.effects.composition import changed
+from invdyn_cli.effects.composition import Acting, changed
 from invdyn_cli.effects.description import ExtendedModel
-from invdyn_cli.errors import LogError
+from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractBodyEffect, Progress, silent
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths.pseudo_inertia import realisable
 from invdyn_cli.simulation import mjcf
 from invdyn_cli.simulation.driven import Stretch
-from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.replay import Replay
 from invdyn_cli.simulation.replay import replay as play
 from invdyn_cli.types import Motion, Robot
@@ -37,19 +36,29 @@ class Export:
     urdf_lacks: tuple[str, ...]
 
 
-def hidden_of(model: ExtendedModel) -> tuple[Hidden, ...]:
-    """The model's effects as the simulation takes them."""
-    joints = model.robot.joints
-    return tuple(
-        Hidden(one.effect.name, None if one.joint is None else joints[one.joint], one.parameters)
-        for one in model.acting
-    )
-
-
 def exported(model: ExtendedModel) -> Export:
     """The model as MJCF and URDF."""
     text, lacks = urdf_of(model) if model.robot.urdf else ("", ())
-    return Export(*mjcf.written(_bare(model.robot), hidden_of(model)), text, lacks)
+    return Export(*_mjcf_of(model), text, lacks)
+
+
+def _mjcf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
+    """The MJCF, and what it does not hold: a payload is a body of its own there, other bodies are the arm's."""
+    parts, bodies = [], []
+    for one in model.acting:
+        terms = one.effect.in_simulator(one.parameters)
+        parts.append(mjcf.Part(None if one.joint is None else model.robot.joints[one.joint], one.effect.title, terms))
+        bodies += [one] * (terms.body is None and _is_lasting_body(one))
+    return mjcf.written(_bare(_changed(model.robot, bodies)), parts)
+
+
+def _is_lasting_body(one: Acting) -> bool:
+    return isinstance(one.effect, AbstractBodyEffect) and not one.effect.passing
+
+
+def _changed(robot: Robot, acting: Sequence[Acting]) -> Robot:
+    """The robot with other inertials and gravity."""
+    return changed(robot, acting, Motion(*np.zeros((3, robot.dofs, 1))))[0]
 
 
 def _bare(robot: Robot) -> Robot:
@@ -64,9 +73,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     own <inertial>, also where the robot's row is the sum of several links that are fixed to each other.
     """
     robot, said = model.robot, []
-    bodies = [x for x in model.acting if isinstance(x.effect, AbstractBodyEffect)]
-    still = Motion(*np.zeros((3, robot.dofs, 1)))
-    heavier, _ = changed(robot, bodies, still)
+    heavier = _changed(robot, [x for x in model.acting if _is_lasting_body(x)])
     change, links = {}, urdf.moving_links(robot.urdf, robot.joints)
     for link, old, new in zip(links, np.asarray(robot.inertial), np.asarray(heavier.inertial), strict=True):
         if np.array_equal(old, new):
@@ -75,40 +82,21 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
         if not np.allclose(real, new, rtol=1e-9, atol=0):
             said.append(f"{link}: its inertials are not of a real body; the nearest ones of one are written")
         change[link] = real - old
-    numbers = {x: [0.0, 0.0] for x in robot.joints}
+    numbers = {x: (0.0, 0.0) for x in robot.joints}
     for one in model.acting:
-        joint = "" if one.joint is None else robot.joints[one.joint]
-        held = _put(numbers.get(joint, [0.0, 0.0]), one.effect.name, one.parameters)
-        if one.effect.name == "base_tilt":
-            gravity = ",".join(f"{x:.5g}" for x in np.asarray(heavier.gravity))
-            held = f"is left out: a URDF has no gravity; load it with robot.gravity=[{gravity}]"
-        if held:
-            said.append(f"{joint or 'whole arm'}: {one.effect.title} {held}")
-    text, refused = urdf.with_changes(robot.urdf, change, {x: (a, b) for x, (a, b) in numbers.items()})
+        terms, joint = one.effect.in_simulator(one.parameters), "" if one.joint is None else robot.joints[one.joint]
+        if joint:
+            damping, friction = numbers[joint]
+            numbers[joint] = damping + terms.joint.get("damping", 0.0), friction + terms.joint.get("friction", 0.0)
+        lacks = [x.replace("_", " ") for x in terms.joint if x not in ("damping", "friction")]
+        lacks += ["drive"] if terms.drive else []
+        without = f"is written without its {listed(lacks)}: a URDF has no place for it" if lacks else ""
+        said += [f"{joint or 'whole arm'}: {one.effect.title} {x}" for x in (terms.lost, without) if x]
+    if not np.array_equal(robot.gravity, heavier.gravity):
+        gravity = ",".join(f"{x:.5g}" for x in np.asarray(heavier.gravity))
+        said.append(f"whole arm: a URDF has no gravity; load it with robot.gravity=[{gravity}]")
+    text, refused = urdf.with_changes(robot.urdf, change, numbers)
     return text, (*said, *refused)
-
-
-def _put(numbers: list[float], effect: str, p) -> str:
-    """Add an effect to a joint's damping and friction, in place; what is not held of it, "" if it is held."""
-    match effect:
-        case "viscous_friction":
-            numbers[0] += float(p["damping"])
-        case "thermal_friction_drift":
-            numbers[0] += float(p["warm"])
-            return f"is held warm, damping {p['warm']:.3g}"
-        case "coulomb_friction":
-            numbers[1] += float(p["coulomb"])
-        case "asymmetric_coulomb_friction":
-            numbers[1] += float(p["positive"] + p["negative"]) / 2
-            return f"is held by the mean of both ways, {(p['positive'] + p['negative']) / 2:.3g}"
-        case "stribeck_friction" | "presliding_hysteresis":
-            numbers[1] += float(p["coulomb"])
-            return f"is held by its level at speed, {p['coulomb']:.3g}"
-        case "payload" | "link_inertia_error" | "base_tilt":
-            pass  # an inertial, or told apart
-        case _:
-            return "is left out: a URDF has no place for it"
-    return ""
 
 
 def stretches_of(log: Log, robot: Robot, recording: Recording, lead: float) -> list[Stretch]:
@@ -142,7 +130,7 @@ def replayed(model: ExtendedModel, stretches: Sequence[Stretch], progress: Progr
         LogError: if no stretch is long enough, or MuJoCo refuses the arm.
     """
     before, _ = mjcf.written(_bare(model.robot))
-    after, lacks = mjcf.written(_bare(model.robot), hidden_of(model))
+    after, lacks = _mjcf_of(model)
     try:
         return play(before, after, stretches, model.robot.joints, not_held=lacks, progress=progress)
     except ValueError as error:

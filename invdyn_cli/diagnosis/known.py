@@ -24,7 +24,6 @@ from invdyn_cli.effects.composition import (
 )
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import (
-    AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractEffect,
     AbstractTorqueEffect,
@@ -39,7 +38,7 @@ COUNTS = {"com": 3, "moment": 3, "inertia": 6}
 def is_common(candidate: Candidate) -> bool:
     """Whether an earlier log of the same robot is allowed to show it beside its nominal model: what is linear in its
     parameters, and the ripples that were found."""
-    return not candidate.is_trial and (not candidate.shape or candidate.effect.name == "torque_ripple")
+    return not candidate.is_trial and (not candidate.shape or bool(candidate.effect.scanned))
 
 
 def read(
@@ -63,15 +62,15 @@ def read(
         if joint is not None and joint not in robot.joints:
             raise UsageError(f"diagnosis.known: no joint {joint!r}{closest(str(joint), robot.joints)}")
         effect = effects[name]
-        whole = isinstance(effect, AbstractBodyEffect) and name != "link_inertia_error"
+        whole = not effect.of_joint
         if whole and joint is not None:
             raise UsageError(f"diagnosis.known: {name} is of the whole arm, and has no joint; got {joint!r}")
         given = {k: v for k, v in one.items() if k not in ("effect", "joint")}
         if not given:
-            parts = ("coulomb_friction", "torque_offset") if name == "asymmetric_coulomb_friction" else (name,)
+            parts = effect.sum_of or (name,)
             allowed += [(part, None if joint is None else robot.joints.index(joint)) for part in parts]
             continue
-        if name == "payload":
+        if effect.load:
             given.setdefault("inertia", [0.0] * 6)
         wrong = set(given) ^ set(effect.parameters)
         if wrong:

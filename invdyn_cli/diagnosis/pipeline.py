@@ -17,6 +17,7 @@ from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
 from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.effects.actuator import TorqueGainError
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.effects.description import ExtendedModel
@@ -123,7 +124,7 @@ def diagnose(
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
     restless = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
-    made = replace(made, findings=findings.in_doubt(made.findings, shares))
+    made = replace(made, findings=findings.in_doubt(made.findings, effects, shares))
     progress(0.9, "model")
     named = {(f.effect, f.joint) for f in made.findings if f.status == "named" and not compares}  # a change is no term
     model = ExtendedModel(
@@ -191,7 +192,7 @@ def _gained(
         return None, log, reference  # the doctor says why
     if not found.known.any():
         return None, log, reference
-    log = replace(log, drive_gain=found.value, compensated=(*log.compensated, "torque_gain_error"))
+    log = replace(log, drive_gain=found.value, compensated=(*log.compensated, TorqueGainError.name))
     if reference is not None and gains.lacks(reference):
         reference = replace(reference, drive_gain=found.value)
     return found, log, reference

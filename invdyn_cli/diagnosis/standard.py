@@ -20,21 +20,24 @@ from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
+from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
+from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
+from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.maths import standard, statistics
 from invdyn_cli.maths.standard import Standard, Sums
 from invdyn_cli.types import Finding, Quantity
 
 TERMS: Mapping[str, tuple[str, str]] = {
-    "offset": ("torque_offset", "offset"),
-    "coulomb": ("coulomb_friction", "coulomb"),
-    "viscous": ("viscous_friction", "damping"),
-    "armature": ("rotor_inertia", "armature"),
+    "offset": (TorqueOffset.name, "offset"),
+    "coulomb": (CoulombFriction.name, "coulomb"),
+    "viscous": (ViscousFriction.name, "damping"),
+    "armature": (RotorInertia.name, "armature"),
 }
 """The terms of a joint: the effect that each is, and its parameter."""
 
-LINK = EFFECTS["link_inertia_error"]
+LINK = EFFECTS[LinkInertiaError.name]
 
 WORN = 0.005
 """Share of its scales below which a link is as its URDF has it: clocks and filters leave that much."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy import ndimage, signal
@@ -14,6 +15,7 @@ from invdyn_cli.interfaces import (
     Parameter,
     Parameters,
 )
+from invdyn_cli.joints import NO_TIME, SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 SLOWEST = 0.05
@@ -37,7 +39,14 @@ class RotorInertia(AbstractTorqueEffect):
     advice = "accelerations of the joint in postures that change the inertia it carries"
     panels = ("acceleration",)
     group = "standard"
+    needs = ("motion", "acceleration")
     shows = ("acceleration",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"armature": 0.15 * usual.inertia}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"armature": parameters["armature"]})
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["armature"] * state.qdd
@@ -62,7 +71,14 @@ class TorqueOffset(AbstractTorqueEffect):
     confounders = (("joint_spring",), ("asymmetric_coulomb_friction",), ("base_tilt",), ("link_inertia_error",))
     advice = "many postures approached from both sides, one of them without load"
     group = "standard"
+    needs = ("reversals",)
     shows = ("level",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"offset": usual.level}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"offset": parameters["offset"]})
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.q.__array_namespace__()
@@ -88,7 +104,14 @@ class TorqueOffsetDrift(AbstractTorqueEffect):
     parameters = {"rate": Parameter("N m/s")}
     confounders = (("torque_offset",), ("thermal_friction_drift",), ("joint_spring",))
     advice = "the same postures again after some minutes"
+    needs = ("minutes",)
     shows = ("time",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"rate": 2 * usual.level / usual.duration}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms(lost=NO_TIME)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["rate"] * state.t
@@ -111,10 +134,18 @@ class TorqueGainError(AbstractChannelEffect):
     loaded = True
     reference = "Gautier and Briot, ASME JDSMC 2014"
     parameters = {"gain": Parameter("-", 0.4, 2.5)}
+    factor = "gain"
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
     advice = "a known payload: it tells a gain from masses"
     panels = ("nominal_torque",)
+    needs = ("torque",)
     shows = ("load",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"gain": 0.9}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"gain": parameters["gain"]})
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return ({"gain": 1.0},)
@@ -142,10 +173,18 @@ class TorqueDelay(AbstractChannelEffect):
     equation = "delivered(t) = logged(t − delay)"
     reference = "first order: delay · d torque/dt"
     parameters = {"delay": Parameter("s", 0.0, SLOWEST)}
+    late_by = "delay"
     confounders = (("actuator_lag",), ("viscous_friction",))
     advice = "fast motion: a delay grows with frequency as a line, a lag bends and damps"
     panels = ("torque_rate", "time_shift")
+    needs = ("torque",)
     shows = ("torque_slope",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"delay": 0.01}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"delay": parameters["delay"]})
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return [{"delay": d} for d in self.delays]
@@ -173,10 +212,18 @@ class ActuatorLag(AbstractChannelEffect):
     equation = "time_constant · d delivered/dt + delivered = logged"
     reference = "first-order current loop"
     parameters = {"time_constant": Parameter("s", 0.0, SLOWEST)}
+    late_by = "time_constant"
     confounders = (("torque_delay",), ("viscous_friction",))
     advice = TorqueDelay.advice
     panels = ("torque_rate", "time_shift")
+    needs = ("torque",)
     shows = ("torque_slope",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"time_constant": 0.01}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"lag": parameters["time_constant"]})
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         return [{"time_constant": x} for x in self.time_constants]
@@ -220,6 +267,12 @@ class TorqueSaturation(AbstractChannelEffect):
     advice = "the measured torque or current beside the commanded one"
     panels = ("clipping",)
     shows = ("load",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"limit": 1.5 * usual.torque}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"limit": parameters["limit"]})
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
         limits = np.quantile(abs(np.asarray(tau)), [1 - x for x in self.shares])

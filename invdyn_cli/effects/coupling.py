@@ -7,10 +7,12 @@ inertia of that drive then act on both joints, by the principle of virtual work 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from invdyn_cli.effects.actuator import MOTOR_SIDES
 from invdyn_cli.effects.composition import sign_of
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 LEAST_RATIO = 0.2
@@ -61,6 +63,13 @@ class CoupledFriction(AbstractTorqueEffect):
     shows = ("neighbours",)
     coupled = True
     jumps = True
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        level = usual.level / 2
+        return {"coulomb": level, "damping": level / usual.speed, "armature": 0.05 * usual.inertia, "ratio": 1.0}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms(drive=parameters)
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         sign, speed, acceleration = self.basis(state, parameters)

@@ -22,7 +22,7 @@ from invdyn_cli.effects.composition import (
     sign_of,
 )
 from invdyn_cli.errors import UsageError, closest, listed
-from invdyn_cli.interfaces import JointState
+from invdyn_cli.interfaces import AbstractEffect, JointState
 from invdyn_cli.types import Array, Motion, Robot
 
 SCHEMA = "invdyn-model/1"
@@ -60,7 +60,8 @@ class ExtendedModel:
         for j in range(self.robot.dofs):
             tau = body[j] + sum(joint_terms(self.acting, j, states, parents))
             for one in self.acting:
-                if one.joint == j and one.effect.name in ("torque_gain_error", "torque_saturation") and not one.when:
+                memoryless = one.effect.factor or not one.effect.invertible
+                if one.joint == j and memoryless and not one.when:
                     tau = one.effect.logged(one.parameters, tau, 1.0)  # type: ignore[attr-defined]
             out.append(tau)
         return jnp.stack(out)
@@ -133,8 +134,8 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
     }
 
 
-def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
-    """The model of an extended_model.json.
+def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, AbstractEffect] = EFFECTS) -> ExtendedModel:
+    """The model of an extended_model.json, of these effects by name.
 
     Raises:
         UsageError: if it is none, or names an effect that there is not.
@@ -150,15 +151,16 @@ def from_dict(stored: Any, where: str = "the model") -> ExtendedModel:
         acting, intervals = [], []
         for number, row in enumerate(stored["effects"]):
             name = row["effect"]
-            if name not in EFFECTS:
-                raise UsageError(f"{where}: no effect {name!r}{closest(name, EFFECTS)}; allowed: {listed(EFFECTS)}")
+            if name not in effects:
+                got = f"{where}: no effect {name!r}{closest(name, effects)}; allowed: {listed(effects)}"
+                raise UsageError(got, advice="model.effects=[{_target_: mine.MyEffect}] for one of your own")
             joint = None if row["joint"] is None else robot.joints.index(row["joint"])
             parameters = {k: _numbers(v["value"]) for k, v in row["parameters"].items()}
             when = None
-            if EFFECTS[name].passing:
+            if effects[name].passing:
                 start, end = row["window"]
                 when = When(row["trajectory"], float(start), float(end), number)
-            acting.append(Acting(EFFECTS[name], joint, parameters, when))
+            acting.append(Acting(effects[name], joint, parameters, when))
             ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
             intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})
     except KeyError as error:

@@ -6,13 +6,22 @@ Sizes are those of the logged side. sign(qd) comes with the state: whoever makes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import copysign, exp
+from typing import Any
 
 import numpy as np
 
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 1994"
+
+STICK_TIME = 0.005
+"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
+the jump is allowed for, as a free column of its own."""
+
+LEAST_DROP = 1.1
+"""Of the Coulomb level, what the static one is at least in any gear that has two."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,14 @@ class ViscousFriction(AbstractTorqueEffect):
     advice = "constant speeds in both directions, at least three of them"
     panels = ("velocity",)
     group = "standard"
+    needs = ("motion", "speeds")
     shows = ("velocity",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"damping": usual.level / usual.speed}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"damping": parameters["damping"]})
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["damping"] * state.qd
@@ -62,7 +78,14 @@ class CoulombFriction(AbstractTorqueEffect):
     jumps = True
     panels = ("velocity",)
     group = "standard"
+    needs = ("motion", "reversals")
     shows = ("velocity", "reversals")
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"coulomb": usual.level}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"friction": parameters["coulomb"]})
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["coulomb"] * state.sign
@@ -88,11 +111,27 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
     contains = ("coulomb_friction",)
     advice = "the torque in a posture that needs none, with the joint at rest and free: an offset stays, friction goes"
     panels = ("velocity",)
+    jumps = True
+    sum_of = {
+        "coulomb_friction": {"positive": 1.0, "negative": 1.0},
+        "torque_offset": {"positive": 1.0, "negative": -1.0},
+    }
+    needs = ("motion", "reversals")
     shows = ("velocity", "reversals")
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"positive": 1.4 * usual.level, "negative": 0.6 * usual.level}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        up, down = parameters["positive"], parameters["negative"]
+        return SimulatorTerms({"friction": (up + down) / 2, "offset": (up - down) / 2})  # within both nothing moves
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         up, down = self.basis(state, parameters)
         return parameters["positive"] * up + parameters["negative"] * down
+
+    def jump(self, columns: Sequence[Array]) -> Array:
+        return columns[0] + columns[1]
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         size = abs(state.sign)
@@ -108,9 +147,13 @@ class StribeckFriction(AbstractTorqueEffect):
 
     Attributes:
         velocities: Stribeck velocities to try [rad/s]; the found one is refined between them.
+        usual_velocity: [rad/s] of an ordinary one.
+        usual_ratio: static over Coulomb level of an ordinary one.
     """
 
     velocities: tuple[float, ...] = (0.006, 0.01, 0.017, 0.028, 0.047, 0.08, 0.13, 0.22, 0.36)
+    usual_velocity: float = 0.028
+    usual_ratio: float = 1.3
 
     name = "stribeck_friction"
     title = "Stribeck friction"
@@ -128,7 +171,16 @@ class StribeckFriction(AbstractTorqueEffect):
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
     jumps = True
     panels = ("velocity", "near_standstill")
+    needs = ("motion", "speeds", "creep")
     shows = ("velocity", "reversals")
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        static = self.usual_ratio * usual.level
+        return {"coulomb": usual.level, "static": static, "velocity": self.usual_velocity}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        level = parameters["coulomb"]
+        return SimulatorTerms({"friction": level}, lost=f"is held by its level at speed, {level:.3g}")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.qd.__array_namespace__()
@@ -145,6 +197,14 @@ class StribeckFriction(AbstractTorqueEffect):
 
     def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
         return {"coulomb": coefficients[0], "static": coefficients[0] + coefficients[1], **shape}
+
+    def is_ordinary(self, shape: Parameters) -> bool:
+        return 0.02 < shape["velocity"] < 0.1
+
+    def is_plain(self, parameters: Parameters, state: JointState) -> bool:
+        """Its velocity is beyond what a joint gains while it sticks, and its drop is one that gears have."""
+        gained = STICK_TIME * float(np.std(state.qdd))
+        return parameters["velocity"] > gained and parameters["static"] > LEAST_DROP * parameters["coulomb"]
 
     def refuse(self, parameters: Parameters) -> str:
         if parameters["static"] < parameters["coulomb"]:
@@ -167,7 +227,11 @@ class LoadDependentFriction(AbstractTorqueEffect):
     advice = "the same slow motion both ways in postures of different load, or with and without a known payload"
     jumps = True
     panels = ("velocity", "load")
+    needs = ("motion", "load")
     shows = ("load",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"mu": 0.1}
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["mu"] * abs(state.transmitted) * state.sign
@@ -192,7 +256,14 @@ class QuadraticFriction(AbstractTorqueEffect):
     confounders = (("viscous_friction",), ("thermal_friction_drift",))
     advice = "constant speeds up to the fastest the joint can do, both ways"
     panels = ("velocity",)
+    needs = ("motion", "speeds", "curvature")
     shows = ("velocity",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"drag": usual.level / usual.speed**2}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"drag": parameters["drag"]})
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["drag"] * state.qd * abs(state.qd)
@@ -229,7 +300,16 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
     nonlinear = ("time_constant",)
     advice = "the same trajectory cold and after 20 minutes of motion"
     panels = ("velocity", "slope_over_time")
+    needs = ("motion", "warming")
     shows = ("time",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        warm = usual.level / usual.speed
+        return {"cold": 1.5 * warm, "warm": warm, "time_constant": usual.duration / 3}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        warm = parameters["warm"]
+        return SimulatorTerms({"damping": warm}, lost=f"is held warm, damping {warm:.3g}, whatever the temperature")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.t.__array_namespace__()
@@ -252,6 +332,9 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
             return "friction would rise while the gear warms up"
         return super().refuse(parameters)
 
+
+USUAL_LENGTH = 0.005
+"""[rad; m] after which two thirds of the friction of bent bristles are there."""
 
 SHORTEST = 1e-9
 """[rad] of the way on which bristles bend: shorter ones are none."""
@@ -279,7 +362,15 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     nonlinear = ("stiffness",)
     advice = "small reversals of a few milliradians, slow and fast: bristles know the way since the last one, not speed"
     panels = ("loops_over_position",)
+    needs = ("motion", "reversals", "creep")
     shows = ("reversals",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"coulomb": usual.level, "stiffness": usual.level / USUAL_LENGTH}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        level = parameters["coulomb"]
+        return SimulatorTerms({"friction": level}, lost=f"is held as dry friction of {level:.3g}, without a memory")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["coulomb"] * _bristle(state, self.shape_of(parameters)["length"])

@@ -6,14 +6,19 @@ link's motion. Load is the torque that would keep the link on the motor's motion
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from invdyn_cli.interfaces import AbstractGearEffect, Parameter, Parameters
+from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 STRETCH = 128
 """Samples of a spring's course that are followed side by side with others."""
+
+USUAL_GAP, USUAL_RESONANCE = 0.003, 12.0
+"""[rad; m] of play of an ordinary gear, 10 minutes of arc; and [Hz] of a link on its joint's spring, motor held."""
 
 BLOW, SLOWED = 1, 1.5
 """Samples that the blow of flanks that meet may last: filters spread it. It does where the motor's own deceleration
@@ -40,7 +45,14 @@ class Backlash(AbstractGearEffect):
     confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
     advice = "the same slow motion with the load always pulling to one side, and through its zero; a link encoder"
     panels = ("loops_over_load",)
+    needs = ("motion", "load_zeros")
     shows = ("load_zeros",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"gap": USUAL_GAP}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"gap": parameters["gap"]})
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
         return [{"gap": x} for x in self.gaps]
@@ -71,7 +83,14 @@ class JointElasticity(AbstractGearEffect):
     confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
     advice = "a chirp up to the resonance: phase of a delay grows as a line, that of a spring with its square"
     panels = ("loops_over_load",)
+    needs = ("motion", "frequency")
     shows = ("torque_slope", "acceleration")
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"stiffness": max(usual.inertia * (2 * np.pi * USUAL_RESONANCE) ** 2, 1.0)}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"compliance": 1 / parameters["stiffness"]})
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
         return [{"stiffness": float(np.median(inertia)) * (2 * np.pi * f) ** 2} for f in self.resonances]

@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractMotionEffect, Parameter, Parameters
+from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array, Motion, Robot
 
 MASS, MOMENT, INERTIA = 5.0, 1.0, 0.3
 """Scales that changes of a link's mass [kg], first moments [kg m] and inertia [kg m²] hardly exceed on a robot arm."""
+
+USUAL_TILT = 0.05
+"""[rad]"""
 
 STILL = np.zeros(3)
 
@@ -32,13 +36,19 @@ class Payload(AbstractBodyEffect):
     confounders = (("link_inertia_error",), ("torque_gain_error",))
     advice = "the same trajectory without the load, or the tool on a scale"
     panels = ("joints",)
+    of_joint = False
+    load = True
     shows = ("load", "acceleration")
 
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        arm = float(np.asarray(usual.robot.inertial)[:, 0].sum())
+        return {"mass": 0.05 * arm, "com": np.array([0.02, 0.0, 0.05]), "inertia": np.zeros(6)}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms(body=np.array(_body(parameters), float))
+
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
-        mass, (x, y, z), own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
-        point = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
-        about = [mass * i + o for i, o in zip(point, own, strict=True)]
-        return _added(robot, robot.dofs - 1, [mass, mass * x, mass * y, mass * z, *about])
+        return _added(robot, robot.dofs - 1, _body(parameters))
 
     def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
         scales = [MASS] + [MOMENT] * 3 + [0.1 * INERTIA] * 6
@@ -80,6 +90,13 @@ class LinkInertiaError(AbstractBodyEffect):
     group = "standard"
     shows = ("angle", "acceleration", "neighbours")
 
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        own = 0.2 * np.asarray(usual.robot.inertial)[usual.joint]
+        return {"mass": float(own[0]), "moment": own[1:4], "inertia": own[4:]}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms()
+
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         assert joint is not None
         change = parameters["mass"], *_each(parameters["moment"], 3), *_each(parameters["inertia"], 6)
@@ -111,7 +128,22 @@ class BaseTilt(AbstractBodyEffect):
     confounders = (("link_inertia_error",), ("encoder_offset",), ("torque_offset",))
     advice = "a spirit level on the base; turning the first joint, whose torque a true vertical leaves at zero"
     panels = ("joints",)
+    of_joint = False
+    turns_gravity = True
     shows = ("angle",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any] | None:
+        gravity = np.asarray(usual.robot.gravity)
+        if not np.any(gravity):
+            return None
+        down = gravity / np.linalg.norm(gravity)
+        down = down + USUAL_TILT * _sideways(down)[0]
+        down = down / np.linalg.norm(down)
+        angle, azimuth = np.arccos(np.clip(-down[2], -1, 1)), np.arctan2(down[1], down[0])
+        return {"angle": float(angle), "azimuth": float(azimuth)}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms()
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         xp = np if isinstance(parameters["angle"], float) else parameters["angle"].__array_namespace__()
@@ -149,7 +181,14 @@ class EncoderOffset(AbstractMotionEffect):
     confounders = (("link_inertia_error",), ("base_tilt",), ("torque_offset",))
     advice = "a calibration of the joint's zero by an outer measurement"
     panels = ("position",)
+    needs = ("range",)
     shows = ("angle",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"offset": 0.03}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"encoder": parameters["offset"]})
 
     def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
         xp = motion.q.__array_namespace__()
@@ -163,6 +202,13 @@ def _unit(robot: Robot, link: int, parameter: int) -> np.ndarray:
     one = np.zeros((robot.dofs, 10))
     one[link, parameter] = 1.0
     return one
+
+
+def _body(parameters: Parameters) -> list[Any]:
+    """The ten inertial parameters of a payload about the frame's origin."""
+    mass, (x, y, z), own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
+    point = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+    return [mass, mass * x, mass * y, mass * z, *(mass * i + o for i, o in zip(point, own, strict=True))]
 
 
 def _added(robot: Robot, link: int, change: Sequence[Any]) -> Robot:

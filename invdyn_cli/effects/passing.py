@@ -32,6 +32,8 @@ class PayloadChange(AbstractBodyEffect):
     reference = "Gaz and De Luca, IROS 2017"
     parameters = Payload.parameters
     passing = True
+    of_joint = False
+    load = True
     confounders = (("external_contact",), ("torque_gain_change",))
     advice = "the load held through several postures, turned by the wrist: weight and centre of mass move as one body"
     panels = ("joints",)
@@ -60,6 +62,7 @@ class TorqueGainChange(AbstractChannelEffect):
     equation = "delivered = gain · logged, for a time"
     reference = "Gautier and Briot, ASME JDSMC 2014"
     parameters = TorqueGainError.parameters
+    factor = "gain"
     passing = True
     confounders = (("payload_change",), ("external_contact",))
     advice = "the same trajectory before and after the change"

@@ -2,12 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.maths import ripple
 from invdyn_cli.types import Array
+
+PERIODS = 1.5
+"""Of a ripple within the joint's motion, at least."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,12 @@ class TorqueRipple(AbstractTorqueEffect):
     nonlinear = ("cycles",)
     advice = "a slow constant speed over a whole turn, logged fast enough"
     panels = ("angle", "angle_spectrum")
+    scanned = tuple({"cycles": x} for x in (6.0, 12.0, 24.0, 48.0))
+    needs = ("motion", "turn")
     shows = ("ripple",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"amplitude": usual.level, **self.scanned[1], "phase": 0.5}
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.q.__array_namespace__()
@@ -42,6 +52,10 @@ class TorqueRipple(AbstractTorqueEffect):
 
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         return ()
+
+    def is_plain(self, parameters: Parameters, state: JointState) -> bool:
+        """It has periods: fewer are any bend of the torque over the angle."""
+        return parameters["cycles"] * float(np.ptp(state.q)) > 2 * np.pi * PERIODS
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         xp = state.q.__array_namespace__()
@@ -66,7 +80,15 @@ class JointSpring(AbstractTorqueEffect):
     contains = ("torque_offset",)
     advice = "postures over the joint's whole range: gravity bends as a sine, a spring does not"
     panels = ("position",)
+    needs = ("motion", "range")
     shows = ("angle",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"stiffness": 4 * usual.level / usual.span, "rest": usual.middle}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        stiffness = parameters["stiffness"]
+        return SimulatorTerms({"stiffness": stiffness, "pull": stiffness * parameters["rest"]})
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["stiffness"] * (state.q - parameters["rest"])

@@ -3,6 +3,7 @@
 The text of the file is a field of the model, so that a run.h5 stays whole when the file is gone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli import untrusted
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.description import ExtendedModel, from_dict
 from invdyn_cli.errors import UsageError, listed
-from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 HINT = "the extended_model.json in the folder that `invdyn diagnose` printed last"
@@ -32,20 +34,26 @@ class Extended(AbstractModel):
     Attributes:
         text: what the extended_model.json holds.
         path: where it was read from, for the record.
+        effects: of the user's own beside the catalogue, where the file names some.
     """
 
     text: str
     path: str = ""
+    effects: tuple[AbstractEffect, ...] = ()
 
     needs_robot = False
 
     def __post_init__(self) -> None:
-        _parsed(self.text, self.path or "the model")
+        object.__setattr__(self, "effects", tuple(self.effects))
+        for one in self.effects:
+            if not isinstance(one, AbstractEffect):
+                raise UsageError(f"model.effects has {one!r}; allowed: {{_target_: module.Class}} of an effect")
+        _parsed(self.text, self.path or "the model", self.effects)
 
     @property
     def model(self) -> ExtendedModel:
         """The robot with its effects, as the file has them."""
-        return _parsed(self.text, self.path or "the model")
+        return _parsed(self.text, self.path or "the model", self.effects)
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """The file's parameters: there is nothing to learn."""
@@ -88,24 +96,25 @@ class Extended(AbstractModel):
         return replace(self.model, acting=tuple(acting))
 
 
-def read(path: str) -> Extended:
-    """The model of an extended_model.json.
+def read(path: str, effects: Sequence[AbstractEffect] = ()) -> Extended:
+    """The model of an extended_model.json, with the user's own effects that it names.
 
     Raises:
         UsageError: if there is no such file, or it holds no such model.
     """
     where = Path(str(path)).expanduser()
-    return Extended(untrusted.read_text(where, UsageError, HINT), str(where))
+    return Extended(untrusted.read_text(where, UsageError, HINT), str(where), tuple(effects))
 
 
-def load_model(path: str | Path) -> ExtendedModel:
+def load_model(path: str | Path, effects: Sequence[AbstractEffect] = ()) -> ExtendedModel:
     """The robot with its effects, ready to `predict(q, qd, qdd, t=None)`; UsageError as `read` gives."""
-    return read(str(path)).model
+    return read(str(path), effects).model
 
 
 @lru_cache(maxsize=16)
-def _parsed(text: str, where: str) -> ExtendedModel:
-    return from_dict(untrusted.parsed(text, where, UsageError, HINT), where)
+def _parsed(text: str, where: str, effects: tuple[AbstractEffect, ...]) -> ExtendedModel:
+    known = {**EFFECTS, **{one.name: one for one in effects}}
+    return from_dict(untrusted.parsed(text, where, UsageError, HINT), where, known)
 
 
 def _name(index: int, one: Acting) -> str:

@@ -10,7 +10,7 @@ The text is written here and not by `MjSpec.to_xml`, which keeps six digits: a m
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,9 +18,9 @@ import mujoco
 import numpy as np
 
 from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.joints import JOINT_TERMS, SimulatorTerms
 from invdyn_cli.maths.pseudo_inertia import realisable
 from invdyn_cli.simulation.arm import build, mass_matrix
-from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Robot
 from invdyn_cli.urdf import moving_links
@@ -46,173 +46,69 @@ ROTOR = 0.03
 RINGING = 0.02
 """[-] Damping ratio of a link on its gear's spring, where nothing is known of it: steel and grease."""
 
-RADIUS = 0.02
-"""[m] of a payload of which no inertia is said: a sphere, as `hidden` makes it."""
 
-POINT = np.zeros(6)
+@dataclass(frozen=True)
+class Part:
+    """What an effect puts into the file: where (None: the whole arm), how a sentence calls it, and its terms."""
+
+    joint: str | None
+    title: str
+    terms: SimulatorTerms
 
 
 @dataclass
 class _Numbers:
-    """What is written, (n,) per joint, with the encoder's offset not yet in it; `said` are the sentences."""
+    """What is written: `joint` has (n,) of every term of joints, with the encoder's offset not yet in the others;
+    `said` are the sentences."""
 
     robot: Robot
     inertial: np.ndarray
-    gravity: np.ndarray
-    damping: np.ndarray
-    drag: np.ndarray
-    friction: np.ndarray
-    armature: np.ndarray
-    stiffness: np.ndarray
-    pull: np.ndarray
-    offset: np.ndarray
-    encoder: np.ndarray
-    delay: np.ndarray
-    lag: np.ndarray
-    gain: np.ndarray
-    limit: np.ndarray
-    gap: np.ndarray
-    gear: np.ndarray
-    ringing: np.ndarray
+    joint: dict[str, np.ndarray]
     carried: np.ndarray
     loads: list[np.ndarray] = field(default_factory=list)
-    couplings: list[tuple[int, int, Any]] = field(default_factory=list)
+    drives: list[tuple[int, int, Mapping[str, float]]] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
 
+    def of(self, i: int) -> dict[str, float]:
+        """The terms of one joint."""
+        return {name: float(row[i]) for name, row in self.joint.items()}
 
-def written(robot: Robot, effects: Sequence[Hidden] = ()) -> tuple[str, tuple[str, ...]]:
+
+def written(robot: Robot, parts: Sequence[Part] = ()) -> tuple[str, tuple[str, ...]]:
     """The MJCF text of a robot with effects, and what of them it does not hold, or holds only nearly.
 
     Args:
-        robot: the nominal robot; its `damping` and `friction` are written too.
-        effects: names and parameters of DESIGN, section 6. `link_inertia_error` may say its change as "mass",
-            "moment" (3,) and "inertia" (6,) about the joint frame's origin, `payload` an "inertia" (6,) about its
-            centre of mass (xx xy yy xz yz zz).
+        robot: the arm with its inertials and gravity as they are to be; its `damping` and `friction` are written too.
+        parts: everything else, several on one joint add up.
 
     Raises:
         UsageError: for a joint that the robot does not have.
     """
-    none = np.zeros((11, robot.dofs))
-    made = _Numbers(
-        robot=robot,
-        inertial=np.array(robot.inertial, float),
-        gravity=np.array(robot.gravity, float),
-        damping=np.array(robot.damping, float),
-        friction=np.array(robot.friction, float),
-        drag=none[0],
-        armature=none[1],
-        stiffness=none[2],
-        pull=none[3],
-        offset=none[4],
-        encoder=none[5],
-        delay=none[6],
-        lag=none[7],
-        gap=none[8],
-        ringing=none[9],
-        carried=none[10],
-        gain=np.ones(robot.dofs),
-        limit=np.full(robot.dofs, np.inf),
-        gear=np.full(robot.dofs, np.inf),
-    )
-    for one in effects:
-        if one.joint is not None and one.joint not in robot.joints:
-            raise UsageError(f"{one.effect} is on no joint {one.joint!r}; allowed: {listed(robot.joints)}")
-        said = _put(made, one, 0 if one.joint is None else robot.joints.index(one.joint))
-        if said:
-            made.said.append(f"{one.joint or 'whole arm'}: {said}")
+    joint = {name: np.zeros(robot.dofs) for name in JOINT_TERMS}
+    joint |= {"damping": np.array(robot.damping, float), "friction": np.array(robot.friction, float)}
+    joint |= {"gain": np.ones(robot.dofs), "limit": np.full(robot.dofs, np.inf)}
+    made = _Numbers(robot, np.array(robot.inertial, float), joint, np.zeros(robot.dofs))
+    for part in parts:
+        if part.joint is not None and part.joint not in robot.joints:
+            raise UsageError(f"{part.title} is on no joint {part.joint!r}; allowed: {listed(robot.joints)}")
+        _put(made, part, 0 if part.joint is None else robot.joints.index(part.joint))
     _mend(made)
     return _text(made), tuple(made.said)
 
 
-def _put(made: _Numbers, one: Hidden, i: int) -> str:
-    """Put an effect into the numbers, in place; what is not held of it, "" if it is held."""
-    p = one.parameters
-    match one.effect:
-        case "viscous_friction":
-            made.damping[i] += p["damping"]
-        case "quadratic_friction":
-            made.drag[i] += p["drag"]
-        case "coulomb_friction":
-            made.friction[i] += p["coulomb"]
-        case "asymmetric_coulomb_friction":  # within [-negative, positive] nothing moves: a shifted symmetric friction
-            made.friction[i] += (p["positive"] + p["negative"]) / 2
-            made.offset[i] += (p["positive"] - p["negative"]) / 2
-        case "stribeck_friction":
-            made.friction[i] += p["coulomb"]
-            return f"Stribeck friction is held by its level at speed, {p['coulomb']:.3g}: MJCF has no static level"
-        case "presliding_hysteresis":
-            made.friction[i] += p["coulomb"]
-            return f"hysteresis is held as dry friction of {p['coulomb']:.3g}: MJCF's friction has no memory"
-        case "thermal_friction_drift":
-            made.damping[i] += p["warm"]
-            return f"friction that warms up is held warm, {p['warm']:.3g}: MJCF has no temperature"
-        case "load_dependent_friction":
-            return "friction that grows with the load is left out: MJCF's friction is constant"
-        case "torque_ripple":
-            return "torque ripple is left out: MJCF has no torque that is periodic in an angle"
-        case "joint_spring":
-            made.stiffness[i] += p["stiffness"]
-            made.pull[i] += p["stiffness"] * p["rest"]
-        case "rotor_inertia":
-            made.armature[i] += p["armature"]
-        case "coupled_friction":
-            made.couplings.append((i, made.robot.parents[i], p))
-        case "torque_offset":
-            made.offset[i] += p["offset"]
-        case "torque_gain_error":
-            made.gain[i] *= p["gain"]
-        case "torque_delay":
-            made.delay[i] += p["delay"]
-        case "actuator_lag":
-            if made.lag[i]:
-                made.lag[i] += p["time_constant"]
-                return "two lags in series are held as one of their time constants' sum"
-            made.lag[i] = p["time_constant"]
-        case "torque_saturation":
-            made.limit[i] = min(made.limit[i], float(p["limit"]))
-        case "payload":
-            made.loads.append(_body_of(p))
-        case "link_inertia_error":
-            made.inertial[i] += _change_of(made.inertial[i], p)
-        case "base_tilt":
-            sine, cosine = math.sin(p["angle"]), math.cos(p["angle"])
-            down = np.array([sine * math.cos(p["azimuth"]), sine * math.sin(p["azimuth"]), -cosine])
-            made.gravity = np.linalg.norm(np.asarray(made.robot.gravity)) * down
-        case "encoder_offset":
-            made.encoder[i] += p["offset"]
-        case "backlash":
-            made.gap[i] += p["gap"]
-            made.armature[i] += p.get("rotor", 0.0)
-        case "joint_elasticity":
-            made.gear[i] = 1 / (1 / made.gear[i] + 1 / p["stiffness"])
-            made.armature[i] += p.get("rotor", 0.0)
-            made.ringing[i] += p.get("damping", 0.0)
-        case "torque_offset_drift" | "torque_gain_change" | "payload_change" | "external_contact":
-            return f"{one.effect.replace('_', ' ')} is left out: an MJCF does not change with time"
-        case _:
-            return f"{one.effect.replace('_', ' ')} is left out: it has no place in an MJCF"
-    return ""
-
-
-def _body_of(p) -> np.ndarray:
-    """(10,) of a payload about the frame's origin."""
-    x, y, z = com = np.asarray(p["com"], float)
-    about = p["mass"] * np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
-    sphere = 0.4 * p["mass"] * p.get("radius", RADIUS) ** 2 * np.array([1, 0, 1, 0, 0, 1.0])
-    own = np.asarray(p.get("inertia", sphere), float)
-    return np.concatenate([[p["mass"]], p["mass"] * com, about + own])
-
-
-def _change_of(row: np.ndarray, p) -> np.ndarray:
-    """(10,) that a link_inertia_error adds to a link's row."""
-    if "moment" in p or np.ndim(p.get("inertia", 0.0)):
-        parts = (p.get("mass", 0.0), p.get("moment", np.zeros(3)), p.get("inertia", np.zeros(6)))
-        return np.concatenate([np.atleast_1d(np.asarray(x, float)) for x in parts])
-    mass, inertia = float(p.get("mass", 0.0)), float(p.get("inertia", 0.0))
-    before = row[1:4] / row[0] if row[0] else np.zeros(3)
-    own = row - _body_of({"mass": row[0], "com": before, "inertia": POINT})
-    after = before + np.asarray(p.get("com", np.zeros(3)), float)
-    return _body_of({"mass": row[0] + mass, "com": after, "inertia": (1 + inertia) * own[4:]}) - row
+def _put(made: _Numbers, part: Part, i: int) -> None:
+    """Put an effect into the numbers, and a sentence for what is not held of it, in place."""
+    terms, lost = part.terms, [part.terms.lost]
+    if terms.joint.get("lag") and made.joint["lag"][i]:
+        lost.append("is held with another one in series as one lag of the sum of their time constants")
+    for name, value in terms.joint.items():
+        row = made.joint[name]
+        row[i] = row[i] * value if name == "gain" else min(row[i], value) if name == "limit" else row[i] + value
+    if terms.drive:
+        made.drives.append((i, made.robot.parents[i], terms.drive))
+    if terms.body is not None:
+        made.loads.append(np.asarray(terms.body, float))
+    made.said += [f"{part.joint or 'whole arm'}: {part.title} {x}" for x in lost if x]
 
 
 def _mend(made: _Numbers) -> None:
@@ -225,17 +121,17 @@ def _mend(made: _Numbers) -> None:
             row[[4, 6, 9]] += 1e-9 * row[4:].max()  # the compiler refuses what lies on the edge
             made.said.append(f"{name}: its inertials are not of a real body; the nearest ones of one are written")
             made.inertial[i] = row
-    arm = build(made.robot, inertial=made.inertial, armature=made.armature)
+    arm = build(made.robot, inertial=made.inertial, armature=made.joint["armature"])
     made.said += arm.notes
-    made.armature = arm.model.dof_armature.copy()
-    yields = (made.gap > 0) | np.isfinite(made.gear)
+    armature = made.joint["armature"] = arm.model.dof_armature.copy()
+    yields = (made.joint["gap"] > 0) | (made.joint["compliance"] > 0)
     if not yields.any():
         return
-    made.carried = np.diag(mass_matrix(arm.model, mujoco.MjData(arm.model), room(made.robot)[0])) - made.armature
-    for i in np.flatnonzero(yields & (made.armature == 0)):
-        made.armature[i] = ROTOR * made.carried[i]
+    made.carried = np.diag(mass_matrix(arm.model, mujoco.MjData(arm.model), room(made.robot)[0])) - armature
+    for i in np.flatnonzero(yields & (armature == 0)):
+        armature[i] = ROTOR * made.carried[i]
         made.said.append(
-            f"{made.robot.joints[i]}: its rotor's inertia is not known; {made.armature[i]:.2g} kg m^2 is written, "
+            f"{made.robot.joints[i]}: its rotor's inertia is not known; {armature[i]:.2g} kg m^2 is written, "
             f"{ROTOR:.0%} of what the joint carries"
         )
 
@@ -250,7 +146,7 @@ def _text(made: _Numbers) -> str:
     robot = made.robot
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    option = {"timestep": TIMESTEP, "gravity": made.gravity}
+    option = {"timestep": TIMESTEP, "gravity": robot.gravity}
     ET.SubElement(root, "option", {k: _said(v) for k, v in option.items()}, integrator="implicitfast")
     bodies: list[ET.Element] = []
     world = ET.SubElement(root, "worldbody")
@@ -277,10 +173,10 @@ def _text(made: _Numbers) -> str:
 
 def _tendons(root: ET.Element, made: _Numbers) -> None:
     """A fixed tendon over both joints of every drive that turns with two, with its friction, damping and inertia."""
-    if not made.couplings:
+    if not made.drives:
         return
     tendons = ET.SubElement(root, "tendon")
-    for i, driver, p in made.couplings:
+    for i, driver, p in made.drives:
         names = made.robot.joints[i], made.robot.joints[driver]
         given = {"frictionloss": p["coulomb"], "damping": p["damping"], "armature": p.get("armature", 0.0)}
         stick = STICK if p["coulomb"] else {}
@@ -292,52 +188,54 @@ def _tendons(root: ET.Element, made: _Numbers) -> None:
 
 def _joints(made: _Numbers, i: int) -> Iterable[dict[str, Any]]:
     """The joint, and behind it a second one about the same axis where the gear yields."""
-    robot, name = made.robot, made.robot.joints[i]
+    robot, name, p = made.robot, made.robot.joints[i], made.of(i)
     place: dict[str, Any] = {"type": "slide" if robot.prismatic[i] else "hinge", "axis": robot.axis[i]}
     joint: dict[str, Any] = {"name": name, **place}
-    if made.encoder[i]:
-        joint["ref"] = made.encoder[i]  # the angle at which the bodies stand as they are written
+    if p["encoder"]:
+        joint["ref"] = p["encoder"]  # the angle at which the bodies stand as they are written
     lower, upper = float(robot.lower[i]), float(robot.upper[i])
     if math.isfinite(lower) and math.isfinite(upper):
-        joint["range"] = np.array([lower, upper]) + made.encoder[i]
-    if made.damping[i] or made.drag[i]:
-        joint["damping"] = [made.damping[i], made.drag[i]] if made.drag[i] else made.damping[i]
-    if made.friction[i]:
-        joint |= {"frictionloss": made.friction[i], **STICK}
-    if made.armature[i]:
-        joint["armature"] = made.armature[i]
-    if made.stiffness[i]:
-        rest = made.pull[i] / made.stiffness[i] + made.encoder[i]
-        joint |= {"stiffness": made.stiffness[i], "springref": rest}
+        joint["range"] = np.array([lower, upper]) + p["encoder"]
+    if p["damping"] or p["drag"]:
+        joint["damping"] = [p["damping"], p["drag"]] if p["drag"] else p["damping"]
+    if p["friction"]:
+        joint |= {"frictionloss": p["friction"], **STICK}
+    if p["armature"]:
+        joint["armature"] = p["armature"]
+    if p["stiffness"]:
+        rest = p["pull"] / p["stiffness"] + p["encoder"]
+        joint |= {"stiffness": p["stiffness"], "springref": rest}
     yield joint
-    if made.gap[i]:
-        yield {"name": name + GEAR, **place, "range": [-made.gap[i] / 2, made.gap[i] / 2], **STOP}
-    if np.isfinite(made.gear[i]):
-        damping = made.ringing[i] or 2 * RINGING * math.sqrt(made.gear[i] * made.carried[i])
-        second = name + (GEAR + "_spring" if made.gap[i] else GEAR)
-        yield {"name": second, **place, "stiffness": made.gear[i], "damping": damping}
+    if p["gap"]:
+        yield {"name": name + GEAR, **place, "range": [-p["gap"] / 2, p["gap"] / 2], **STOP}
+    if p["compliance"]:
+        damping = p["gear_damping"] or 2 * RINGING * math.sqrt(made.carried[i] / p["compliance"])
+        second = name + (GEAR + "_spring" if p["gap"] else GEAR)
+        yield {"name": second, **place, "stiffness": 1 / p["compliance"], "damping": damping}
 
 
 def _motor(made: _Numbers, i: int) -> dict[str, Any]:
     """From ctrl to torque, in the order of `drive`."""
-    name, offset = made.robot.joints[i], made.offset[i]
-    motor: dict[str, Any] = {"name": name, "joint": name, "gainprm": made.gain[i]}
+    name, p = made.robot.joints[i], made.of(i)
+    offset = p["offset"]
+    motor: dict[str, Any] = {"name": name, "joint": name, "gainprm": p["gain"]}
     if offset:
         motor |= {"biastype": "affine", "biasprm": -offset}
-    if made.lag[i]:
-        motor |= {"dyntype": "filterexact", "dynprm": made.lag[i]}
-    if made.delay[i]:
-        memory = math.ceil(made.delay[i] / FINEST) + 2
-        motor |= {"delay": made.delay[i], "nsample": str(memory), "interp": "linear"}
-    if np.isfinite(made.limit[i]):  # the offset comes behind the limit in `drive`, before it in MuJoCo
-        motor["forcerange"] = [-made.limit[i] - offset, made.limit[i] - offset]
+    if p["lag"]:
+        motor |= {"dyntype": "filterexact", "dynprm": p["lag"]}
+    if p["delay"]:
+        memory = math.ceil(p["delay"] / FINEST) + 2
+        motor |= {"delay": p["delay"], "nsample": str(memory), "interp": "linear"}
+    if np.isfinite(p["limit"]):  # the offset comes behind the limit in `drive`, before it in MuJoCo
+        motor["forcerange"] = [-p["limit"] - offset, p["limit"] - offset]
     return motor
 
 
 def _inertial(body: ET.Element, row: np.ndarray) -> None:
     """The <inertial> tag of ten parameters."""
-    com = row[1:4] / row[0]
-    xx, xy, yy, xz, yz, zz = row[4:] - _body_of({"mass": row[0], "com": com, "inertia": POINT})[4:]
+    x, y, z = com = row[1:4] / row[0]
+    point = row[0] * np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
+    xx, xy, yy, xz, yz, zz = row[4:] - point
     given = {"pos": com, "mass": row[0], "fullinertia": [xx, yy, zz, xy, xz, yz]}
     ET.SubElement(body, "inertial", {k: _said(v) for k, v in given.items()})
 

@@ -21,6 +21,8 @@ from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
     AbstractEffect,
+    AbstractForceEffect,
+    AbstractGearEffect,
     AbstractModel,
     AbstractMotionEffect,
     AbstractTorqueEffect,
@@ -41,7 +43,14 @@ DIAGNOSIS, MODEL, REPORT = "diagnosis.json", "extended_model.json", "report.html
 URDF, MJCF = "extended_model.urdf", "extended_model.mjcf.xml"
 """What the files are called; diagnosis.json is written last: where it is, the diagnosis is complete."""
 
-KINDS = (AbstractTorqueEffect, AbstractChannelEffect, AbstractBodyEffect, AbstractMotionEffect)
+KINDS = (
+    AbstractTorqueEffect,
+    AbstractChannelEffect,
+    AbstractBodyEffect,
+    AbstractMotionEffect,
+    AbstractGearEffect,
+    AbstractForceEffect,
+)
 
 
 def main(argv: Sequence[str]) -> int:

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from experiments.arms import random_arm
-from invdyn_cli.diagnosis.extension import exported, hidden_of, urdf_of, why_not
+from invdyn_cli.diagnosis.extension import exported, urdf_of, why_not
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.logfile import Log
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Robot
 from tests.simulation.test_mjcf import PARAMETERS
 
@@ -36,14 +35,6 @@ def model(robot: Robot, *effects: tuple[str, int | None, dict]) -> ExtendedModel
     return ExtendedModel(robot, tuple(Acting(EFFECTS[name], joint, p) for name, joint, p in effects))
 
 
-def test_names_and_parameters_are_handed_on(arm):
-    """An effect on a column becomes one on that joint; what is of the whole arm has none."""
-    payload = {"mass": 1.0, "com": np.zeros(3), "inertia": np.zeros(6)}
-    made = hidden_of(model(arm, ("coulomb_friction", 1, {"coulomb": 2.0}), ("payload", None, payload)))
-    assert made[0] == Hidden("coulomb_friction", "axis2", {"coulomb": 2.0})
-    assert (made[1].effect, made[1].joint) == ("payload", None)
-
-
 def test_the_urdf_holds_what_it_can(arm, tmp_path):
     """Inertials, damping and friction come back from the file; the rest is said, and gravity as an option to load."""
     payload = {"mass": 1.0, "com": np.array([0.0, 0.02, 0.1]), "inertia": np.full(6, 1e-3) * [1, 0, 1, 0, 0, 1]}
@@ -62,7 +53,8 @@ def test_the_urdf_holds_what_it_can(arm, tmp_path):
     added = np.asarray(new.inertial) - arm.inertial
     assert added[1] == pytest.approx(np.concatenate([[0.3], BODY["moment"], BODY["inertia"]]), abs=1e-12)
     assert added[2, :4] == pytest.approx([1.0, 0.0, 0.02, 0.1], abs=1e-12)
-    assert len(said) == 2 and "mean of both ways" in said[0] and "robot.gravity=[0.97" in said[1]
+    assert len(said) == 2 and "axis2: asymmetric Coulomb friction is written without its offset" in said[0]
+    assert "robot.gravity=[0.97" in said[1]
 
 
 def test_no_effect_vanishes_from_the_urdf(arm):

@@ -187,7 +187,4 @@ def test_the_summary_names_every_cause_that_is_a_row():
     link = Finding("link_inertia_error", "joint3", "named", group="standard")
     titles = {name: effect.title for name, effect in CATALOGUE.items()}
     said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), titles)
-    assert (
-        "link inertia error on joint3" in said
-        and "what every arm has (friction and the like) on 1 joint" in said
-    )
+    assert "link inertia error on joint3" in said and "what every arm has (friction and the like) on 1 joint" in said

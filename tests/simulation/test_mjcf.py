@@ -8,11 +8,16 @@ import pinocchio as pin
 import pytest
 
 from experiments.arms import random_arm
+from experiments.truth import mjcf_of
+from invdyn_cli.diagnosis.extension import exported
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import UsageError
+from invdyn_cli.joints import SimulatorTerms
 from invdyn_cli.robots import load_urdf, pinocchio_model
-from invdyn_cli.simulation.hidden import KINDS, Hidden, assemble
-from invdyn_cli.simulation.mjcf import GEAR, written
+from invdyn_cli.simulation.hidden import Hidden, assemble
+from invdyn_cli.simulation.mjcf import GEAR, Part, written
 from invdyn_cli.types import Robot
 from tests.simulation.test_arm import tree
 
@@ -47,9 +52,8 @@ PARAMETERS = {
     "link_inertia_error": {"mass": 0.3, "moment": (0.01, 0.0, 0.02), "inertia": (0.01, 0, 0.01, 0, 0, 0.01)},
     "base_tilt": {"angle": 0.1, "azimuth": 0.7},
     "encoder_offset": {"offset": 0.03},
-    "custom": {"force": lambda t, q, qd: 0.0},
 }
-"""Of every effect that DESIGN names, and of what the catalogue lacks."""
+"""Of every effect of the catalogue."""
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +61,17 @@ def arm(tmp_path_factory) -> Robot:
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
     path.write_text(random_arm(np.random.default_rng(3), 4))
     return load_urdf(path)
+
+
+def mjcf_with(robot: Robot, *effects: tuple[str, str | None, dict]) -> tuple[str, tuple[str, ...]]:
+    """The MJCF of a robot with effects of the catalogue, and what it lacks."""
+    made = []
+    for name, joint, parameters in effects:
+        p = {k: np.asarray(v, float) if np.ndim(v) else v for k, v in parameters.items()}
+        p |= {"inertia": np.zeros(6)} if name.startswith("payload") and "inertia" not in p else {}
+        made.append(Acting(EFFECTS[name], None if joint is None else robot.joints.index(joint), p))
+    out = exported(ExtendedModel(robot, tuple(made)))
+    return out.mjcf, out.mjcf_lacks
 
 
 def difference(robot: Robot, text: str, encoder: float = 0.0) -> float:
@@ -97,8 +112,8 @@ def test_bodies_gravity_and_encoders(arm):
     sphere = pin.Inertia(ball.mass, np.array(ball.com), 0.4 * ball.mass * ball.radius**2 * np.eye(3))
     made.inertial[-1] += sphere.toDynamicParameters()
     other = replace(arm, inertial=made.inertial, gravity=made.gravity)
-    offset = Hidden("encoder_offset", "axis2", {"offset": 0.1})
-    assert difference(other, written(arm, [*effects, offset])[0], encoder=0.1) < ROUNDING
+    text, said = mjcf_of(arm, [*effects, Hidden("encoder_offset", "axis2", {"offset": 0.1})])
+    assert difference(other, text, encoder=0.1) < ROUNDING and said == ()
 
 
 def test_a_change_of_inertials_is_added(arm):
@@ -109,22 +124,21 @@ def test_a_change_of_inertials_is_added(arm):
     inertial = np.array(arm.inertial)
     inertial[2] += row
     inertial[-1] += point
-    effects = [
-        Hidden("link_inertia_error", "axis3", PARAMETERS["link_inertia_error"]),
-        Hidden("payload", None, {"mass": 0.7, "com": com, "inertia": np.zeros(6)}),
-    ]
-    assert difference(replace(arm, inertial=inertial), written(arm, effects)[0]) < ROUNDING
+    text, _ = mjcf_with(
+        arm,
+        ("link_inertia_error", "axis3", PARAMETERS["link_inertia_error"]),
+        ("payload", None, {"mass": 0.7, "com": com, "inertia": np.zeros(6)}),
+    )
+    assert difference(replace(arm, inertial=inertial), text) < ROUNDING
 
 
 def test_every_effect_is_held_or_said(arm):
-    """There is no effect of the simulation or of the catalogue that would vanish without a word."""
-    assert {*KINDS, *EFFECTS} <= set(PARAMETERS)
+    """No effect of the catalogue is left out without a message."""
     nominal, _ = written(arm)
-    for effect, parameters in PARAMETERS.items():
-        whole = effect in ("payload", "payload_change", "external_contact", "base_tilt")
-        text, said = written(arm, [Hidden(effect, None if whole else "axis2", parameters)])
+    for name, effect in EFFECTS.items():
+        text, said = mjcf_with(arm, (name, "axis2" if effect.of_joint else None, PARAMETERS[name]))
         mujoco.MjModel.from_xml_string(text)
-        assert text != nominal, effect
+        assert text != nominal, name
         assert said or "<!--" not in text
         assert all(x in text for x in said)
         if "left out" in " ".join(said):
@@ -153,7 +167,7 @@ def force(text: str, ctrl, seconds: float) -> np.ndarray:
 
 def test_a_late_motor_is_late(arm):
     """What is commanded arrives after the delay: a ramp is the delay's share lower, to a tenth of a millisecond."""
-    text, _ = written(arm, [Hidden("torque_delay", "axis2", {"delay": 0.0123})])
+    text, _ = mjcf_with(arm, ("torque_delay", "axis2", {"delay": 0.0123}))
     t = 5e-4 * np.arange(200)
     got = force(text, lambda now: 10 * now, 0.1)
     assert got[100:] == pytest.approx(10 * (t[100:] - 0.0123), abs=10 * 1e-4)
@@ -162,15 +176,15 @@ def test_a_late_motor_is_late(arm):
 def test_gain_then_limit_then_offset(arm):
     """A motor gives clip(gain x ctrl, limit) - offset, slowly where it lags."""
     effects = [
-        Hidden("torque_gain_error", "axis2", {"gain": 0.8}),
-        Hidden("torque_saturation", "axis2", {"limit": 3.0}),
-        Hidden("torque_offset", "axis2", {"offset": 0.5}),
+        ("torque_gain_error", "axis2", {"gain": 0.8}),
+        ("torque_saturation", "axis2", {"limit": 3.0}),
+        ("torque_offset", "axis2", {"offset": 0.5}),
     ]
-    text, said = written(arm, effects)
+    text, said = mjcf_with(arm, *effects)
     assert said == ()
     for ctrl, wanted in ((1.0, 0.3), (9.0, 2.5), (-9.0, -3.5)):
         assert force(text, lambda now, x=ctrl: x, 0.005)[-1] == pytest.approx(wanted, rel=1e-12)
-    slow, _ = written(arm, [*effects, Hidden("actuator_lag", "axis2", {"time_constant": 0.02})])
+    slow, _ = mjcf_with(arm, *effects, ("actuator_lag", "axis2", {"time_constant": 0.02}))
     got = force(slow, lambda now: 1.0, 0.02)
     assert got[-1] == pytest.approx(0.8 * (1 - np.exp(-1)) - 0.5, abs=0.8 * 0.025)  # a step is 2.5 % of the constant
 
@@ -178,8 +192,8 @@ def test_gain_then_limit_then_offset(arm):
 def test_a_gear_is_a_second_joint(arm):
     """Play and elasticity are a second joint about the same axis, moved by no motor; the rotor that they need is said
     where it is not known."""
-    effects = [Hidden("backlash", "axis2", {"gap": 0.02}), Hidden("joint_elasticity", "axis3", {"stiffness": 500.0})]
-    text, said = written(arm, [*effects, Hidden("rotor_inertia", "axis2", {"armature": 0.05})])
+    effects = [("backlash", "axis2", {"gap": 0.02}), ("joint_elasticity", "axis3", {"stiffness": 500.0})]
+    text, said = mjcf_with(arm, *effects, ("rotor_inertia", "axis2", {"armature": 0.05}))
     model = mujoco.MjModel.from_xml_string(text)
     assert (model.nu, model.njnt) == (4, 6) and len(said) == 1 and "axis3" in said[0]
     gap, spring = model.joint("axis2" + GEAR), model.joint("axis3" + GEAR)
@@ -191,7 +205,7 @@ def test_a_gear_is_a_second_joint(arm):
 def test_what_no_body_could_be_is_mended_and_said(arm):
     """A change that leaves a link with a negative mass still loads, with a sentence that names the link."""
     change = {"mass": -1.2 * arm.inertial[2, 0], "moment": np.zeros(3), "inertia": np.zeros(6)}
-    text, said = written(arm, [Hidden("link_inertia_error", "axis3", change)])
+    text, said = mjcf_with(arm, ("link_inertia_error", "axis3", change))
     model = mujoco.MjModel.from_xml_string(text)
     assert model.body("link3").mass[0] > 0
     assert any(x.startswith("link3: its inertials") for x in said)
@@ -200,4 +214,4 @@ def test_what_no_body_could_be_is_mended_and_said(arm):
 def test_wrong_joints_are_refused(arm):
     """An effect on a joint that is not there names those that are."""
     with pytest.raises(UsageError, match="allowed: axis1, axis2, axis3, axis4"):
-        written(arm, [Hidden("coulomb_friction", "elbow", {"coulomb": 1.0})])
+        written(arm, [Part("elbow", "Coulomb friction", SimulatorTerms({"friction": 1.0}))])

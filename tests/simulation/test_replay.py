@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from experiments.arms import random_arm
+from experiments.truth import mjcf_of
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.driven import Stretch
 from invdyn_cli.simulation.hidden import Hidden
-from invdyn_cli.simulation.mjcf import GEAR, written
+from invdyn_cli.simulation.mjcf import GEAR
 from invdyn_cli.simulation.plant import simulate
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.replay import MEMORY, feedback, free, held, replay, window_starts
@@ -73,13 +74,13 @@ def test_what_is_written_moves_as_the_arm_did(arm, name):
     """The arm with what was hidden stays within CLOSE of the measured motion; the nominal one is off by ten times as
     much at least."""
     stretch = measured(arm, *HELD[name])
-    text, said = written(arm, HELD[name])
+    text, said = mjcf_of(arm, HELD[name])
     assert said == ()
     starts = window_starts(stretch, every=0.4)
     after = free(text, stretch, starts)
     assert after.shape == (len(starts), 201, 3) and np.abs(after).max() < CLOSE
     if HELD[name]:
-        assert np.abs(free(written(arm)[0], stretch, starts)).max() > 10 * CLOSE
+        assert np.abs(free(mjcf_of(arm)[0], stretch, starts)).max() > 10 * CLOSE
 
 
 def test_a_replay_tells_the_gain(arm):
@@ -87,7 +88,7 @@ def test_a_replay_tells_the_gain(arm):
     of the joint that gains most."""
     hidden = HELD["friction"][:1]
     stretch = measured(arm, *hidden, seconds=5.0)
-    out = replay(written(arm)[0], written(arm, hidden)[0], [stretch], arm.joints, most=10, not_held=("a word",))
+    out = replay(mjcf_of(arm)[0], mjcf_of(arm, hidden)[0], [stretch], arm.joints, most=10, not_held=("a word",))
     assert out.gain > 0.95 and out.windows == 10
     assert out.torque_before[1] == pytest.approx(2.0, rel=0.2)  # it is the friction that has to be made up for
     assert out.torque_after.max() < 0.02 and out.held_after.max() < 0.01 * out.held_before.max()
@@ -102,11 +103,11 @@ def test_the_arm_is_held_whatever_its_motors_do(arm):
     even where a motor is so late that feedback through it would swing."""
     late = [Hidden("torque_delay", "axis3", {"delay": 0.05})]
     stretch = measured(arm, *late)
-    gains = feedback(written(arm)[0], [stretch])
-    moved, pulled = held(written(arm, late)[0], stretch, *gains)
+    gains = feedback(mjcf_of(arm)[0], [stretch])
+    moved, pulled = held(mjcf_of(arm, late)[0], stretch, *gains)
     assert moved.shape == pulled.shape == (3000 - 1 - round(MEMORY / 0.001), 3)
     assert np.abs(moved).max() < CLOSE and np.abs(pulled).max() < 0.01 * np.abs(stretch.tau).max()
-    off, _ = held(written(arm)[0], stretch, *gains)
+    off, _ = held(mjcf_of(arm)[0], stretch, *gains)
     assert np.abs(off).max() > 10 * np.abs(moved).max()
 
 
@@ -116,7 +117,7 @@ def test_a_gear_starts_loaded(arm):
         (Hidden("joint_elasticity", "axis2", {"stiffness": 200.0}), lambda tau: -tau / 200.0),
         (Hidden("backlash", "axis2", {"gap": 0.04}), lambda tau: -0.02 * np.sign(tau)),
     ):
-        text, _ = written(arm, [effect, Hidden("rotor_inertia", "axis2", {"armature": 0.05})])
+        text, _ = mjcf_of(arm, [effect, Hidden("rotor_inertia", "axis2", {"armature": 0.05})])
         model = mujoco.MjModel.from_xml_string(text)
         data, q = mujoco.MjData(model), np.array([0.3, 0.5, -0.4])
         names = [model.joint(i).name for i in range(model.njnt)]
@@ -137,7 +138,7 @@ def test_clocks_need_not_be_those_of_the_simulation(arm):
     tau = (fine.tau + np.roll(fine.tau, 1, axis=0)) / 2  # held from t on: at t it is the mean of before and after
     rows = slice(4, None, 4)
     coarse = Stretch("coarse", fine.t[rows], fine.q[rows], fine.qd[rows], tau[rows])
-    error = free(written(arm, HELD["friction"])[0], coarse, window_starts(coarse, every=0.4))
+    error = free(mjcf_of(arm, HELD["friction"])[0], coarse, window_starts(coarse, every=0.4))
     assert np.abs(error).max() < 10 * CLOSE
 
 
@@ -145,12 +146,12 @@ def test_an_arm_that_flies_away_is_told_by_its_error(arm):
     """A torque a thousand times too large gives errors of half a turn, and no file of warnings."""
     stretch = measured(arm, seconds=1.0)
     wild = replace(stretch, tau=1e6 * np.ones_like(stretch.tau))
-    assert np.abs(free(written(arm)[0], wild, [200])[0, -1]).max() == pytest.approx(np.pi)
+    assert np.abs(free(mjcf_of(arm)[0], wild, [200])[0, -1]).max() == pytest.approx(np.pi)
 
 
 def test_bad_inputs_are_refused(arm):
     """Uneven clocks, other shapes, too few rows, other joints and windows beyond the log say what is allowed."""
-    stretch, text = measured(arm, seconds=1.0), written(arm)[0]
+    stretch, text = measured(arm, seconds=1.0), mjcf_of(arm)[0]
     t = stretch.t.copy()
     t[500:] += 0.01
     with pytest.raises(LogError, match="clock is uneven"):

@@ -1,15 +1,17 @@
 """What a log excites: ranges, reversals, speeds, loads, the regressor's condition; and what it so cannot show.
 
-Which effect needs what stands in DESIGN, section 6, and in the library of effects; the thresholds are fields.
+Effects say what they need of a joint's motion (`AbstractEffect.needs`); the thresholds are fields here.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.evidence import SIZE, Evidence, Stretch, gather, regressor_rows, stretches
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.logfile import Log
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.types import Motion, Robot
@@ -74,7 +76,8 @@ class Excitation:
                 "creep_share": float(np.mean((speed > self.rest) & (speed < self.slow))),
                 "condition": condition,
             }
-            numbers["cannot_show"] = dict(self._cannot(log, numbers, speed, one["qdd"], nominal, moves, seconds))
+            lacks = dict(self._lacks(numbers, speed, one["qdd"], nominal, moves, seconds))
+            numbers["lacks"], numbers["cannot_show"] = lacks, cannot_show(lacks, EFFECTS)
             out[name] = numbers
         return out
 
@@ -84,9 +87,8 @@ class Excitation:
         signs = np.sign(qd[np.abs(qd) > self.rest])
         return int(np.sum(np.diff(signs) != 0))
 
-    def _cannot(
+    def _lacks(
         self,
-        log: Log,
         numbers: dict[str, Any],
         speed: np.ndarray,
         qdd: np.ndarray,
@@ -94,71 +96,71 @@ class Excitation:
         moves: bool,
         seconds: float,
     ) -> Iterator[tuple[str, str]]:
-        """(effect, why not) of this joint; the first reason counts."""
+        """(need, why not) of what this joint's motion lacks; of one that stands still, motion."""
         if not moves:
-            why = f"it moves by {numbers['peak_to_peak']:.2g} rad only"
-            yield from ((effect, why) for effect in MOTION)
+            yield "motion", f"it moves by {numbers['peak_to_peak']:.2g} rad only"
             return
         if seconds < self.warm:
-            yield "thermal_friction_drift", f"{seconds:.0f} s of motion, friction takes {self.warm:.0f} s to warm up"
+            yield "warming", f"{seconds:.0f} s of motion, friction takes {self.warm:.0f} s to warm up"
         if seconds < self.drift:
-            yield "torque_offset_drift", f"{seconds:.0f} s of motion, a drift takes {self.drift:.0f} s to show"
+            yield "minutes", f"{seconds:.0f} s of motion, a drift takes {self.drift:.0f} s to show"
         if numbers["reversals"] < self.reversals:
-            why = f"{numbers['reversals']} reversals: friction that has a direction looks like an offset"
-            yield from ((effect, why) for effect in DIRECTED)
+            yield "reversals", f"{numbers['reversals']} reversals: friction that has a direction looks like an offset"
         quick = speed[speed > self.rest]
         ratio = float(np.quantile(quick, 0.9) / np.quantile(quick, 0.1)) if len(quick) > 20 else 1.0
         if ratio < self.speeds:
-            why = f"nearly one speed (90th over 10th percentile {ratio:.2g}): slopes look like constants"
-            yield from ((effect, why) for effect in ("viscous_friction", "stribeck_friction", "quadratic_friction"))
-        elif ratio < self.curved:
-            yield "quadratic_friction", f"speeds spread by {ratio:.2g} only: a square looks like a slope"
+            yield "speeds", f"nearly one speed (90th over 10th percentile {ratio:.2g}): slopes look like constants"
+        if ratio < self.curved:
+            yield "curvature", f"speeds spread by {ratio:.2g} only: a square looks like a slope"
         if numbers["creep_share"] < 0.01:
-            why = f"{100 * numbers['creep_share']:.2g} % of the time between {self.rest:g} and {self.slow:g} rad/s"
-            yield from ((effect, why) for effect in ("stribeck_friction", "presliding_hysteresis"))
+            seen = f"{100 * numbers['creep_share']:.2g} % of the time"
+            yield "creep", f"{seen} between {self.rest:g} and {self.slow:g} rad/s"
         if numbers["peak_to_peak"] < self.range:
-            why = f"it moves by {numbers['peak_to_peak']:.2g} rad: a spring looks like an offset"
-            yield from ((effect, why) for effect in ("joint_spring", "encoder_offset"))
+            yield "range", f"it moves by {numbers['peak_to_peak']:.2g} rad: a spring looks like an offset"
         if numbers["peak_to_peak"] < self.turn:
-            yield "torque_ripple", f"it moves by {numbers['peak_to_peak']:.2g} rad, less than a period"
+            yield "turn", f"it moves by {numbers['peak_to_peak']:.2g} rad, less than a period"
         fast = float(np.quantile(np.abs(qdd), 0.95))
         if fast < self.acceleration:
-            yield "rotor_inertia", f"accelerations below {fast:.2g} rad/s^2"
+            yield "acceleration", f"accelerations below {fast:.2g} rad/s^2"
         if nominal is not None:
             spread, size = float(np.std(nominal)), float(np.sqrt(np.mean(nominal**2)))
             varied = spread / size if size > 0 else 0.0
             loaded = float(np.std(np.abs(nominal)) / size) if size > 0 else 0.0
             if loaded < self.loads:
-                yield "load_dependent_friction", f"the load varies by {100 * loaded:.2g} %"
+                yield "load", f"the load varies by {100 * loaded:.2g} %"
             if varied < self.loads:
-                why = f"the nominal torque varies by {100 * varied:.2g} %: a factor looks like an offset"
-                yield from ((effect, why) for effect in ("torque_gain_error", "torque_delay", "actuator_lag"))
+                yield "torque", f"the nominal torque varies by {100 * varied:.2g} %: a factor looks like an offset"
             low, high = np.quantile(nominal, [0.02, 0.98])
             if low * high > 0:
-                yield "backlash", f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank carries all"
+                yield "load_zeros", f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank carries all"
         rate = float(np.sqrt(np.mean(qdd**2) / max(np.mean(speed**2), 1e-12)) / (2 * np.pi))
         if rate < self.agile:
-            yield "joint_elasticity", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly bends"
+            yield "frequency", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly bends"
 
 
-MOTION = (
-    "viscous_friction",
-    "coulomb_friction",
-    "asymmetric_coulomb_friction",
-    "stribeck_friction",
-    "load_dependent_friction",
-    "quadratic_friction",
-    "presliding_hysteresis",
-    "thermal_friction_drift",
-    "backlash",
-    "joint_elasticity",
-    "torque_ripple",
-    "joint_spring",
-    "rotor_inertia",
-)
-"""Effects that a joint shows only while it moves."""
+NEEDS: Mapping[str, str] = {
+    "motion": "the joint moves",
+    "reversals": "it changes its direction",
+    "speeds": "it has several speeds",
+    "curvature": "some of them are far apart",
+    "creep": "it moves slowly for a while",
+    "range": "it covers a range of angles",
+    "turn": "it covers a period of ripple",
+    "acceleration": "it accelerates",
+    "load": "the size of its load varies",
+    "torque": "its torque varies",
+    "load_zeros": "its load changes sign",
+    "frequency": "it moves fast to and fro",
+    "minutes": "the recording lasts for minutes",
+    "warming": "the recording lasts for as long as friction takes to warm up",
+}
+"""What effects may need of a joint's motion."""
 
-DIRECTED = ("coulomb_friction", "asymmetric_coulomb_friction", "presliding_hysteresis", "torque_offset")
+
+def cannot_show(lacks: Mapping[str, str], effects: Mapping[str, AbstractEffect]) -> dict[str, str]:
+    """{effect: why not} for the effects that need what a joint's motion `lacks`; the first need counts."""
+    missing = {name: next((lacks[x] for x in effect.needs if x in lacks), "") for name, effect in effects.items()}
+    return {name: why for name, why in missing.items() if why}
 
 
 def condition_number(evidence: Evidence, robot: Robot) -> float:

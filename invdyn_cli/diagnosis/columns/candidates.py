@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered, started
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered, started
 from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
@@ -26,6 +26,7 @@ from invdyn_cli.effects.composition import (
     rigid_torque,
     weight,
 )
+from invdyn_cli.effects.friction import STICK_TIME
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -64,7 +65,8 @@ def gather(
     states = evidence.states
     falls = np.linalg.norm(robot.gravity) > 0
     shown = [e for e in effects if side in e.sides and position_side in e.position_sides and not e.passing]
-    effects = [e for e in shown if falls or e.name != "base_tilt"]
+    shown = [e for e in shown if not e.sum_of]  # its parts are there
+    effects = [e for e in shown if falls or not e.turns_gravity]
     _add_bodies(evidence, effects)
     for effect in effects:
         for joint in range(n):
@@ -103,7 +105,7 @@ def _channel_shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: in
     recording = evidence.recording
     logged = np.concatenate([p.tau[joint] for p in recording.pieces])
     shapes = list(effect.shapes(logged, recording.filter.rate))
-    if effect.name != "torque_saturation":
+    if effect.invertible:
         return shapes
     least = min((shape["limit"] for shape in shapes), default=0.0)
     taken = np.quantile(np.abs(load_on(evidence, joint)), [0.9, 0.95, 0.99])
@@ -137,8 +139,8 @@ def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: in
     parts, precision = [], np.zeros(len(effect.basis(evidence.states[0][joint], shape)))
     for s in evidence.states:
         columns = list(effect.basis(s[joint], shape))
-        if effect.name in DRY:
-            columns.append(np.gradient(columns[0]) * evidence.recording.filter.rate)
+        if effect.jumps:
+            columns.append(np.gradient(effect.jump(columns)) * evidence.recording.filter.rate)
         parts.append(np.stack(columns))
     numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
     where: dict[int, tuple] = {joint: ((), numbers)}
@@ -156,7 +158,7 @@ def channel_candidate(evidence: Evidence, effect: AbstractChannelEffect, joint: 
     """A joint's channel effect at these parameters: what it changes of the logged torque (fixed), and the change with
     each parameter (free). A gain acts on the model's torque, which has no noise."""
     rate = evidence.recording.filter.rate
-    if effect.name == "torque_gain_error":
+    if effect.factor:
         made = [c for c in evidence.candidates if c.key == (effect.name, joint)]
         if made:
             return made[0]
@@ -358,21 +360,20 @@ def _add_bodies(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
     for effect in effects:
         if isinstance(effect, AbstractMotionEffect):
             for joint in range(n):
-                change = []
+                (name,), change = effect.parameters, []
                 for piece in recording.pieces:
-                    ends = [rigid_torque(robot, effect.true({"offset": x}, piece.motion, joint)) for x in (STEP, -STEP)]
+                    ends = [rigid_torque(robot, effect.true({name: x}, piece.motion, joint)) for x in (STEP, -STEP)]
                     change.append((ends[0] - ends[1]) / (2 * STEP))
                 columns = filtered(recording, change)
                 where = {j: ((), evidence.append(j, [columns[j]])) for j in range(n)}
                 evidence.candidates.append(Candidate(effect, joint, {}, where, np.array([1 / 0.3**2])))
-                for offset in ZEROS:
-                    evidence.candidates.append(body_candidate(evidence, effect, joint, {"offset": offset}))
+                evidence.candidates += [body_candidate(evidence, effect, joint, {name: x}) for x in ZEROS]
 
 
 def _add_changes(evidence: Evidence, bodies: Sequence[AbstractBodyEffect]) -> None:
     """Candidates that change inertials or gravity."""
     robot, recording, n = evidence.robot, evidence.recording, evidence.dofs
-    places = [(e, j) for e in bodies for j in (range(n) if e.name == "link_inertia_error" else (None,))]
+    places = [(e, j) for e in bodies for j in (range(n) if e.of_joint else (None,))]
     directions = [e.directions(robot, j) for e, j in places]
     moves = np.stack([inertial.reshape(-1) for d in directions for inertial, _, _ in d])
     falls = np.stack([gravity for d in directions for _, gravity, _ in d])

@@ -13,7 +13,6 @@ import numpy as np
 from scipy import signal
 
 from invdyn_cli.diagnosis.columns.recording import ROLES, Piece, Recording
-from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, Stretch, When, channel, in_chain, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
@@ -35,15 +34,9 @@ HELD = 0.01
 """Range [rad; m] within which a joint is held: it creeps, and its friction holds what it likes."""
 
 REST_TIME = 0.05
-DRY = tuple(name for name, effect in EFFECTS.items() if getattr(effect, "jumps", False))
-"""Effects that jump where a joint turns back."""
 
 SPARE = 64
 """Columns for which there is room before a table is copied."""
-
-STICK_TIME = 0.005
-"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
-the jump is allowed for, as a free column of its own."""
 
 ADJOINING = 0.1
 """[s] between two pieces of a trajectory within which what remembers goes on."""

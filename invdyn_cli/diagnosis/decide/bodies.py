@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from invdyn_cli.effects.actuator import RotorInertia, TorqueGainError
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.interfaces import AbstractBodyEffect
 from invdyn_cli.types import Finding, Quantity, Robot
+
+LINK = LinkInertiaError.name
 
 LIGHTER = 0.5
 """Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
@@ -26,12 +30,12 @@ MANY_LINKS = 3
 
 def as_link(robot: Robot, acting: Acting) -> Acting:
     """A payload that is no body, or farther than any tool, as the error of the last link's inertials that it is."""
-    if acting.effect.name != "payload":
+    if not acting.effect.load or acting.effect.passing:  # links are not wrong for a time
         return acting
     mass, com = acting.parameters["mass"], acting.parameters["com"]
     if mass > 0 and np.linalg.norm(com) <= FARTHEST_TOOL:
         return acting
-    link, last = EFFECTS["link_inertia_error"], robot.dofs - 1
+    link, last = EFFECTS[LINK], robot.dofs - 1
     assert isinstance(link, AbstractBodyEffect) and isinstance(acting.effect, AbstractBodyEffect)
     return Acting(link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last))
 
@@ -41,19 +45,19 @@ def may_be_payload(ends: Mapping[str, tuple]) -> bool:
     return float(np.linalg.norm(ends["moment"][0])) <= FARTHEST_TOOL * float(ends["mass"][2])
 
 
-def told(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, tuple]) -> Finding:
+def told(finding: Finding, acting: Acting, robot: Robot, ends: Mapping[str, tuple]) -> Finding:
     """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
-    if finding.effect in ("payload", "payload_change"):
+    effect, joint = acting.effect, acting.joint
+    if effect.load:
         finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
         nominal = float(robot.inertial[-1, 0])
-        if finding.effect == "payload" and float(ends["mass"][0]) < LIGHTER * nominal:  # links are not wrong for a time
+        if not effect.passing and float(ends["mass"][0]) < LIGHTER * nominal:
             return replace(
                 finding,
-                alternatives=(*finding.alternatives, ("link_inertia_error",)),
+                alternatives=(*finding.alternatives, (LINK,)),
                 evidence={**finding.evidence, "mass_of_last_link_kg": nominal},
             )
-    if finding.effect == "link_inertia_error":
-        assert joint is not None
+    elif effect.point == "body" and joint is not None:
         scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.05}
         shown = {
             name: q if np.all(np.asarray(q.interval95[1]) - np.asarray(q.interval95[0]) < 2 * scales[name]) else None
@@ -64,7 +68,7 @@ def told(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, t
         if not -1 < float(ends["mass"][0]) / max(robot.inertial[joint, 0], 1e-9) < HEAVIER:
             finding = replace(
                 finding,
-                alternatives=(*finding.alternatives, ("rotor_inertia",), ("torque_gain_error",)),
+                alternatives=(*finding.alternatives, (RotorInertia.name,), (TorqueGainError.name,)),
                 advice="a body of this mass is no body: look for what else acts on this joint and those before it",
             )
     return finding
@@ -72,13 +76,12 @@ def told(finding: Finding, robot: Robot, joint: int | None, ends: Mapping[str, t
 
 def other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
     """Where many links seem wrong, none of them is named: the whole model may be another robot's."""
-    links = [f for f in claims if f.effect == "link_inertia_error"]
+    links = [f for f in claims if f.effect == LINK]
     if len(links) < MANY_LINKS:
         return claims, ()
     said = f"The inertials of {len(links)} links seem wrong at once: this URDF may be of another robot or another tool."
     unsure = [
-        replace(f, status="ambiguous", alternatives=(*f.alternatives, ("link_inertia_error",))) if f in links else f
-        for f in claims
+        replace(f, status="ambiguous", alternatives=(*f.alternatives, (LINK,))) if f in links else f for f in claims
     ]
     return unsure, (said,)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.decide import bodies
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
@@ -19,11 +20,10 @@ from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
-from invdyn_cli.diagnosis.search.late import LATE
 from invdyn_cli.diagnosis.search.realisable import realisable
-from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting
 from invdyn_cli.effects.description import driver_name
+from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
 
@@ -48,8 +48,6 @@ SLIDING = {
     "1/rev": "rad/m",
 }
 """Units at a joint that turns, and at one that slides."""
-
-GEARS = {name for name, e in EFFECTS.items() if e.point == "gear"}
 
 DRAWS = 1000
 
@@ -92,6 +90,7 @@ def report(
     ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
     claims, acting, shown = [], [], []
+    sums = {k: (place, one) for one in _sums(effects, hypothesis, ends) for place, k in enumerate(one.places)}
     for i, candidate in enumerate(hypothesis):
         rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
         if candidate.key in inquiry.close:
@@ -113,23 +112,22 @@ def report(
         )
         if candidate.when is not None:
             finding = _timed(finding, whole.acting[i], ends[i])
-        partner = _partner(hypothesis, i)
-        if partner is not None and abs(ends[partner][_OFFSET][0]) < ends[i][_COULOMB][0]:
-            finding = _asymmetric(inquiry, hypothesis, whole, finding, i, partner, after)
-            terms[i] = terms[i] + terms[partner]
-            acting += [whole.acting[i], whole.acting[partner]]
-        elif _is_offset_of(hypothesis, i, ends):
+        place, one = sums.get(i, (0, None))
+        if one is not None and place == 0:
+            finding, both = _summed(inquiry, hypothesis, whole, finding, one, after), one.places
+            terms[i] = np.sum([terms[k] for k in both], axis=0)
+            acting += [whole.acting[k] for k in both]
+        elif one is not None:
             continue
         else:
             acting.append(whole.acting[i])
-        if candidate.key[0] == "coulomb_friction" and ("joint_spring", candidate.joint) in {c.key for c in hypothesis}:
-            # the spring's rest holds what makes friction differ by direction
-            finding = replace(finding, alternatives=(*finding.alternatives, ("asymmetric_coulomb_friction",)))
+        others = [*_hidden_sums(effects, hypothesis, i)]
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
-            finding = replace(finding, alternatives=(*finding.alternatives, ("stribeck_friction",)))
-        finding = bodies.told(finding, evidence.robot, joint, wanted[i])
+            others.append(StribeckFriction.name)
+        finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
+        finding = bodies.told(finding, whole.acting[i], evidence.robot, wanted[i])
         if effect is not candidate.effect and bodies.may_be_payload(wanted[i]):
-            finding = replace(finding, alternatives=(*finding.alternatives, ("payload",)))
+            finding = replace(finding, alternatives=(*finding.alternatives, (candidate.effect.name,)))
         if _is_vague(finding) or not held_out(evidence):
             finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
         if finding.alternatives:
@@ -158,9 +156,6 @@ def report(
         whole=inquiry.model.residual(acting),
         notes=dropped + impossible,
     )
-
-
-_OFFSET, _COULOMB = "offset", "coulomb"
 
 
 def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
@@ -194,7 +189,7 @@ def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -
 
 def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
     """A delay's lag, or a lag's delay, judged by their exact formulas."""
-    if rival.candidate.joint != own.joint or rival.candidate.effect.name not in LATE:
+    if rival.candidate.joint != own.joint or not rival.candidate.effect.late_by:
         return rival
     why = "does as well" if close else "does worse on the same rows, both taken exactly"
     return replace(rival, equal=close, why=why)
@@ -290,44 +285,69 @@ def _rejected(robot: Robot, key: tuple[str, int | None], rivals: Sequence[naming
     return tuple(out[:6])
 
 
-def _partner(hypothesis: Hypothesis, i: int) -> int | None:
-    """Place of the torque offset beside a Coulomb friction."""
-    if hypothesis[i].effect.name != "coulomb_friction":
-        return None
-    return next((k for k, c in enumerate(hypothesis) if c.key == ("torque_offset", hypothesis[i].joint)), None)
+@dataclass(frozen=True)
+class _Sum:
+    """An effect that is the sum of others (`AbstractEffect.sum_of`), and where those stand in the hypothesis."""
+
+    effect: AbstractEffect
+    places: tuple[int, ...]
 
 
-def _is_offset_of(hypothesis: Hypothesis, i: int, ends: Sequence[Mapping[str, tuple]]) -> bool:
-    """Whether a torque offset is told with the Coulomb friction of its joint."""
-    if hypothesis[i].effect.name != "torque_offset":
-        return False
-    k = next((k for k, c in enumerate(hypothesis) if c.key == ("coulomb_friction", hypothesis[i].joint)), None)
-    return k is not None and abs(ends[i][_OFFSET][0]) < ends[k][_COULOMB][0]
+def _sums(
+    effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, ends: Sequence[Mapping[str, tuple]]
+) -> list[_Sum]:
+    """The sums of effects that stand beside each other on a joint, where the sum's parameters are possible."""
+    keys = [c.key for c in hypothesis]
+    made = []
+    for effect in effects.values():
+        for joint in {c.joint for c in hypothesis} if effect.sum_of else ():
+            if not all((name, joint) in keys for name in effect.sum_of):
+                continue
+            places = tuple(keys.index((name, joint)) for name in effect.sum_of)
+            sizes = [next(iter(ends[k].values()))[0] for k in places]
+            if not effect.refuse(_summed_sizes(effect, sizes)):
+                made.append(_Sum(effect, places))
+    return made
 
 
-def _asymmetric(inquiry, hypothesis, whole: Refined, finding: Finding, i: int, partner: int, after) -> Finding:
-    """Coulomb friction beside an offset: the same torque as friction that differs by direction."""
-    asymmetric = EFFECTS["asymmetric_coulomb_friction"]
+def _summed_sizes(effect: AbstractEffect, sizes: Sequence[Any]) -> dict[str, Any]:
+    """Parameters of a sum from those of its parts, one each."""
+    parts = list(zip(effect.sum_of.values(), sizes, strict=True))
+    return {name: sum(share[name] * x for share, x in parts) for name in effect.parameters}
+
+
+def _hidden_sums(effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, i: int) -> list[str]:
+    """Sums of the first part of which this is one, and the others of which another effect of the joint contains: a
+    spring's rest holds what makes friction differ by direction."""
+    own = hypothesis[i]
+    beside = {name for c in hypothesis if c.joint == own.joint and c is not own for name in c.effect.contains}
+    sums = [(name, list(e.sum_of)) for name, e in effects.items() if e.sum_of]
+    return [name for name, parts in sums if own.effect.name == parts[0] and set(parts[1:]) <= beside]
+
+
+def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: _Sum, after) -> Finding:
+    """The finding of an effect's parts as that effect, the same torque: Coulomb friction beside an offset is friction
+    that differs by direction."""
+    effect, parts = one.effect, [whole.acting[k].effect for k in one.places]
     at = {(number, name): k for k, (number, name, _) in enumerate(whole.labels)}
-    both = at[(i, "coulomb")], at[(partner, "offset")]
-    level = {}
-    for name, sign in (("positive", 1.0), ("negative", -1.0)):
-        value = whole.theta[both[0]] + sign * whole.theta[both[1]]
-        each = [x[:, both[0]] + sign * x[:, both[1]] for x in whole.replicas]
-        error = float(reach(each, whole.unknown[:, both[0]] + sign * whole.unknown[:, both[1]]))
-        level[name] = (value, value - error, value + error)
+    names = [next(iter(part.parameters)) for part in parts]
+    columns = [at[k, name] for k, name in zip(one.places, names, strict=True)]
+    values = _summed_sizes(effect, [whole.theta[k] for k in columns])
+    each = [_summed_sizes(effect, [x[:, k] for k in columns]) for x in whole.replicas]
+    unknown = _summed_sizes(effect, [whole.unknown[:, k] for k in columns])
+    errors = {name: float(reach([x[name] for x in each], unknown[name])) for name in values}
+    level = {name: (x, x - errors[name], x + errors[name]) for name, x in values.items()}
     return replace(
         finding,
-        effect=asymmetric.name,
-        alternatives=(("coulomb_friction", "torque_offset"), *(a for a in finding.alternatives)),
-        parameters=_quantities(asymmetric, level, _slides(inquiry.evidence.robot, hypothesis[i])),
-        gain=_gains(inquiry, hypothesis, (i, partner), after),
-        advice=asymmetric.advice,
-        text=asymmetric.text,
+        effect=effect.name,
+        alternatives=(tuple(effect.sum_of), *finding.alternatives),
+        parameters=_quantities(effect, level, _slides(inquiry.evidence.robot, hypothesis[one.places[0]])),
+        gain=_gains(inquiry, hypothesis, one.places, after),
+        advice=effect.advice,
+        text=effect.text,
         evidence={
             **finding.evidence,
-            "coulomb": float(whole.theta[both[0]]),
-            "offset": float(whole.theta[both[1]]),
+            **{name: float(whole.theta[k]) for name, k in zip(names, columns, strict=True)},
         },
     )
 
@@ -347,7 +367,9 @@ def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) ->
     return replace(made, findings=together, terms=(*made.terms, *terms))
 
 
-def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Finding, ...]:
+def in_doubt(
+    found: Sequence[Finding], effects: Mapping[str, AbstractEffect], learned: Mapping[str, float]
+) -> tuple[Finding, ...]:
     """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
     by what is left there: something else is at work, and may be all of it.
 
@@ -359,9 +381,10 @@ def in_doubt(found: Sequence[Finding], learned: Mapping[str, float]) -> tuple[Fi
         saved = sum((g.rmse_before / max(g.rmse_after, 1e-300)) ** 2 - 1 for g in one.gain.values())
         shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
         unknown = sum(shares.values())
-        near = [x for j, x in shares.items() if j == one.joint or one.effect not in GEARS]
+        effect = effects[one.effect]
+        near = [x for j, x in shares.items() if j == one.joint or effect.point != "gear"]
         mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
-        least = (LATE_UNKNOWN if one.effect in LATE else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
+        least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
         if one.status == "named" and saved < least * unknown:
             advice = "what else may act on this joint: most of what the model misses there is still unknown"
             one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
@@ -401,8 +424,8 @@ def unseen(
         if position_side not in e.position_sides and side in e.sides
     ]
     for joint, numbers in examination.excitation.items():
-        for name, why in dict(numbers.get("cannot_show", {})).items():
-            if (name, joint) in claimed or name not in effects or name in {f.effect for f in out if f.joint is None}:
+        for name, why in cannot_show(numbers.get("lacks", {}), effects).items():
+            if (name, joint) in claimed or name in {f.effect for f in out if f.joint is None}:
                 continue
             advice = effects[name].advice
             out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))

@@ -67,7 +67,7 @@ def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray, share: float = 0.
 
 def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:
     """Standard error that no spread of blocks shows: what clocks, holding and filters leave of every column."""
-    if name in ("delay", "time_constant") and acting.effect.point == "channel":
+    if name == acting.effect.late_by:
         return OWN_TIME * evidence.recording.period
     if name in ("static", "velocity"):
         return STUCK * np.abs(value)

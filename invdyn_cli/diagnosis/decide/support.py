@@ -11,7 +11,6 @@ from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
-from invdyn_cli.diagnosis.search.late import LATE
 from invdyn_cli.effects.composition import Acting
 
 OUTWEIGHED = 1.0
@@ -127,9 +126,9 @@ def _fails(
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
     if 0 < gain < needed * rest:
         return gain, "most of what it would explain is something else that this catalogue does not know"
-    name = hypothesis[i].effect.name
-    if name in LATE:
-        value = acting_of(inquiry.judge, inquiry.always, hypothesis)[i].parameters[LATE[name][0]]
+    late_by = hypothesis[i].effect.late_by
+    if late_by:
+        value = acting_of(inquiry.judge, inquiry.always, hypothesis)[i].parameters[late_by]
         if value < evidence.recording.period:
             return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
     sure, share = _exactly(inquiry, hypothesis, chosen, i)

@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.composition import When
-from invdyn_cli.interfaces import AbstractBodyEffect, AbstractEffect
+from invdyn_cli.interfaces import AbstractEffect
 
 GRID, CELL = 120, 0.1
 """Edges of windows that are tried in a trajectory, and the shortest step between them [s]."""
@@ -77,7 +77,7 @@ def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str)
     for effect in effects.values():
         if not effect.passing or side not in effect.sides:
             continue
-        whole = isinstance(effect, AbstractBodyEffect)
+        whole = not effect.of_joint
         own: list[Place] = []
         for joint in (None,) if whole else reversed(range(evidence.dofs)):
             columns = passing_columns(evidence, effect, joint, None)

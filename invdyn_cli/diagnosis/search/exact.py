@@ -11,13 +11,14 @@ from functools import partial
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import gear_columns, passing_columns, passing_torque
-from invdyn_cli.diagnosis.columns.evidence import DRY, STICK_TIME, Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates, flat, inside, precision_of, with_parameters
 from invdyn_cli.diagnosis.search.edges import summed, within
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.steps import WHOLE
 from invdyn_cli.effects.composition import Acting, channel, felt_by, identity, joint_terms, link_torque
+from invdyn_cli.effects.friction import STICK_TIME
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractGearEffect,
@@ -351,7 +352,7 @@ def _step(acting: Acting, name: str, value: float, rate: float) -> float:
         return 1 / rate
     if acting.effect.point == "gear":
         return max(3e-2 * value, 1e-6)
-    if name in ("delay", "time_constant") and acting.effect.point == "channel":
+    if name == acting.effect.late_by:
         return 2e-4
     if acting.effect.point == "motion":
         return 1e-4
@@ -375,7 +376,7 @@ def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, n
     """Columns (m, R, n) that shift the jump of each dry friction, and their precision (m,)."""
     columns, precision = [], []
     for a in acting:
-        if a.effect.name not in (*DRY, "asymmetric_coulomb_friction"):
+        if not a.effect.jumps:
             continue
         assert isinstance(a.effect, AbstractTorqueEffect) and a.joint is not None
         states = [s[a.joint] for s in evidence.states]

@@ -34,9 +34,6 @@ PLAINLY = 0.5
 """Of the loss of a search that tries drives that two joints share at last, what one that tries them from the first step
 must come below (ours: 0.93 where a payload and friction were hidden, 0.04 where such a drive was)."""
 
-ABSORBING = ("torque_saturation", "asymmetric_coulomb_friction")
-"""Effects that take up much of what comes and goes."""
-
 
 @dataclass(frozen=True)
 class Inquiry:
@@ -162,7 +159,7 @@ def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: n
     measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
     judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
-    lasting = [c for c in evidence.candidates if c.effect.name not in ABSORBING]
+    lasting = [c for c in evidence.candidates if c.effect.invertible]  # a limit explains much of what comes and goes
     found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
     judge.refresh()
     if found and _outdoes(judge, [c for own in found.values() for c in own], lasting):
@@ -209,7 +206,7 @@ def _searched(
         if lines:  # nor is a ripple
             evidence.candidates += lines
             measured = noise.measure(evidence, new)
-    pool = [c for c in evidence.candidates if c.effect.name != "asymmetric_coulomb_friction"]
+    pool = list(evidence.candidates)
     always = known.allowed_for(pool, allowed)
     pool = [c for c in pool if not known.is_allowed(c, allowed)]
     if compares:
@@ -227,8 +224,8 @@ def _searched(
         return naming.simplified(judge, beside(hypothesis), hypothesis, pool, usual)
 
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
-    if any(c.effect.name == "payload" for c in pool):
-        pool = [c for c in pool if c.key != ("link_inertia_error", last)]
+    if any(c.effect.load for c in pool):
+        pool = [c for c in pool if c.effect.point != "body" or c.joint != last]
     pool += [c for start in starts for c in start if not any(c is p for p in pool)]
     judge = Judge(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
@@ -339,7 +336,7 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
     allowed = {c.key for c in pool}
     bent: dict[tuple, list[Candidate]] = {}
     for c in judge.evidence.candidates:
-        if c.key in allowed and (c.effect.point == "motion" or c.effect.name == "base_tilt"):
+        if c.key in allowed and (c.effect.point == "motion" or c.effect.turns_gravity):
             bent.setdefault(c.key, []).append(c)
     now = judge.quick((*always, *hypothesis))[0]
     for found in hypothesis:

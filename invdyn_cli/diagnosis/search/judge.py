@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import DRY, Candidate, Evidence, shared_out
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, held_out, solved, squares_left, summed
 from invdyn_cli.diagnosis.search.grams import Grams
 from invdyn_cli.interfaces import (
@@ -14,6 +14,7 @@ from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractForceEffect,
     AbstractGearEffect,
+    AbstractMotionEffect,
     AbstractTorqueEffect,
 )
 
@@ -318,21 +319,19 @@ def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndar
 def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
     """Parameters of one candidate from its coefficients."""
     effect, shape = candidate.effect, candidate.shape
-    if effect.name in ("torque_gain_error", "torque_gain_change"):
-        return {"gain": float(1 / max(1 + coefficients[0], 1e-3))}
-    if effect.name == "encoder_offset":
-        return {"offset": float(shape.get("offset", 0.0) + coefficients[0])}
     if isinstance(effect, AbstractGearEffect):
         return effect.of_softness(effect.softness(shape) + float(coefficients[0]))
     if isinstance(effect, AbstractForceEffect):
         return effect.read([float(c) for c in coefficients])
-    if isinstance(effect, AbstractChannelEffect):
-        return {name: float(value + c) for (name, value), c in zip(shape.items(), coefficients, strict=True)}
+    if isinstance(effect, AbstractChannelEffect) and effect.factor:  # its column is the model's torque
+        return {effect.factor: float(1 / max(1 + coefficients[0], 1e-3))}
+    if isinstance(effect, AbstractChannelEffect | AbstractMotionEffect):
+        return {name: float(shape.get(name, 0.0) + c) for name, c in zip(effect.parameters, coefficients, strict=True)}
     if isinstance(effect, AbstractBodyEffect):
         return effect.read([float(c) for c in coefficients], evidence.robot, candidate.joint)
     assert isinstance(effect, AbstractTorqueEffect)
     known = [float(c) for c in coefficients]
-    return effect.read(known[:-1] if effect.name in DRY else known, shape)
+    return effect.read(known[:-1] if effect.jumps else known, shape)
 
 
 def strain(always: Hypothesis, theta: np.ndarray) -> float:

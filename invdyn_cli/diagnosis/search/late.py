@@ -22,9 +22,6 @@ from invdyn_cli.maths.statistics import autocorrelation_time
 SLOW = 0.25
 """Part of a joint's band in which delay and lag are told apart."""
 
-LATE = {"torque_delay": ("delay", "actuator_lag"), "actuator_lag": ("time_constant", "torque_delay")}
-"""Delay and lag: each one's parameter, and the other one."""
-
 
 def told_apart(
     judge: Judge,
@@ -39,10 +36,10 @@ def told_apart(
     close: dict[tuple[str, int | None], bool] = {}
     evidence, rows = judge.evidence, judge.rows
     for i, one in enumerate(chosen.acting):
-        if one.effect.name not in LATE or LATE[one.effect.name][1] not in effects:
+        other = next((e for e in effects.values() if e.late_by and e.name != one.effect.name), None)
+        if not one.effect.late_by or other is None:
             continue
-        name, other = LATE[one.effect.name]
-        swapped = replace(one, effect=effects[other], parameters={LATE[other][0]: one.parameters[name]})
+        swapped = replace(one, effect=other, parameters={other.late_by: one.parameters[one.effect.late_by]})
         others = chosen.acting[:i], chosen.acting[i + 1 :]
         trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
         assert one.joint is not None

@@ -2,20 +2,15 @@
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import STICK_TIME, Evidence
+from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import noise, realisable
 from invdyn_cli.diagnosis.search.exact import Model, Refined
+from invdyn_cli.joints import JointState
 
 CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
 """Of the largest torque beyond a limit, what counts as clipped; on what share of the rows it may be; and how many times
 the RMS of what is left elsewhere the torque beyond must be: a limit set into noise or a drift explains half of it; and
 how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
-
-DROP = 1.1
-"""Of the Coulomb level, what the static one is at least in any gear that has two."""
-
-PERIODS = 1.5
-"""Of a ripple, below which it is no ripple but any bend of the torque over the angle."""
 
 
 def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
@@ -27,15 +22,12 @@ def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: R
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
     """Whether an effect with these parameters can be told from what only looks like it."""
     one = refined.acting[place]
-    if one.effect.name == "torque_saturation":
+    if not one.effect.invertible:
         return _is_a_limit(evidence, model, measured, refined, place)
-    if one.effect.name == "torque_ripple":
-        return one.parameters["cycles"] * float(np.ptp(evidence.on_rows("q")[:, one.joint])) > 2 * np.pi * PERIODS
-    if one.effect.name == "stribeck_friction":
-        stuck = STICK_TIME * float(
-            np.std(evidence.on_rows("qdd"), axis=0)[one.joint]
-        )  # its speed changes so much meanwhile
-        return one.parameters["velocity"] > stuck and one.parameters["static"] > DROP * one.parameters["coulomb"]
+    if one.joint is not None:
+        q, qd, qdd = (evidence.on_rows(x)[:, one.joint] for x in ("q", "qd", "qdd"))
+        state = JointState(evidence.on_rows("t"), q, qd, qdd, np.sign(qd), evidence.nominal[:, one.joint])
+        return one.effect.is_plain(one.parameters, state)
     return True
 
 

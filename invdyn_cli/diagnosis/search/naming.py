@@ -12,6 +12,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge, parameters_of, strain
 from invdyn_cli.diagnosis.search.steps import clash, free_beside
+from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
 
 DOUBT = 0.005
@@ -29,12 +30,6 @@ UNDENIED, CONTRADICTED = 100.0, 0.03
 MEMORY, LAGS = 0.8, 6
 """Of 1 / cut-off: how long a low-pass remembers noise; and how many times that is looked at: something structured comes
 back within it, if only as its opposite."""
-
-TYPICAL_STRIBECK = 1.3
-"""Static over Coulomb level that an ordinary gear has; a log that cannot exclude it cannot tell the two apart."""
-
-TYPICAL_VELOCITY = 0.028
-"""[rad/s] Stribeck velocity to try it at."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +65,9 @@ def _simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: 
                 unsure = step.sum() + extra < SURE * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
                 if unsure or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
-        if general.effect.name == "link_inertia_error":  # ten coefficients do what fewer of another effect do as well
+        if (
+            general.effect.point == "body" and general.effect.of_joint
+        ):  # ten coefficients do what fewer of another effect do as well
             for rival in rivals(judge, always, hypothesis, i, pool):
                 if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
                     return _simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
@@ -143,12 +140,11 @@ def blind_to_stribeck(
 ) -> bool:
     """Whether an ordinary drop of friction with speed could hide behind a Coulomb friction on this log."""
     own = hypothesis[place]
-    if own.effect.name != "coulomb_friction":
+    effect = next((c.effect for c in pool if isinstance(c.effect, StribeckFriction)), None)
+    trials = [c for c in pool if c.effect is effect and c.joint == own.joint and own.effect.name in c.effect.contains]
+    if effect is None or not trials:
         return False
-    trials = [c for c in pool if c.key == ("stribeck_friction", own.joint)]
-    if not trials:
-        return False
-    typical = min(trials, key=lambda c: abs(np.log(c.shape["velocity"] / TYPICAL_VELOCITY)))
+    typical = min(trials, key=lambda c: abs(np.log(c.shape["velocity"] / effect.usual_velocity)))
     _, r, normal = judge.sums((*always, *hypothesis[:place], *hypothesis[place + 1 :], typical))
     k = len(typical.precision)
     total = normal.sum(0) + 1e-9 * np.diag(np.diag(normal.sum(0)))
@@ -156,7 +152,7 @@ def blind_to_stribeck(
     variance = np.linalg.pinv(total)
     coulomb, drop = theta[-k], theta[-k + 1]
     error = np.sqrt(max(variance[-k + 1, -k + 1], 0))
-    return bool(drop + 2 * error > (TYPICAL_STRIBECK - 1) * coulomb)
+    return bool(drop + 2 * error > (effect.usual_ratio - 1) * coulomb)
 
 
 def structure(evidence: Evidence, residual: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -116,12 +116,9 @@ def _plain(candidate: Candidate, joint: int) -> bool:
     drives that two joints share: free factors of another joint's motion take up slow ripples and loads."""
     if joint not in candidate.columns or (candidate.effect.point == "torque" and len(candidate.columns) > 1):
         return False
-    name, shape = candidate.effect.name, candidate.shape
     if candidate.effect.point == "gear":
         return candidate.joint == joint
-    if name == "stribeck_friction":
-        return 0.02 < shape["velocity"] < 0.1
-    return name not in ("torque_delay", "actuator_lag", "torque_saturation")  # their columns hold the noise itself
+    return candidate.effect.is_ordinary(candidate.shape)
 
 
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:

@@ -18,9 +18,6 @@ from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent
 
-LOADS = ("payload", "payload_change")
-BODIES = (*LOADS, "link_inertia_error")
-
 CHANCE = 1e-3
 """How often a fit of true inertials wants other ones by more than the cost from which it is said."""
 
@@ -84,7 +81,7 @@ def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
     found = set()
     for body in _bodies(evidence, refined, evidence.robot.joints)[0]:
         one = refined.acting[refined.labels[body.places[0]][0]]
-        if one.effect.name in LOADS or _can_be(refined, body):
+        if one.effect.load or _can_be(refined, body):
             continue
         wanted, known, beforehand = _known(evidence, refined, [body])
         _, cost, chance = _change(body.reference[None], wanted, known, beforehand)
@@ -156,10 +153,10 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
     bodies, notes = [], []
     nominal = np.asarray(evidence.robot.inertial)
     for number, one in enumerate(refined.acting):
-        if one.effect.name not in BODIES:
+        if one.effect.point != "body" or one.effect.turns_gravity:
             continue
         places = np.array([k for k, (of, name, _) in enumerate(refined.labels) if of == number and not name])
-        if one.effect.name in LOADS:
+        if one.effect.load:
             mass, *moment = refined.theta[places[:4]]
             ball = pseudo_inertia.ball(abs(mass), np.array(moment) / mass)
             bodies.append(Body("the payload", places, np.zeros(10), ball))

@@ -20,7 +20,8 @@ def found(effect: str, share: float) -> Finding:
         "com": Quantity([0.0] * 3, "m", None),
         "inertia": Quantity([0.0] * 6, "kg m²", None),
     }
-    return bodies.told(Finding(effect, None, "named", parameters=quantities), arm(), None, {"mass": (mass, mass, mass)})
+    finding = Finding(effect, None, "named", parameters=quantities)
+    return bodies.told(finding, Acting(EFFECTS[effect], None, {}), arm(), {"mass": (mass, mass, mass)})
 
 
 @pytest.mark.parametrize("effect", ["payload", "payload_change"])

@@ -3,6 +3,7 @@
 import pytest
 
 from invdyn_cli.diagnosis.decide.findings import LATE_UNKNOWN, MOSTLY_UNKNOWN, UNKNOWN, UNKNOWN_FIRST, in_doubt
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Finding, Gain
 
 
@@ -26,12 +27,12 @@ def test_a_name_must_outweigh_what_has_none(effect, learned, times):
     more is asked for where most of what is left is no noise, and most of what is like many others."""
     for factor, status in ((1.1, "named"), (0.9, "ambiguous")):
         left = (1 + factor * times * learned) ** -0.5
-        (found,) = in_doubt([claimed(effect, left)], {"axis1": learned})
+        (found,) = in_doubt([claimed(effect, left)], EFFECTS, {"axis1": learned})
         assert found.status == status
         assert found.alternatives == ((("unknown",),) if status == "ambiguous" else ())
 
 
 def test_noise_alone_casts_no_doubt():
     """Where a learner finds nothing, the least gain keeps its name."""
-    (found,) = in_doubt([claimed("actuator_lag", 0.999)], {"axis1": 0.0})
+    (found,) = in_doubt([claimed("actuator_lag", 0.999)], EFFECTS, {"axis1": 0.0})
     assert found.status == "named"

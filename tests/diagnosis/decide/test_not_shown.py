@@ -16,9 +16,9 @@ from tests.diagnosis.analytic import arm, log_of, moved, raw, recording_of
 GEARS = {"backlash", "joint_elasticity"}
 
 
-def said(side: str, position_side: str, cannot_show=(), claims=()) -> list[Finding]:
+def said(side: str, position_side: str, lacks=(), claims=()) -> list[Finding]:
     """What is said of a log of these sides, its first joint's motion unable to show some effects."""
-    examination = Examination(True, (), {"axis1": {"cannot_show": dict(cannot_show)}})
+    examination = Examination(True, (), {"axis1": {"lacks": dict(lacks)}})
     return unseen(EFFECTS, claims, examination, side, position_side)
 
 
@@ -41,9 +41,11 @@ def test_each_reason_is_said_once():
     assert {f.effect for f in both if "torque" in f.evidence["why"]} == {
         n for n, e in EFFECTS.items() if "link" not in e.sides
     }
-    shown = {"backlash": "one flank", "coulomb_friction": "no reversal", "torque_offset": "no reversal"}
-    blamed = said("unknown", "link", shown, [Finding("torque_offset", "axis1", "named")])
-    assert [(f.effect, f.joint) for f in blamed if f.status == "not_excited"] == [("coulomb_friction", "axis1")]
+    lacks = {"load_zeros": "one flank", "reversals": "no reversal"}
+    blamed = [f for f in said("unknown", "link", lacks, [Finding("torque_offset", "axis1", "named")])]
+    blamed = {(f.effect, f.joint, f.evidence["why"]) for f in blamed if f.status == "not_excited"}
+    directed = {n for n, e in EFFECTS.items() if "reversals" in e.needs} - {"torque_offset"}
+    assert "coulomb_friction" in directed and blamed == {(n, "axis1", "no reversal") for n in directed}
 
 
 @pytest.mark.parametrize(("position_side", "seen"), [("link", set()), ("motor", GEARS), ("unknown", GEARS)])
