@@ -17,7 +17,7 @@ class Effect:
     Attributes:
         words: its name in a sentence.
         law: its term as HTML, parameters in <i>: what it adds to the torque of the nominal model, or for a channel
-            effect what is delivered for what is logged (DESIGN, section 6).
+            effect what is delivered for what is logged.
         meaning: one sentence for who never met it.
     """
 

@@ -85,7 +85,7 @@ def written(robot: Robot, effects: Sequence[Hidden] = ()) -> tuple[str, tuple[st
 
     Args:
         robot: the nominal robot; its `damping` and `friction` are written too.
-        effects: names and parameters of DESIGN, section 6. `link_inertia_error` may say its change as "mass",
+        effects: names and parameters as in docs/effects.md. `link_inertia_error` may say its change as "mass",
             "moment" (3,) and "inertia" (6,) about the joint frame's origin, `payload` an "inertia" (6,) about its
             centre of mass (xx xy yy xz yz zz).
 

@@ -49,7 +49,7 @@ PARAMETERS = {
     "encoder_offset": {"offset": 0.03},
     "custom": {"force": lambda t, q, qd: 0.0},
 }
-"""Of every effect that DESIGN names, and of what the catalogue lacks."""
+"""Of every effect of the catalogue, and of what the catalogue lacks."""
 
 
 @pytest.fixture(scope="module")

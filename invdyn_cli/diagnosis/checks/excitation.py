@@ -1,6 +1,6 @@
 """What a log excites: ranges, reversals, speeds, loads, the regressor's condition; and what it so cannot show.
 
-Which effect needs what stands in DESIGN, section 6, and in the library of effects; the thresholds are fields.
+Which effect needs what stands in the library of effects; the thresholds are fields.
 """
 
 from collections.abc import Iterator
