@@ -60,7 +60,7 @@ class RawTrajectory:
 
 @dataclass(frozen=True)
 class Log:
-    """A recording of one robot with n joints: the words of DESIGN's log format, and its trajectories.
+    """A recording of one robot with n joints: the attributes of the log format (docs/logs.md), and its trajectories.
 
     `urdf` is a path that can be opened from here ("": none); `rate` [Hz] is nominal; `drive_gain` (n,) [N m/A] turns
     torques in "A" into "N m" (None: not known); `compensated` names effects that the torque already has taken out;

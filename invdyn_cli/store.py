@@ -221,7 +221,7 @@ def write_metrics(record: RunRecord, path: Path) -> None:
 def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) -> None:
     """Write diagnosis.json, whole or not at all; `files` names what lies beside it (model, urdf, mjcf, report).
 
-    "summary", "replay", "notes" and "details" are additions to the schema of the design.
+    "summary", "replay", "notes" and "details" stand beside what the schema requires.
     """
     tree = {
         "schema": DIAGNOSIS_SCHEMA,

@@ -11,7 +11,7 @@ from tests.commands import ROOT, python
 PACKAGE = ROOT / "invdyn_cli"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 MOST_LINES = 450
-"""A file is one idea; near 200 lines is usual, above 400 asks for a hard look (DESIGN, section 2)."""
+"""A file is one idea; near 200 lines is usual, above 400 asks for a hard look."""
 
 
 def lint_imports(folder: Path):

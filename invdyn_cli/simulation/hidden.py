@@ -1,4 +1,4 @@
-"""What can be built into the arm: effects by name, with the parameters and signs of DESIGN, section 6.
+"""What can be built into the arm: effects by name, with the parameters and signs of docs/plant.md.
 
 Logged torque = nominal torque + the effect's term: the joint receives what is logged less the term. `assemble` turns
 effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies, gears),
@@ -22,7 +22,7 @@ from invdyn_cli.types import Robot
 ABOVE, FROM, NUMBER, VECTOR, FUNCTION = "a number above 0", "a number from 0", "a number", "three numbers", "a function"
 WINDOW, NAME = "two times [s], [from, to]", "a trajectory's name"
 STANDARD_GRAVITY = 9.81
-"""[m/s^2] of a tilted base, as DESIGN has it."""
+"""[m/s^2] of a tilted base."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Hidden:
         effect: its name, one of `KINDS`.
         joint: the joint it acts on; None for the whole arm (payload, base_tilt). link_inertia_error names the joint
             that moves the link.
-        parameters: by name, in the units of DESIGN. payload: also `radius` [m] of the sphere that it is (0.02).
+        parameters: by name, in the units of docs/plant.md. payload: also `radius` [m] of the sphere that it is (0.02).
             link_inertia_error: `mass` [kg] and `com` (3,) [m, in the joint's frame] are what is added to the nominal
             ones, `inertia` [-] is the relative change of the inertia about the centre of mass. What comes and goes
             has a `window` (2,) [s], and a `trajectory` if it is not in all.

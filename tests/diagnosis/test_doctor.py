@@ -37,7 +37,7 @@ def log(arm):
 
 
 def test_a_sound_log_is_sound(log, arm):
-    """Nothing to warn of; every name of DESIGN section 5 is there, so that a reader sees what was looked at."""
+    """Nothing to warn of; every name of docs/checks.md is there, so that a reader sees what was looked at."""
     examination = doctor.examine(log, arm)
     assert examination.usable
     assert alarms(examination) == {}

@@ -18,7 +18,7 @@ from tests.commands import ROOT
 from tests.effects.drawn import parameters
 
 UNITS = re.compile(r"-|(?:1/rev|N|N m|N m/s|rad|kg|m|s|kg m²?|N m/rad|N m s/rad|N m s²/rad²|rad/s)")
-"""Those of DESIGN, section 6."""
+"""Every effect of the catalogue (docs/effects.md)."""
 
 NAMES = {
     "viscous_friction": {"damping"},
@@ -49,11 +49,11 @@ NAMES = {
     "encoder_offset": {"offset"},
     "link_inertia_error": {"mass"},
 }
-"""Parameters of DESIGN, section 6; bodies have more, for what else of them shows."""
+"""Parameters that every effect has; bodies have more, for what else of them shows."""
 
 
 def test_names_are_those_of_the_design():
-    """Every effect goes by its name and its parameters' names in DESIGN, section 6; a body may add its inertia."""
+    """Every effect has its fixed name and its parameters' fixed names; a body may add its inertia."""
     assert set(EFFECTS) == set(NAMES)
     for name, effect in EFFECTS.items():
         assert effect.name == name

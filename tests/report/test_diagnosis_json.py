@@ -1,4 +1,4 @@
-"""diagnosis.json: the schema of the design, numbers raw."""
+"""diagnosis.json: the schema invdyn-diagnosis/1, numbers raw."""
 
 import json
 import math
@@ -51,7 +51,7 @@ def written(diagnosis, folder):
 
 @pytest.mark.parametrize("make", [make_diagnosis, nothing_found, log_unusable])
 def test_keys_are_those_of_the_schema(make, tmp_path):
-    """The file has exactly the keys of the design and four additions, down to parameters, gains and checks."""
+    """The file has exactly the keys of the schema and four additions, down to parameters, gains and checks."""
     diagnosis = make()
     tree = written(diagnosis, tmp_path)
     assert set(tree) == DESIGN | {"summary", "replay", "notes", "details"}
@@ -100,7 +100,7 @@ def test_arrays_and_nan(tmp_path):
 
 
 def test_residual_tests_are_rows_of_their_joint(tmp_path):
-    """A row per test under its joint, with the keys of the design; pictures' curves stay out."""
+    """A row per test under its joint, with the keys of the schema; pictures' curves stay out."""
     diagnosis = make_diagnosis()
     tree = written(diagnosis, tmp_path)["residual_tests"]
     assert sum(map(len, tree.values())) == len(diagnosis.tests)

@@ -1,4 +1,4 @@
-"""Every effect that can be hidden shows in the log as DESIGN, section 6, says: logged = nominal + term.
+"""Every effect that can be hidden shows in the log with its sign: logged = nominal + term.
 
 The terms are written out here anew. What has memory is in test_memory.py, what comes and goes in test_events.py.
 """

@@ -75,7 +75,7 @@ def claims(folder: Path) -> list[tuple]:
 
 
 def test_names_the_cause_and_the_joint(diagnosed):
-    """diagnosis.json, with the keys of the design, names the hidden effect, its joint and its size, nothing else."""
+    """diagnosis.json, with the keys of its schema, names the hidden effect, its joint and its size, nothing else."""
     tree = json.loads((diagnosed[0] / "diagnosis.json").read_text())
     assert set(tree) == KEYS | {"summary", "replay", "notes", "details"}
     assert tree["schema"] == "invdyn-diagnosis/1" and tree["verdict"] == "explained"

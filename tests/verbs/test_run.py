@@ -43,7 +43,7 @@ def test_says_nothing_on_stderr(finished):
 
 
 def test_metrics_have_the_fixed_schema(finished):
-    """metrics.json has the keys that DESIGN section 5 fixes, a number per joint, and the command's choices."""
+    """metrics.json has the keys of its schema, a number per joint, and the command's choices."""
     metrics = json.loads((finished[1] / "metrics.json").read_text())
     assert metrics["schema"] == "invdyn-metrics/1"
     assert [metrics[k] for k in ("model", "data", "adaptation", "seed")] == ["ffnn", "sim_noisy", "batch", 3]

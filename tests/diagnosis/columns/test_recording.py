@@ -21,7 +21,7 @@ def least_squares(columns: list[np.ndarray], y: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("cutoff", [5.0, 20.0])
 def test_torque_and_columns_pass_one_filter(cutoff):
-    """Coulomb 2.0 and viscous 0.5 without noise come out within 0.1 % (DESIGN, section 7.2), whatever the cut-off; with
+    """Coulomb 2.0 and viscous 0.5 without noise come out within 0.1 %, whatever the cut-off; with
     the sign of the filtered velocity beside the filtered torque the Coulomb friction is off by ten times that."""
     names = ["coulomb_friction", "viscous_friction"]
     evidence = evidence_of(log_of(raw(*moved(rate=1000.0), FRICTION)), names, cutoffs=(cutoff,))
