@@ -109,7 +109,7 @@ def load_urdf(
         effort_limit=limits[:, 3],
         damping=dynamics[:, 0],
         friction=dynamics[:, 1],
-        urdf=text,
+        urdf=urdf.without(text, dropped),
         notes=tuple(notes),
     )
     return replace(robot, notes=(*robot.notes, *urdf_checks.inertialess(_inertias(robot, path))))

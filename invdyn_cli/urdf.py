@@ -154,6 +154,23 @@ def moving_links(text: str, joints: Sequence[str]) -> list[str]:
     return ["" if x is None else x.get("link", "") for x in found]
 
 
+def without(text: str, joints: Sequence[str]) -> str:
+    """A URDF's text without these joints and all links and joints behind them; as it is where there are none."""
+    if not joints:
+        return text
+    root = ET.fromstring(text)
+    gone, links = [x for x in root.findall("joint") if x.get("name") in joints], set()
+    for joint in gone:  # grows while it is gone through
+        child = joint.find("child")
+        link = "" if child is None else child.get("link", "")
+        links.add(link)
+        gone += [x for x in root.findall("joint") if (up := x.find("parent")) is not None and up.get("link") == link]
+    for x in [*gone, *(x for x in root.findall("link") if x.get("name") in links)]:
+        if x in root:
+            root.remove(x)
+    return ET.tostring(root, encoding="unicode")
+
+
 def with_changes(
     text: str, inertials: Mapping[str, np.ndarray], dynamics: Mapping[str, tuple[float, float]]
 ) -> tuple[str, tuple[str, ...]]:

@@ -226,6 +226,7 @@ def test_dofs_cuts_the_arm(write, k):
     robot = load_urdf("apollo_arm", dofs=k)
     assert robot.dofs == k
     assert_same(robot, from_file(write(ET.tostring(root, encoding="unicode"))))
+    assert_same(robot, from_file(write(robot.urdf, "own.urdf")))  # its text is that of the arm that is left
 
 
 @pytest.mark.parametrize("inertia", [None, [0.02, 0.001, -0.002, 0.03, 0.004, 0.025]], ids=["point", "body"])

@@ -22,7 +22,7 @@ from invdyn_cli.verbs.run import make_robot
 from invdyn_cli.verbs.screen import Screen
 
 LOG, URDF, TRUTH = "log.h5", "robot.urdf", "truth.json"
-UNTOLD = ("dofs", "tip", "gravity", "base_rpy", "payload")
+UNTOLD = ("tip", "gravity", "base_rpy", "payload")
 """Options of the robot that change what its URDF says: the log does not keep them."""
 
 

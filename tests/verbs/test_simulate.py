@@ -3,7 +3,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
+
 from invdyn_cli.logfile import read_log
+from invdyn_cli.robots import load_urdf
 
 EFFECTS = "data.effects=[{effect: coulomb_friction, joint: arm_joint_2, coulomb: 2.0}]"
 TINY = ("data.duration=4", "data.trajectories=2", EFFECTS)
@@ -73,8 +76,16 @@ def test_a_reference_with_options(command):
 
 def test_what_the_urdf_does_not_say(command):
     """Options of the robot that no URDF keeps are named, so that they are given again."""
-    said = command("simulate", *TINY, "robot.dofs=4", "hydra.run.dir=out")
-    assert any("robot.dofs" in line for line in said.out)
+    said = command("simulate", *TINY, "robot.gravity=[0,0,-3.7]", "hydra.run.dir=out")
+    assert any("robot.gravity" in line for line in said.out)
+
+
+def test_a_shorter_arm_is_written_whole(command):
+    """The URDF beside a log of the first joints is that of the shorter arm: read without robot.dofs, it is the one that
+    was simulated."""
+    assert command("simulate", *TINY, "robot.dofs=4", "hydra.run.dir=out").code == 0
+    kept, simulated = load_urdf("out/robot.urdf"), load_urdf("apollo_arm", dofs=4)
+    assert kept.joints == simulated.joints and np.array_equal(kept.inertial, simulated.inertial)
 
 
 def test_misuse_is_one_line(command):
