@@ -58,15 +58,17 @@ class TorqueUnits(AbstractCheck):
         if evidence is None or robot is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
             why = "no robot" if robot is None else "no motion, or a torque that never changes"
             return [self._without_gains({})] if missing else [self.skipped(why, "tau")]
-        fit = fitness(rows_of(evidence, without_gravity="gravity" in log.compensated), robot, (1.0,))
+        names, factors = _candidates(robot)
+        fit = fitness(rows_of(evidence, without_gravity="gravity" in log.compensated), robot, factors)
         at = np.arange(robot.dofs)
+        beside = fit.likelihood[at, at, 0, :-1] - fit.likelihood[at, at, 0, :1]  # with tools, friction and wrong links
         judged = np.flatnonzero((fit.plain[at, at, 0, -1] > FOUND) & (fit.factor[at, at] > 0))
         ratios = {log.joints[j]: float(fit.factor[j, j]) for j in judged}
         if missing:
             return [self._without_gains(ratios)]
         if len(judged) < min(2, robot.dofs):
             return [self.skipped("fewer than two joints whose torque follows the URDF's", "tau")]
-        found = self._judged(log, robot, ratios, judged)
+        found = self._judged(log, names, factors, ratios, judged, beside)
         left = [name for name in log.joints if name not in ratios]
         if left:
             found.append(self.skipped("torque does not follow the URDF's, unit not judged: " + ", ".join(left), "tau"))
@@ -74,15 +76,25 @@ class TorqueUnits(AbstractCheck):
             return found
         return [*found, Check(self.name, "ok", value=1.0, threshold={"channel": "tau"}, seen="tau is in N m")]
 
-    def _judged(self, log: Log, robot: Robot, ratios: dict[str, float], judged: np.ndarray) -> list[Check]:
-        """What the ratios say."""
-        names, factors = _candidates(robot)
+    def _judged(
+        self,
+        log: Log,
+        names: Sequence[str],
+        factors: np.ndarray,
+        ratios: dict[str, float],
+        judged: np.ndarray,
+        beside: np.ndarray,
+    ) -> list[Check]:
+        """What the ratios say; a single joint's unit must also fit better `beside` (n, units) tools and friction than
+        N m does."""
         ratio = np.array(list(ratios.values()))
         likelihood = _log_density(np.log(ratio[:, None] / factors[judged]))  # (joints, units)
         middle = float(np.exp(np.median(np.log(ratio))))
         common = likelihood.sum(0) - FLAW * (np.arange(len(names)) > 0)
         own = -np.log(RANGE) * len(ratio) - FLAW
-        single = likelihood - (FLAW + np.log(robot.dofs)) * (np.arange(len(names)) > 0)
+        single = likelihood - (FLAW + np.log(len(log.joints))) * (np.arange(len(names)) > 0)
+        single = np.where(beside[judged] > FOUND, single, -np.inf)
+        single[:, 0] = likelihood[:, 0]
         singles = single.max(1).sum()
         best = int(np.argmax(common))
         if max(common[best], own, singles) - common[0] < FOUND:
