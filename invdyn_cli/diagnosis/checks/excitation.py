@@ -158,6 +158,15 @@ MOTION = (
 )
 """Effects that a joint shows only while it moves."""
 
+JUDGED = (
+    *MOTION, "torque_offset", "torque_offset_drift", "encoder_offset", "torque_gain_error", "torque_delay",
+    "actuator_lag",
+)  # fmt: skip
+"""Every effect that `cannot_show` may name."""
+
+BY_ROBOT = ("load_dependent_friction", "backlash", "torque_gain_error", "torque_delay", "actuator_lag")
+"""Of these, those that are judged by the nominal torque: with a robot alone."""
+
 DIRECTED = ("coulomb_friction", "asymmetric_coulomb_friction", "presliding_hysteresis", "torque_offset")
 
 
