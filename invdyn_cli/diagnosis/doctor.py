@@ -44,6 +44,7 @@ CHECKS: tuple[AbstractCheck, ...] = (
     GravityRemoved(),
     JointOrder(),
     SignError(),
+    GravityRemoved(again=True),
     TorqueUnits(),
     Saturation(),
     TimeOffset(),

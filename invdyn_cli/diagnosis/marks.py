@@ -1,7 +1,7 @@
 """Where in a log each finding of the doctor is: rows of the log as it was recorded, channel by channel."""
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,14 @@ CHANNELS = {
     "gravity_removed": "tau", "model_mismatch": "tau", "command_copies_measurement": "q_ref",
 }  # fmt: skip
 """Of findings that do not name theirs."""
+
+
+COUNTED = {
+    "not_finite": ("row not finite", "rows not finite"),
+    "outliers": ("outlier", "outliers"),
+    "gaps": ("gap", "gaps"),
+}
+"""Words after the number of rows, of gaps after their number."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +71,7 @@ def located(log: Log, examination: Examination, robot: Robot | None) -> tuple[Lo
             if not any(one is x for x in told):
                 told.append(one)
                 found += _marks(before, one)
-    return corrected, (*found, *_at_rest(corrected))
+    return corrected, (*_merged(found), *_at_rest(corrected))
 
 
 def _marks(log: Log, one: Check) -> Iterator[Mark]:
@@ -79,32 +87,57 @@ def _marks(log: Log, one: Check) -> Iterator[Mark]:
     for channel in channels.replace(" or ", ", ").split(", ") if channels else ():
         rows = None
         if one.check in PLACES:
-            mine = [raw for raw in log.trajectories if one.trajectory in (None, raw.name) and raw.stage is not None]
+            mine = [
+                raw
+                for raw in log.trajectories
+                if raw.stage is not None and (one.trajectory in (None, raw.name) or one.check == "saturation")
+            ]  # of it only the worst is told
             chosen = [np.asarray(raw.stage)[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
             rows = np.concatenate([np.arange(0), *chosen])
         yield Mark(one.check, one.severity, channel, joint, rows, _label(one))
 
 
+def _merged(marks: Sequence[Mark]) -> Iterator[Mark]:
+    """Marks of several recordings as one."""
+    groups: dict[tuple, list[Mark]] = {}
+    for x in marks:
+        groups.setdefault((x.check, x.channel, x.joint, x.rows is None, x.severity), []).append(x)
+    for same in groups.values():
+        first = same[0]
+        labels = list(dict.fromkeys(x.label for x in same))
+        label = labels[0] + " …" * (len(labels) > 1)
+        if first.rows is not None:
+            rows = np.concatenate([np.arange(0), *(x.rows for x in same if x.rows is not None)])
+            count = len(rows) // 2 if first.check == "gaps" else len(rows)
+            words = COUNTED.get(first.check)
+            label = f"{count} {words[count != 1]}" if words else label
+            first = replace(first, rows=rows)
+        yield replace(first, label=label)
+
+
 def _label(one: Check) -> str:
     """What stands beside the mark."""
     value = one.value if isinstance(one.value, int | float) else None
+    known = one.threshold if isinstance(one.threshold, Mapping) else {}
     if one.check == "time_offset" and value is not None:
-        return f"{1e3 * abs(value):.3g} ms {'late' if value > 0 else 'early'}"
+        apart = f"{1e3 * abs(value):.3g} ms" if abs(value) < 1 else f"{abs(value):.3g} s"
+        word = "late" if value > 0 else "early"
+        return f"q comes {apart} {word}" if known.get("channel") == "q_ref" else f"{apart} {word}"
+    if one.check == "unit_error" and known.get("factor"):
+        unit = one.meaning.split(":")[0]
+        return unit if len(unit) < 40 else f"{known['channel']} is {known['factor']:.3g} times SI"
     number = "" if value is None else f"{value:.3g}"
     words = {
-        "not_finite": f"{value} rows not finite",
-        "outliers": f"{value} outlier{'s' * (value != 1)}",
         "saturation": f"stays at {number}",
         "quantisation": f"steps of {number}",
         "not_moving": "does not move",
-        "gaps": f"gap of {number} s",
-        "duplicates": f"{value} stamps out of order" if one.severity == "fail" else f"{value} repeated rows",
+        "duplicates": "stamps out of order" if one.severity == "fail" else "repeated rows",
         "sign_error": "opposite sign" if one.severity == "fail" else "sign in doubt",
         "unit_error": one.meaning.split(":")[0],
         "gravity_removed": "without gravity",
         "command_copies_measurement": "a copy",
         "too_short": f"{number} s: too short",
-        "derivative_consistency": "is not the derivative of q" if one.severity == "fail" else "differs from dq/dt",
+        "derivative_consistency": "not q's derivative" if one.severity == "fail" else "differs from q's derivative",
     }
     return words.get(one.check, one.check.replace("_", " "))
 
@@ -134,7 +167,7 @@ def _saturation(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: i
     """Rows at the torque's extreme; of an effort limit, those beyond it but for half a percent."""
     x: np.ndarray = newton_metres(log, raw)[:, joint or 0]
     at = np.asarray(np.abs(x - one.value) <= 1e-5 * max(float(np.ptp(x)), 1e-300))
-    return at if at.sum() >= 5 else np.asarray(np.abs(x) >= 0.995 * abs(one.value))
+    return at if at.sum() >= 5 or raw.name != one.trajectory else np.asarray(np.abs(x) >= 0.995 * abs(one.value))
 
 
 Place = Callable[[Log, RawTrajectory, Check, str, int | None], np.ndarray]

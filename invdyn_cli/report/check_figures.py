@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from invdyn_cli.diagnosis.checks.evidence import gather, nominal_torque, stretches
+from invdyn_cli.diagnosis.checks.evidence import Stretch, gather, nominal_torque, stretches
 from invdyn_cli.report.canvas import (
     BLACK,
     BLUE,
@@ -29,9 +29,12 @@ from invdyn_cli.report.canvas import (
     thinned,
 )
 from invdyn_cli.report.check_marks import draw_marks, draw_recordings
-from invdyn_cli.report.checked_log import CheckedLog, differ
+from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Motion
+
+MANY = 0.02
+"""Share of corrected values from which on the corrected curve is drawn; fewer are marked as samples."""
 
 SHOWN = 20.0
 """[s] of measured and nominal torque over time."""
@@ -98,12 +101,14 @@ def channel(drawn: CheckedLog, name: str) -> Figure | None:
         logged = columns[j]
         new = drawn.column(drawn.corrected, name, j)
         if name == "q":
-            _lines(drawn, axes, drawn.column(drawn.log, "q_ref", j), ORANGE, "q_ref as logged", 1.0, (0, (4, 1.5)))
+            wrong = drawn.logged_unit("q_ref", j) == "as logged" != drawn.logged_unit("q", j)
+            which, word = (drawn.corrected, "corrected") if wrong else (drawn.log, "logged")
+            _lines(drawn, axes, drawn.column(which, "q_ref", j), ORANGE, f"q_ref as {word}", 1.0, (0, (4, 1.5)))
         _lines(drawn, axes, logged, BLACK, f"{name} as logged")
-        base = logged
-        if differ(logged, new):
+        share, comparable = drawn.corrected_share(name, j)
+        base = new if share and comparable else logged
+        if share > MANY and comparable:
             _lines(drawn, axes, new, BLUE, f"{name} as corrected", 0.9)
-            base = new
         values = np.concatenate([np.zeros(0), *(y for _, y in logged)])
         limit_around(axes, np.concatenate([np.zeros(0), *(y for _, y in base)]), values, 1e-6)
         axes.set_title(plain(joints[j]))
@@ -125,11 +130,9 @@ def model(drawn: CheckedLog) -> Figure | None:
     after = gather(drawn.corrected, robot) if robot is not None and drawn.corrected.trajectories else None
     if robot is None or after is None:
         return None
-    changed = any(differ(drawn.column(drawn.log, c, j), drawn.column(drawn.corrected, c, j), by=0.0)
-                  for c in ("q", "tau") for j in range(robot.dofs))  # fmt: skip
+    changed = any(drawn.corrected_share(c, j)[0] for c in ("q", "tau") for j in range(robot.dofs))
     before = gather(drawn.log, robot) if changed else None
-    part = max(after.stretches, key=lambda x: len(x.q))
-    shown = slice(0, int(SHOWN * part.rate))
+    part, shown = _liveliest(after.stretches)
     nominal, gravity = nominal_torque(robot, Motion(part.q[shown], part.qd[shown], part.qdd[shown]))
     nominal = nominal - gravity if "gravity" in drawn.corrected.compensated else nominal
     t = np.arange(len(nominal)) / part.rate
@@ -138,18 +141,13 @@ def model(drawn: CheckedLog) -> Figure | None:
     every = slice(None, None, max(1, len(after.tau) // (CLOUD_POINTS // 2)))
     for j, (left, right) in enumerate(grid):
         unit = drawn.unit("tau", j).replace("A", "A" if drawn.log.drive_gain is None else "N m")
-        left.plot(
-            *thinned(t, part.tau[shown, j]),
-            color=BLACK,
-            lw=1.4,
-            label="measured, as corrected" if changed else "measured",
-        )
+        label = "measured, as corrected" if changed else "measured"
+        left.plot(*thinned(t, part.tau[shown, j]), color=BLACK, lw=1.4, label=label)
         left.plot(*thinned(t, nominal[:, j]), color=VERMILLION, lw=1.2, ls=(0, (4, 1.5)), label="URDF's model")
         errors = [np.sqrt(np.mean((x.tau[:, j] - x.nominal[:, j]) ** 2)) for x in (before, after) if x is not None]
-        said = " as logged → ".join(map(significant, errors))
-        left.set_title(
-            plain(f"{drawn.log.joints[j]}    RMS difference {said} {unit}" + " as corrected" * (len(errors) > 1))
-        )
+        said = " as logged → ".join(dict.fromkeys(map(significant, errors)))
+        said = f"{drawn.log.joints[j]}    RMS difference {said} {unit}" + " as corrected" * ("→" in said)
+        left.set_title(plain(said))
         left.set_ylabel(f"torque [{unit}]")
         left.margins(x=0.01)
         if before is not None:
@@ -161,10 +159,10 @@ def model(drawn: CheckedLog) -> Figure | None:
         right.plot([low, high], [low, high], color=GREY, lw=1.0, zorder=0, label="measured = model")
         right.set(xlim=(low - margin, high + margin), ylim=(low - margin, high + margin))
         right.set_ylabel(f"measured [{unit}]")
-        label_below_last = j == robot.dofs - 1
-        left.set_xlabel(f"time in a stretch of {plain(part.trajectory)} [s]" if label_below_last else "")
-        right.set_xlabel(f"URDF's model [{unit}]" if label_below_last else "")
-        left.tick_params(labelbottom=label_below_last)
+        last = j == robot.dofs - 1
+        left.set_xlabel(f"time in a stretch of {plain(part.trajectory)} [s]" if last else "")
+        right.set_xlabel(f"URDF's model [{unit}]" if last else "")
+        left.tick_params(labelbottom=last)
     add_legend(figure, *grid.flat)
     return figure
 
@@ -197,11 +195,26 @@ def excitation(drawn: CheckedLog) -> Figure | None:
     return figure
 
 
+def _liveliest(parts: Sequence[Stretch]) -> tuple[Stretch, slice]:
+    """The stretch and the SHOWN seconds of it in which the joints move most, each beside its own fastest."""
+    fastest = np.maximum(np.max([np.abs(x.qd).max(axis=0) for x in parts], axis=0), 1e-12)
+    tried = []
+    for k, x in enumerate(parts):
+        length = max(1, int(SHOWN * x.rate))
+        for start in range(0, max(1, len(x.q) - length // 2), length):
+            moves = np.sum(np.abs(x.qd[start : start + length]) / fastest)
+            tried.append((moves / x.rate, -k, start, length))
+    _, k, start, length = max(tried)
+    return parts[-k], slice(start, start + length)
+
+
 def _lines(
     drawn: CheckedLog, axes: Axes, pieces: Sequence, colour: str, label: str, width: float = 1.0, style=None
 ) -> None:
     """The stretches of a channel as lines, thinned together, peaks kept."""
-    most = max(8, LINE_POINTS // max(1, len(pieces)))
-    for k, (rows, y) in enumerate(pieces):
-        axes.plot(*thinned(drawn.time[rows], y, most), color=colour, lw=width, ls=style or "-",
-                  label=label if k == 0 else None)  # fmt: skip
+    if not pieces:
+        return
+    most = max(8, LINE_POINTS // len(pieces))
+    thin = [thinned(drawn.time[rows], y, most) for rows, y in pieces]
+    x, y = (np.concatenate([part for one in thin for part in (one[k], [np.nan])]) for k in (0, 1))
+    axes.plot(x, y, color=colour, lw=width, ls=style or "-", label=label)

@@ -1,15 +1,20 @@
 """What is wrong in a log, marked in a panel: samples, spans, and what holds of a whole channel."""
 
+from dataclasses import replace
+from textwrap import shorten
+
 import numpy as np
 from matplotlib.axes import Axes
 
 from invdyn_cli.diagnosis.checks.rows import runs
-from invdyn_cli.diagnosis.marks import Mark
 from invdyn_cli.report.canvas import GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILLION, plain
 from invdyn_cli.report.checked_log import CheckedLog, Pieces
 
 MOST_MARKS = 400
 """Drawn samples of one mark."""
+
+MOST_GAPS = 100
+"""Drawn gaps, the longest first."""
 
 LOOKS = {"outliers": (VERMILLION, "x"), "not_finite": (PURPLE, "v"), "duplicates": (SKY, "v")}
 """Colour and marker of marks of single samples."""
@@ -38,10 +43,11 @@ def draw_marks(drawn: CheckedLog, axes: Axes, name: str, joint: int | None, piec
     values = np.concatenate([np.zeros(0), *(y for _, y in pieces or ())])
     for one in drawn.marks:
         if one.check == "gaps" and one.rows is not None:
-            for a, b in one.rows.reshape(-1, 2):
-                axes.axvspan(float(drawn.time[a]), float(drawn.time[b]), color=GREY, alpha=0.35, lw=0, label="gap")
+            ends = drawn.time[one.rows.reshape(-1, 2)]
+            for a, b in ends[np.argsort(ends[:, 0] - ends[:, 1])][:MOST_GAPS].tolist():
+                axes.axvspan(a, b, color=GREY, alpha=0.35, lw=0, label="gap")
         if one.channel == "q_ref" and name == "q":
-            one = Mark(one.check, one.severity, "q", one.joint, one.rows, f"q_ref: {one.label}")
+            one = replace(one, channel="q", label=one.label if one.label.startswith("q") else f"q_ref: {one.label}")
         if one.channel != name or one.joint not in (None, joint):
             continue
         if one.rows is None or one.check not in (*LOOKS, "saturation", "at_rest", "gaps"):
@@ -68,7 +74,13 @@ def draw_marks(drawn: CheckedLog, axes: Axes, name: str, joint: int | None, piec
     if whole:
         worst = max(whole, key=lambda x: ("", "note", "warn", "fail").index(x.severity))
         said = ", ".join(dict.fromkeys(x.label for x in whole))
-        axes.set_title(plain(said), loc="right", fontsize=8, color=SEVERITY[worst.severity])
+        room = 80 - len(axes.get_title()) - len(axes.get_title("left"))
+        axes.set_title(
+            plain(shorten(said, max(30, room), placeholder=" …")),
+            loc="right",
+            fontsize=8,
+            color=SEVERITY[worst.severity],
+        )
 
 
 def _spans(
@@ -77,7 +89,8 @@ def _spans(
     """Thick segments where rows follow each other: on the curve, or at one level."""
     flags = np.zeros(int(drawn.starts[-1]) + 1, bool)
     flags[at] = True
-    for a, b in runs(flags)[:MOST_MARKS]:
-        x = drawn.time[[a, b - 1]]
-        y = [level, level] if level is not None else np.interp([a, b - 1], rows, values)
-        axes.plot(x, y, color=colour, lw=4, alpha=0.8, solid_capstyle="butt", label=word, zorder=3)
+    ends = runs(flags)[:MOST_MARKS] - np.array([0, 1])
+    y = np.interp(ends, rows, values) if level is None else np.full(ends.shape, level)
+    lines = np.full((2, len(ends), 3), np.nan)
+    lines[:, :, :2] = drawn.time[ends], y
+    axes.plot(*lines.reshape(2, -1), color=colour, lw=4, alpha=0.8, solid_capstyle="butt", label=word, zorder=3)

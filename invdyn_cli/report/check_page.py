@@ -65,6 +65,8 @@ def page(
     shown = "".join(
         f"<h3>{TITLES[name]}</h3>{picture(drawn[name], CAPTIONS[name])}" for name in TITLES if name in drawn
     )
+    missing = [TITLES[name].lower() for name in ("q", "tau") if shown and name not in drawn]
+    shown += f"<p>Not drawn, for want of finite values: {' and '.join(missing)}.</p>" if missing else ""
     torque = picture(drawn["model"], CAPTIONS["model"]) if "model" in drawn else ""
     if not torque and shown:
         why = "there is no robot" if robot is None else "no stretch of this log is long enough to be filtered"
@@ -200,7 +202,7 @@ def _can_show(examination: Examination, robot: Robot | None) -> str:
         body += f"<td>{escape(_joints(able, excitation)) if able else 'none'}</td><td>{said or '-'}</td></tr>"
     if not body:
         return ""
-    note = "Whether an effect is there is not said here: `invdyn diagnose` says it, of what the motion can show."
+    note = "Whether an effect is there is not said here: invdyn diagnose says it."
     if robot is None:
         note += f" Not judged without a robot: {', '.join(map(words, BY_ROBOT))}."
     return table(("effect", "can be shown on", "not on, and why"), body) + f'<p class="note">{escape(note)}</p>'

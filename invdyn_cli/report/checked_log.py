@@ -1,6 +1,5 @@
 """A log as recorded and as corrected on one time axis, with what is wrong in it, as the figures of a check draw it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,7 +83,7 @@ class CheckedLog:
         wrong = any(x.check == "unit_error" and x.channel == channel and x.joint in (None, joint) for x in self.marks)
         return "as logged" if wrong else self.unit(channel, joint)
 
-    def column(self, log: Log, channel: str, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def column(self, log: Log, channel: str, joint: int) -> Pieces:
         """(rows, values) of every uninterrupted stretch of a channel, values that are not finite left out."""
         out = []
         for raw, start in zip(log.trajectories, self.starts, strict=False):
@@ -99,19 +98,20 @@ class CheckedLog:
             out += [(rows[p], np.asarray(x[p, joint], float)) for p in pieces if len(p)]
         return out
 
-
-def differ(logged: Sequence, new: Sequence, by: float = COMPARABLE) -> bool:
-    """Whether values were corrected, and into a range that can be shown beside them (`by` 0: into any)."""
-    if not logged or not new:
-        return False
-    old = dict(
-        zip(np.concatenate([r for r, _ in logged]).tolist(), np.concatenate([y for _, y in logged]), strict=True)
-    )
-    rows, y = (np.concatenate(x) for x in zip(*new, strict=True))
-    was = np.array([old.get(r, np.nan) for r in rows.tolist()])
-    both = np.isfinite(was)
-    span, other = np.ptp(y), np.ptp(was[both]) if both.any() else 0.0
-    if not np.any(np.abs(was[both] - y[both]) > 1e-9 * max(span, other, 1e-300)):
-        return False
-    outer = np.ptp(np.quantile(was[both], [0.01, 0.99]))
-    return not by or bool(1 / by < span / max(outer, 1e-300) < by)
+    def corrected_share(self, channel: str, joint: int) -> tuple[float, bool]:
+        """Share of a column's values that were corrected, and whether both can be drawn on one axis."""
+        logged, new = self.column(self.log, channel, joint), self.column(self.corrected, channel, joint)
+        if not logged or not new:
+            return 0.0, False
+        rows, y = (np.concatenate(x) for x in zip(*new, strict=True))
+        was = np.full(int(self.starts[-1]), np.nan)
+        for at, values in logged:
+            was[at] = values
+        was = was[rows]
+        both = np.isfinite(was)
+        was, y = was[both], y[both]
+        if not len(y):
+            return 0.0, False
+        ranges = [float(np.ptp(np.quantile(x, [0.01, 0.99]))) for x in (was, y)]
+        share = float(np.mean(np.abs(was - y) > 1e-9 * max(*ranges, 1e-300)))
+        return share, min(ranges) * COMPARABLE > max(ranges)

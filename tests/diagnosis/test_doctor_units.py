@@ -52,6 +52,14 @@ def test_velocities_in_another_unit_do_not_mislead(log, arm):
     assert told(bad, arm) == {("q", None): 1e3, ("qd", None): pytest.approx(30 / np.pi)}
 
 
+def test_torques_of_the_opposite_sign_do_not_mislead(log, arm):
+    """A torque turned round, and counts of a 13 bit encoder with velocities beside them: the scale is that of the
+    velocities, though a larger one makes the motion so small that one joint alone is judged."""
+    raw = log.trajectories[0]
+    bad = changed(log, q=COUNTS * raw.q, tau=raw.tau * np.array([1, 1, -1, 1]))
+    assert told(bad, arm) == {("q", None): pytest.approx(COUNTS)}
+
+
 def test_unknown_units_are_said_to_be_wrong(log):
     """Counts of another scale, without a robot and without velocities: a failure, and nothing is changed."""
     bad = changed(log, q=12345.6 * log.trajectories[0].q, qd=None)

@@ -168,8 +168,8 @@ class MotionUnits(AbstractCheck):
     def _large(
         self, log: Log, raw: RawTrajectory, robot: Robot | None, turning: np.ndarray, limit: np.ndarray
     ) -> list[Check]:
-        """Positions that are beyond the limits most of the time, as degrees too. Their unit is that of SCALES with
-        which the nominal torque fits, or else that of qd; without one it is said that they are wrong."""
+        """Positions that are beyond the limits most of the time, as degrees too. Their unit is that of SCALES
+        of which qd is the derivative, or else with which the nominal torque fits; if there is none, they are wrong."""
         finite = raw.q[np.isfinite(raw.q).all(1)]
         size = np.quantile(np.abs(finite), 0.9, axis=0)
         which = turning & (size > DEGREE * limit)
@@ -177,7 +177,7 @@ class MotionUnits(AbstractCheck):
             return []
         one = replace(log, trajectories=(raw,))
         able = [k for k in SCALES if np.all(size[which] / k < limit[which])]
-        known = self._by_torque(one, robot, able, turning, which) or self._by_velocity(one, able, turning, which)
+        known = self._by_velocity(one, able, turning, which) or self._by_torque(one, robot, able, turning, which)
         factor, which, how = known or (None, which, "no unit that is known here makes them fit")
         unit = SCALES[factor] if factor else "neither radians nor degrees but, perhaps, encoder counts"
         most = float(size.max(where=which, initial=0))
@@ -187,26 +187,11 @@ class MotionUnits(AbstractCheck):
         names = [None] if which[turning].all() else [log.joints[j] for j in np.flatnonzero(which)]
         return [replace(found, joint=name) for name in names]
 
-    def _by_torque(
-        self, log: Log, robot: Robot | None, able: Sequence[float], turning: np.ndarray, which: np.ndarray
-    ) -> tuple[float, np.ndarray, str] | None:
-        """The factor by which q of all turning joints, or of those that are beyond, has to be divided for the nominal
-        torque to fit, whose q that is, and how it shows; None where no factor is far better than all others."""
-        if robot is None:
-            return None
-        sets = (turning,) if which[turning].all() else (turning, which)
-        fits = [(_agreement(gather(_scaled(log, k, one), robot, 1024)), k, one) for k in able for one in sets]
-        if not fits:
-            return None
-        best, factor, joints = max(fits, key=lambda x: x[0])
-        if best < 0.9 or any(1 - fit < self.better * (1 - best) for fit, k, _ in fits if k != factor):
-            return None
-        return factor, joints, f"with q divided by {factor:.6g} the nominal torque explains {best:.2g} of the torque"
-
     def _by_velocity(
         self, log: Log, able: Sequence[float], turning: np.ndarray, which: np.ndarray
     ) -> tuple[float, np.ndarray, str] | None:
-        """The same by dq/dt over qd, where that is one unit on the joints that are beyond; others may have it, too."""
+        """By what q of which joints has to be divided, and how it shows: dq/dt over qd, where that is one unit on the
+        joints that are beyond; others may have it, too."""
         ratios = 1 / _rates(stretches(log), "qd", self.slow)
         own = ratios[which & np.isfinite(ratios)]
         factor = _nearest(float(np.median(own)), SCALES, self.within) if len(own) else None
@@ -214,6 +199,27 @@ class MotionUnits(AbstractCheck):
             return None
         joints = which | (turning & (np.abs(ratios / factor - 1) < self.within))
         return factor, joints, "the derivative of q over qd: " + ", ".join(f"{x:.5g}" for x in own)
+
+    def _by_torque(
+        self, log: Log, robot: Robot | None, able: Sequence[float], turning: np.ndarray, which: np.ndarray
+    ) -> tuple[float, np.ndarray, str] | None:
+        """The same by the fit of the nominal torque, where no other factor comes near: of all turning joints or of
+        those that are beyond. Factors leave qd in a known unit, and as many joints to be judged as others do."""
+        if robot is None:
+            return None
+        rates = _rates(stretches(log), "qd", self.slow)[which]
+        rate = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else None
+        able = [k for k in able if rate is None or _nearest(rate * k, RATES | {1.0: "rad/s"}, self.within)]
+        sets = (turning,) if which[turning].all() else (turning, which)
+        fits = [(*_judged(gather(_scaled(log, k, one), robot, 1024)), k, one) for k in able for one in sets]
+        most = max((count for _, count, *_ in fits), default=0)
+        fits = [(fit, k, one) for fit, count, k, one in fits if count > 0.7 * most]
+        if not fits:
+            return None
+        best, factor, joints = max(fits, key=lambda x: x[0])
+        if best < 0.9 or any(1 - fit < self.better * (1 - best) for fit, k, _ in fits if k != factor):
+            return None
+        return factor, joints, f"with q divided by {factor:.6g} the nominal torque explains {best:.2g} of the torque"
 
     def _derivatives(self, log: Log) -> list[Check]:
         found = []
@@ -316,12 +322,17 @@ def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:
 
 def _agreement(evidence: Evidence | None) -> float:
     """Mean over joints of the squared correlation of torque and nominal torque, friction taken out; 0 without data."""
+    return _judged(evidence)[0]
+
+
+def _judged(evidence: Evidence | None) -> tuple[float, int]:
+    """The same, and the number of joints whose nominal torque varies enough to count."""
     if evidence is None:
-        return 0.0
+        return 0.0, 0
     squares = []
     for joint in range(evidence.tau.shape[1]):
         columns = evidence.columns(joint)
         tau, nominal = left(evidence.tau[:, joint], columns), left(evidence.nominal[:, joint], columns)
         if rms(nominal) > 0.03 * evidence.reach[joint]:
             squares.append(correlation(tau, nominal) ** 2)
-    return float(np.mean(squares)) if squares else 0.0
+    return (float(np.mean(squares)) if squares else 0.0), len(squares)
