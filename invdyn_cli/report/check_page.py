@@ -31,6 +31,10 @@ CAPTIONS = {
     "excitation": "Where the motion has been: velocity over position. What a joint never did, this log cannot show.",
 }
 TITLES = {"clock": "Clock", "q": "Positions", "qd": "Velocities", "qdd": "Accelerations", "tau": "Torques"}
+CORRECTED = ("duplicates", "outliers", "time_offset", "too_short", ("unit_error", "q_ref"), ("sign_error", "q_ref"),
+             ("derivative_consistency", "q"))  # fmt: skip
+"""Checks, or checks of a channel, whose warnings the doctor corrects; of the others it corrects failures alone."""
+
 FOLD_FROM = 12
 """Lines of what to do, or corrections, from which on the rest is folded."""
 
@@ -107,18 +111,28 @@ def _wrong(examination: Examination) -> tuple[list[Check], list[Check]]:
     """Checks that fail or warn, the gravest first, and of these the ones that were corrected."""
     corrected = {one["check"] for one in examination.corrections}
     wrong = [x for x in examination.checks if x.severity in ("fail", "warn")]
-    return wrong, [x for x in wrong if x.check in corrected and (examination.usable or x.severity == "warn")]
+    return wrong, [
+        x for x in wrong if x.check in corrected and (_corrected(x) if x.severity == "warn" else examination.usable)
+    ]
+
+
+def _corrected(warning: Check) -> bool:
+    """Whether a warning is one that the doctor corrects; of what fails, a usable log has nothing left."""
+    return warning.check in CORRECTED or (warning.check, _channel(warning)) in CORRECTED
 
 
 def _named(checks: Sequence[Check]) -> str:
     """'outliers (elbow, wrist), unit error (q)'."""
     where: dict[str, dict[str, None]] = {}
     for x in checks:
-        known = x.threshold.get("channel") if isinstance(x.threshold, Mapping) else None
-        place = " of ".join(str(y) for y in (known, x.joint) if y)
+        place = " of ".join(str(y) for y in (_channel(x), x.joint) if y)
         where.setdefault(x.check.replace("_", " "), {})[place] = None
     return ", ".join(f"{name} ({listed([x for x in places if x], most=4)})" if any(places) else name
                      for name, places in where.items())  # fmt: skip
+
+
+def _channel(check: Check) -> str:
+    return str(check.threshold.get("channel", "")) if isinstance(check.threshold, Mapping) else ""
 
 
 def _to_do(examination: Examination) -> str:

@@ -13,6 +13,7 @@ from invdyn_cli.report.check_figures import channel, clock, draw_all, model
 from invdyn_cli.report.check_page import page, verdict
 from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Check, Examination
 from tests.diagnosis.sick import changed, sound
 from tests.report.test_diagnosis_page import Reader
 
@@ -89,7 +90,7 @@ def test_spikes_survive_thinning(log, arm):
     long = replace(log, rate=1000.0, trajectories=(RawTrajectory("run", t, q, tau),))
     figure = channel(CheckedLog(long, long_numbered(long), (), None), "tau")
     (line,) = [x for x in figure.axes[0].lines if x.get_label() == "tau as logged"]
-    assert np.max(line.get_ydata()) == 1e4 and len(line.get_ydata()) <= 2100
+    assert np.nanmax(line.get_ydata()) == 1e4 and len(line.get_ydata()) <= 2100
 
 
 def long_numbered(log):
@@ -151,6 +152,17 @@ def test_verdicts(log, arm, defective):
     assert "sign error (tau of arm_joint_4)" in said and "; not corrected: saturation (arm_joint_2)" in said
     broken = doctor.examine(changed(log, q=np.full_like(log.trajectories[0].q, np.nan)), arm)
     assert verdict(broken).startswith("The log is not usable: not finite (q)") and verdict(broken).count(". ") == 0
+
+
+def test_doubts_are_not_called_corrected():
+    """A torque whose unit is in doubt is listed as not corrected, though the unit of q was corrected."""
+    checks = (
+        Check("unit_error", "fail", threshold={"channel": "q", "factor": 57.3}, advice="q in rad"),
+        Check("unit_error", "warn", threshold={"channel": "tau", "factor": None}, advice="torques in N m"),
+    )
+    done = ({"check": "unit_error", "done": "q divided by 57.3"},)
+    said = verdict(Examination(True, checks, {}, done))
+    assert said == "The log is usable after 1 correction: unit error (q); not corrected: unit error (tau)."
 
 
 def test_what_the_log_can_show(log, arm):
