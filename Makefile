@@ -14,7 +14,7 @@ PUBLISHED = adaptation batch_simulated dbm seven_joints filters
 .PHONY: help venv run test lint format tables figures real real-diagnosis confusion unknown multiple taken-up gear-play replay detection excite hyperparameters latency worn defects transfer bench fuzz wheel clean $(PUBLISHED:%=table-%)
 
 # What stands on make's command line goes to the experiment as it is: make confusion seed=3 logs=2
-OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most epochs repetitions seconds
+OPTIONS = seed logs clean only effects noises workers folder data docs cases duration most epochs repetitions seconds pairs permutations
 said = $(strip $(foreach name,$(OPTIONS),$(if $(filter command,$(firstword $(origin $(name)))),$(name)=$($(name)))))
 ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# each, where two processes share two cores
 EXPERIMENT = PYTHONPATH=. $(BIN)/python experiments
@@ -58,7 +58,7 @@ real-diagnosis: $(INSTALLED)  ## what the simulations of real robots get wrong, 
 worn: $(INSTALLED)  ## worn arms with one anomaly or none, on plants that differ (seed=, logs=, clean=, only=)
 	$(EXPERIMENT)/worn.py $(said)
 
-defects: $(INSTALLED)  ## defects put into sound logs, and what invdyn check says (seed=, logs=, clean=, only=, data=)
+defects: $(INSTALLED)  ## defects put into sound logs, and what invdyn check says (seed=, logs=, clean=, only=, data=, pairs=, permutations=)
 	$(EXPERIMENT)/defects.py $(said)
 
 transfer: $(INSTALLED)  ## learned on one recording of a real robot, judged on another, beside plain baselines (only=, docs=true)

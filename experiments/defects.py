@@ -1,19 +1,24 @@
 """What the doctor finds of defects that were put into sound logs: of simulated arms, and of real ones.
 
     python experiments/defects.py [seed=0] [logs=6] [clean=20] [only=units_q,sign_torque] [data=../shared/data]
-                                  [folder=outputs/defects]
+                                  [pairs=0] [permutations=false] [folder=outputs/defects]
 
-Every defect of DEFECTS is put, with a size at random, into `logs` simulated arms that are worn (friction everywhere,
-links some percent off), and into recordings of real robots where `data` has them. A defect is *found* when its check
-says note or more of it, *right* when channel, joint and size are right too, or when the truth is among what is called
-ambiguous or skipped by name; *false* is any other warning or failure that the log did not have before. `clean` further
-logs have no defect.
+Every defect of `spoiled.DEFECTS` is put, with a size at random, into `logs` simulated arms that are worn (friction
+everywhere, links some percent off), and into recordings of real robots where `data` has them. A defect is *found* when
+its check says note or more of it, *right* when channel, joint and size are right too, or when the truth is among what
+is called ambiguous or skipped by name; *false* is any other warning or failure that the log did not have before.
+`clean` further logs have no defect. In place of single defects:
+
+`pairs=N`: two different defects in one log, N times; right when both are, but for what the other one hides (`HIDES`).
+`permutations=true`: on `logs` arms of six joints every exchange of two of them, and alphabetical order, of the torque
+columns and of all columns.
 """
 
+import itertools
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,16 +28,16 @@ import numpy as np
 from experiments.cases import draw_scene, scene_of
 from experiments.options import only_of, options_of
 from experiments.results import tell
+from experiments.spoiled import DEFECTS, arranged
 from experiments.worn import wear
 from invdyn_cli.diagnosis import doctor
-from invdyn_cli.diagnosis.checks.evidence import nominal_torque
 from invdyn_cli.errors import UsageError
-from invdyn_cli.logfile import Log, RawTrajectory, read_log
+from invdyn_cli.logfile import Log, read_log
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
-from invdyn_cli.types import Check, Examination, Motion, Robot
+from invdyn_cli.types import Check, Examination, Robot
 
 REAL = {
     "panda.h5": ("exciting_trajectory_1",),
@@ -43,7 +48,28 @@ REAL = {
 """Logs and recordings, six in all."""
 
 ALARMS = ("warn", "fail")
-Change = Callable[[np.random.Generator, Log, Robot], tuple[Log, Callable[[Check], bool]]]
+Base = tuple[str, Log, Robot]
+"""Name, log and robot of what defects are put into."""
+
+OF_TORQUE = (
+    "units_torque", "unit_of_one_torque", "sign_all", "sign_torque", "sign_position", "sign_axis", "order_torque",
+    "order_all", "order_reversed", "time_offset", "gravity_removed", "saturation",
+)  # fmt: skip
+"""Defects that a log shows by the torque of its drives."""
+
+HIDES = {"model_mismatch": OF_TORQUE, "derivative": ("units_qd",)}
+"""What cannot be found beside a defect: in white noise in place of the torque nothing, nor does noise stay at a limit;
+of velocities that belong to other joints not their unit."""
+
+SEQUENCE = ("gravity_removed", "model_mismatch", "time_offset", "saturation", "units_torque", "unit_of_one_torque",
+            "sign_all", "sign_torque", "sign_position", "sign_axis", "order_torque", "order_all",
+            "order_reversed", "q_ref", "derivative", "outliers", "units_qd", "units_q", "units_of_one_q", "units_t",
+            "stamps", "not_finite")  # fmt: skip
+"""In which two defects are put in: first what the drive does, then what a logger does; the doctor undoes the last
+first."""
+
+EXCLUSIVE = (("units_torque", "unit_of_one_torque"), ("units_q", "units_of_one_q"))
+"""Further pairs of one kind; others have the same check."""
 
 
 @dataclass(frozen=True)
@@ -60,209 +86,6 @@ class Counted:
     seconds: float
 
 
-def put(log: Log, change: Callable[[RawTrajectory], dict[str, Any]]) -> Log:
-    """The log with channels of every recording changed."""
-    return replace(log, trajectories=tuple(replace(raw, **change(raw)) for raw in log.trajectories))
-
-
-def _scaled(channel: str, factor: float, joint: int | None = None, n: int = 0) -> Callable[[RawTrajectory], dict]:
-    by = np.where(np.arange(n) == joint, factor, 1.0) if joint is not None else factor
-    return lambda raw: {channel: getattr(raw, channel) * by}
-
-
-def _about(check: Check, channel: str) -> bool:
-    return isinstance(check.threshold, dict) and channel == check.threshold.get("channel")
-
-
-def unit(channel: str, factors: Sequence[float]) -> Change:
-    """A channel of all joints in another unit."""
-
-    def change(draw, log, robot):
-        factor = float(draw.choice(factors))
-        bad = put(log, lambda raw: {} if getattr(raw, channel) is None else _scaled(channel, factor)(raw))
-
-        def right(check: Check) -> bool:
-            return _about(check, channel) and abs((check.threshold["factor"] or 0) / factor - 1) < 1e-3
-
-        return bad, right
-
-    return change
-
-
-def unit_of_one(draw, log, robot):
-    """The torque of one joint in N mm."""
-    j = int(draw.integers(robot.dofs))
-    bad = put(log, _scaled("tau", 1e3, j, robot.dofs))
-    return bad, lambda c: c.joint == log.joints[j] and _about(c, "tau")
-
-
-def sign(channel: str, every: bool = False) -> Change:
-    """The torque, q with qd, or both of one joint turned round; or all torques."""
-
-    def change(draw, log, robot):
-        j = int(draw.integers(robot.dofs))
-        s = -np.ones(robot.dofs) if every else np.where(np.arange(robot.dofs) == j, -1.0, 1.0)
-
-        def turned(raw: RawTrajectory) -> dict[str, Any]:
-            names = [c for c in ("q", "qd", "qdd", "q_ref") if getattr(raw, c) is not None] if "q" in channel else []
-            return {c: getattr(raw, c) * s for c in (*names, *(["tau"] if "tau" in channel else []))}
-
-        def right(check: Check) -> bool:
-            mine = every or check.joint == log.joints[j]
-            unsure = check.severity == "skipped" and log.joints[j] in check.seen
-            return unsure or (mine and (_about(check, channel) or check.severity == "warn"))
-
-        return put(log, turned), right
-
-    return change
-
-
-def order(whole: bool, reverse: bool = False) -> Change:
-    """Two joints exchanged, or all columns from the tip to the base."""
-
-    def change(draw, log, robot):
-        n = robot.dofs
-        columns = np.arange(n)
-        a, b = draw.choice(n, 2, replace=False)
-        columns[[a, b]] = columns[[b, a]]
-        columns = np.arange(n)[::-1] if reverse else columns
-
-        def moved(raw: RawTrajectory) -> dict[str, Any]:
-            names = ("q", "qd", "qdd", "q_ref", "tau") if whole else ("tau",)
-            return {c: getattr(raw, c)[:, columns] for c in names if getattr(raw, c) is not None}
-
-        truth = {"order": (columns if whole else np.arange(n)).tolist(), "columns": columns.tolist()}
-
-        def right(check: Check) -> bool:
-            known = check.threshold or {}
-            unjudged = set(check.seen.split(": ")[-1].split(", ")) if check.severity == "skipped" else set()
-            unsure = {log.joints[a], log.joints[b]} <= unjudged
-            stated = {k: known.get(k) for k in truth} == truth
-            return bool(stated or truth in known.get("alike", ()) or (unsure and not reverse))
-
-        return put(log, moved), right
-
-    return change
-
-
-def time_offset(draw, log, robot):
-    """All torques late or early by 15 to 100 ms."""
-    late = float(draw.choice([-1, 1]) * draw.uniform(0.015, 0.1))
-
-    def moved(raw: RawTrajectory) -> dict[str, Any]:
-        return {"tau": np.stack([np.interp(raw.t - late, raw.t, x) for x in raw.tau.T], axis=1)}
-
-    before = {c.value for c in doctor.examine(log, robot).checks if c.check == "time_offset" and c.severity == "warn"}
-    known = next((x for x in before if isinstance(x, float)), 0.0)
-    return put(log, moved), lambda c: _about(c, "tau") and abs((c.value or 0) - late - known) < 0.004
-
-
-def lag_of_command(draw, log, robot):
-    """q_ref in radians converted once too often, and some tens of milliseconds to two seconds early."""
-    late = float(draw.uniform(0.05, 2.0))
-
-    def moved(raw: RawTrajectory) -> dict[str, Any]:
-        return {"q_ref": np.stack([np.interp(raw.t + late, raw.t, x) for x in raw.q.T], axis=1) * np.pi / 180}
-
-    return put(log, moved), lambda c: _about(c, "q_ref") and abs(c.value - np.pi / 180) < 1e-3
-
-
-def stamps(draw, log, robot):
-    """One to four stamps that are anything."""
-    rows = draw.choice(len(log.trajectories[0].t), int(draw.integers(1, 5)), replace=False)
-
-    def moved(raw: RawTrajectory) -> dict[str, Any]:
-        t = raw.t.copy()
-        t[rows] = draw.choice([-1, 1], len(rows)) * 10 ** draw.uniform(2, 200, len(rows))
-        return {"t": t}
-
-    one = replace(log, trajectories=log.trajectories[:1])
-    return put(one, moved), lambda c: isinstance(c.value, int) and abs(c.value - len(rows)) <= 1
-
-
-def missing(draw, log, robot):
-    """Rows of NaN."""
-    share = draw.uniform(0.001, 0.02)
-
-    def moved(raw: RawTrajectory) -> dict[str, Any]:
-        tau = raw.tau.copy()
-        tau[draw.random(len(tau)) < share] = np.nan
-        return {"tau": tau}
-
-    return put(log, moved), lambda c: _about(c, "tau")
-
-
-def outliers(draw, log, robot):
-    """Ten wild samples of one joint's torque."""
-    j = int(draw.integers(robot.dofs))
-
-    def moved(raw: RawTrajectory) -> dict[str, Any]:
-        tau = raw.tau.copy()
-        rows = draw.choice(np.arange(60, len(tau) - 60), 10, replace=False)
-        tau[rows, j] += draw.choice([-1, 1], 10) * draw.uniform(2, 6) * np.ptp(tau[:, j])
-        return {"tau": tau}
-
-    return put(log, moved), lambda c: c.joint == log.joints[j] and _about(c, "tau")
-
-
-def saturation(draw, log, robot):
-    """One joint's torque ends at a quantile."""
-    j, at = int(draw.integers(robot.dofs)), draw.uniform(0.85, 0.97)
-    return put(log, lambda raw: {
-        "tau": np.where(np.arange(robot.dofs) == j, np.minimum(raw.tau, np.quantile(raw.tau[:, j], at)), raw.tau)
-    }), lambda c: c.joint == log.joints[j]  # fmt: skip
-
-
-def other_velocities(draw, log, robot):
-    """Velocities in the order of other joints."""
-    return put(log, lambda raw: {} if raw.qd is None else {"qd": raw.qd[:, ::-1].copy()}), lambda c: _about(c, "qd")
-
-
-def no_gravity(draw, log, robot):
-    """Gravity taken out of the torque."""
-
-    def moved(raw: RawTrajectory) -> dict[str, Any]:
-        still = np.zeros_like(raw.q, float)
-        return {"tau": raw.tau - nominal_torque(robot, Motion(raw.q, still, still))[0] / _gain(log)}
-
-    return put(log, moved), lambda c: True
-
-
-def noise(draw, log, robot):
-    """Noise in place of the torque."""
-    bad = put(log, lambda raw: {"tau": draw.normal(size=raw.tau.shape) * raw.tau.std(0)})
-    return bad, lambda c: c.severity == "fail"
-
-
-def _gain(log: Log):
-    return 1.0 if log.drive_gain is None else log.drive_gain
-
-
-DEFECTS: dict[str, tuple[str, Change]] = {
-    "units_q": ("unit_error", unit("q", [180 / np.pi])),
-    "units_qd": ("unit_error", unit("qd", [180 / np.pi, 30 / np.pi])),
-    "units_t": ("unit_error", unit("t", [1e3, 1e6])),
-    "units_torque": ("unit_error", unit("tau", [1e3, 1e-3])),
-    "unit_of_one_torque": ("unit_error", unit_of_one),
-    "q_ref": ("unit_error", lag_of_command),
-    "sign_all": ("sign_error", sign("tau", every=True)),
-    "sign_torque": ("sign_error", sign("tau")),
-    "sign_position": ("sign_error", sign("q")),
-    "sign_axis": ("sign_error", sign("q, tau")),
-    "order_torque": ("joint_order", order(False)),
-    "order_all": ("joint_order", order(True)),
-    "order_reversed": ("joint_order", order(True, reverse=True)),
-    "time_offset": ("time_offset", time_offset),
-    "stamps": ("duplicates", stamps),
-    "not_finite": ("not_finite", missing),
-    "outliers": ("outliers", outliers),
-    "saturation": ("saturation", saturation),
-    "derivative": ("derivative_consistency", other_velocities),
-    "gravity_removed": ("gravity_removed", no_gravity),
-    "model_mismatch": ("model_mismatch", noise),
-}
-
-
 @dataclass(frozen=True)
 class Options:
     """What the command line may say."""
@@ -270,16 +93,18 @@ class Options:
     seed: int = 0
     logs: int = 6
     clean: int = 20
+    pairs: int = 0
+    permutations: bool = False
     only: Sequence[str] = tuple(DEFECTS)
     data: str = os.environ.get("INVDYN_REAL_DATA", "../shared/data")
     folder: str = "outputs/defects"
 
 
-def simulated(seed: int) -> tuple[Log, Robot]:
-    """A worn arm's log, 200 Hz, that a controller survived."""
+def simulated(seed: int, joints: int | None = None) -> tuple[Log, Robot]:
+    """A worn arm's log, 200 Hz, that a controller survived; of so many joints, or of any number."""
     for attempt in range(20):
         draw = np.random.default_rng([seed, attempt, 11])
-        scene = draw_scene(draw)
+        scene = draw_scene(draw, joints)
         scene = scene_of(scene.robot, Multisine(speed=0.5, amplitude=draw.uniform(0.5, 0.8)), 25.0, scene.seed)
         hiss = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
         errors = Noise(position=1e-5, position_quantum=2 * np.pi / 2**18, torque=tuple(hiss), velocity=1e-3)
@@ -301,24 +126,34 @@ def alarms(examination: Examination) -> set[tuple]:
     }
 
 
-def count(seed: int, name: str, log: Log, robot: Robot, before: set, defect: str) -> Counted | None:
-    """One defect in one log; None where the log has not what it needs."""
-    check, change = DEFECTS[defect]
-    if defect in ("units_qd", "derivative") and any(raw.qd is None for raw in log.trajectories):
+def count(seed: int, name: str, log: Log, robot: Robot, before: set, defects: Sequence[str]) -> Counted | None:
+    """Defects in one log; None where the log has not what one of them needs. What others hide does not count."""
+    if {"units_qd", "derivative"} & set(defects) and any(raw.qd is None for raw in log.trajectories):
         return None
-    bad, right = change(np.random.default_rng([seed, 7]), log, robot)
+    hidden = {x for defect in defects for x in HIDES.get(defect, ())}
+    bad, tests = log, []
+    for k, defect in enumerate(sorted(defects, key=SEQUENCE.index)):
+        check, change = DEFECTS[defect]
+        bad, right = change(np.random.default_rng([seed, 7 + k]), bad, robot)
+        if defect not in hidden:
+            tests.append((check, right))
     started = time.perf_counter()
     examination = doctor.examine(bad, robot)
-    mine = [x for x in examination.checks if x.check == check]
-    told = [x for x in mine if x.severity not in ("ok", "skipped")]
-    good = [x for x in mine if x.severity != "ok" and _safely(right, x)]
+    found = [any(x.severity not in ("ok", "skipped") for x in _of(check, examination)) for check, _ in tests]
+    good = [any(x.severity != "ok" and _safely(right, x) for x in _of(check, examination)) for check, right in tests]
+    names = {DEFECTS[defect][0] for defect in defects}
     known = {x[0] for x in before}  # what the log had before may stand in another column now
-    others = {x for x in alarms(examination) if x[0] != check and x[0] not in known}
+    others = {x for x in alarms(examination) if x[0] not in names | known}
     said = tuple(
         f"{x.severity} {x.check} {x.joint or ''}: {x.seen}" for x in examination.checks if x.severity in ALARMS
     )
     false = tuple(sorted(" ".join(map(str, x)) for x in others))
-    return Counted(seed, name, defect, bool(told), bool(good), false, said, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return Counted(seed, name, " + ".join(defects), all(found), all(good), false, said, seconds)
+
+
+def _of(check: str, examination: Examination) -> list[Check]:
+    return [x for x in examination.checks if x.check == check]
 
 
 def _safely(right: Callable[[Check], bool], check: Check) -> bool:
@@ -326,6 +161,49 @@ def _safely(right: Callable[[Check], bool], check: Check) -> bool:
         return bool(right(check))
     except (TypeError, KeyError):
         return False
+
+
+def draw_pair(draw: np.random.Generator, names: Sequence[str], log: Log) -> tuple[str, ...]:
+    """Two defects that this log can have, found by different checks or in different channels."""
+    able = [x for x in names if x not in ("units_qd", "derivative") or all(r.qd is not None for r in log.trajectories)]
+    while True:
+        pair = tuple(sorted(map(str, draw.choice(able, 2, replace=False)), key=SEQUENCE.index))
+        alike = DEFECTS[pair[0]][0] == DEFECTS[pair[1]][0]
+        if pair not in EXCLUSIVE and not (alike and DEFECTS[pair[0]][0] != "unit_error"):
+            return pair
+
+
+def renamed(log: Log, robot: Robot, draw: np.random.Generator) -> tuple[Log, Robot]:
+    """The same with names whose alphabetical order is another one than the chain's."""
+    names = robot.joints
+    while names == tuple(sorted(names)):
+        names = tuple(f"{x}_joint" for x in draw.permutation(list("abcdefgh"))[: robot.dofs])
+    urdf = robot.urdf
+    for old, new in zip(robot.joints, names, strict=True):
+        urdf = urdf.replace(f'"{old}"', f'"{new}"')
+    return replace(log, joints=names), replace(robot, joints=names, urdf=urdf)
+
+
+def permuted(seed: int, name: str, log: Log, robot: Robot) -> Iterator[Counted]:
+    """Every exchange of two joints and alphabetical order, of the torques and of all columns: right, or ambiguous."""
+    n = robot.dofs
+    alphabet = np.argsort(log.joints)
+    exchanges = [np.array([{a: b, b: a}.get(j, j) for j in range(n)]) for a, b in itertools.combinations(range(n), 2)]
+    for whole in (False, True):
+        for columns in (*exchanges, alphabet):
+            bad, truth = arranged(log, columns, whole)
+            started = time.perf_counter()
+            examination = doctor.examine(bad, robot)
+            told = [x for x in _of("joint_order", examination) if x.severity not in ("ok", "skipped")]
+            known = [x.threshold for x in told]
+            stated = any({k: x.get(k) for k in truth} == truth for x in known)
+            among = any(truth in x.get("alike", ()) for x in known)
+            kind = "alphabetical" if columns is alphabet else "pair"
+            defect = f"{kind}, {'all columns' if whole else 'torque'}"
+            said = (f"{columns.tolist()}: {'right' if stated else 'ambiguous with it' if among else 'not right'}",)
+            said += tuple(x.seen for x in _of("joint_order", examination))
+            false = tuple(sorted(" ".join(map(str, x)) for x in alarms(examination) if x[0] != "joint_order"))
+            yield Counted(seed, name, defect, bool(told), stated or among, false, said, time.perf_counter() - started)
 
 
 def table(counted: Sequence[Counted], clean: Sequence[tuple[str, set]]) -> str:
@@ -342,32 +220,56 @@ def table(counted: Sequence[Counted], clean: Sequence[tuple[str, set]]) -> str:
     return "\n".join(lines)
 
 
+def bases_of(options: Options) -> Iterator[Base]:
+    """Simulated arms, and recordings of real ones."""
+    joints = 6 if options.permutations else None
+    for seed in range(1000 * options.seed, 1000 * options.seed + options.logs):
+        log, robot = simulated(seed, joints)
+        if options.permutations:
+            log, robot = renamed(log, robot, np.random.default_rng([seed, 8]))
+        yield f"arm {seed}", log, robot
+    for file, recordings in {} if options.permutations else REAL.items():
+        path = Path(options.data) / file
+        for recording in recordings if path.is_file() else ():
+            log = read_log(path, [recording])
+            yield f"{file} {recording}", log, load_urdf(log.urdf, joints=list(log.joints))
+
+
+def put_in(options: Options, names: Sequence[str], bases: Sequence[Base], before: Sequence[set]) -> Iterator[Counted]:
+    """What the options ask to put into the bases."""
+    if options.permutations:
+        for k, base in enumerate(bases):
+            yield from permuted(1000 * options.seed + k, *base)
+    draw = np.random.default_rng([options.seed, 9])
+    for k in range(options.pairs):
+        base = bases[k % len(bases)]
+        pair = draw_pair(draw, names, base[1])
+        one = count(1000 * options.seed + k, *base, before[k % len(bases)], pair)
+        yield from [one] if one else []
+    if options.permutations or options.pairs:
+        return
+    for k, base in enumerate(bases):
+        for defect in names:
+            one = count(1000 * options.seed + k, *base, before[k], [defect])
+            yield from [one] if one else []
+
+
 def main(argv: Sequence[str]) -> int:
     """Run as the docstring says."""
     options = options_of(argv, Options(), __doc__)
     names = only_of("only", options.only, DEFECTS)
     folder, counted = Path(options.folder), []
     folder.mkdir(parents=True, exist_ok=True)
-    bases = [(f"arm {1000 * options.seed + k}", *simulated(1000 * options.seed + k)) for k in range(options.logs)]
-    for file, recordings in REAL.items():
-        path = Path(options.data) / file
-        for recording in recordings if path.is_file() else ():
-            log = read_log(path, [recording])
-            bases.append((f"{file} {recording}", log, load_urdf(log.urdf, joints=list(log.joints))))
-    clean = []
-    for k, (name, log, robot) in enumerate(bases):
-        before = alarms(doctor.examine(log, robot))
-        if name.startswith("arm"):
-            clean.append((name, before))
-        print(f"{name}, nothing put in: {sorted(map(str, before)) or 'no alarm'}", flush=True)
-        for defect in names:
-            one = count(1000 * options.seed + k, name, log, robot, before, defect)
-            if one is None:
-                continue
-            counted.append(one)
-            how = "right" if one.right else "found" if one.found else "MISSED"
-            false = f"; false: {', '.join(one.false)}" if one.false else ""
-            print(f"{how}: {defect} in {name} ({one.seconds:.1f} s){false}", flush=True)
+    bases = list(bases_of(options))
+    before = [alarms(doctor.examine(log, robot)) for _, log, robot in bases]
+    clean = [(name, seen) for (name, *_), seen in zip(bases, before, strict=True) if name.startswith("arm")]
+    for (name, *_), seen in zip(bases, before, strict=True):
+        print(f"{name}, nothing put in: {sorted(map(str, seen)) or 'no alarm'}", flush=True)
+    for one in put_in(options, names, bases, before):
+        counted.append(one)
+        how = "right" if one.right else "found" if one.found else "MISSED"
+        false = f"; false: {', '.join(one.false)}" if one.false else ""
+        print(f"{how}: {one.defect} in {one.log} ({one.seconds:.1f} s){false}", flush=True)
     for k in range(options.clean):
         log, robot = simulated(1000 * options.seed + 500 + k)
         clean.append((f"clean {k}", alarms(doctor.examine(log, robot))))

@@ -4,7 +4,7 @@ Checks are asked in turn, and each sees the log as those before it have mended i
 the units are right. `mend` goes through the same mendings by what an examination found, and says each in one sentence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +44,7 @@ CHECKS: tuple[AbstractCheck, ...] = (
     GravityRemoved(),
     JointOrder(),
     SignError(),
+    GravityRemoved(again=True),
     TorqueUnits(),
     Saturation(),
     TimeOffset(),
@@ -98,13 +99,24 @@ def mend(
 
     What comes back passes `logfile.refuse_defects` where the examination calls it usable.
     """
-    log, notes = _worded(log)
-    with np.errstate(all="ignore"):
-        for check in checks:
-            mine = [one for one in examination.checks if one.check == check.name]
-            log, said = check.mend(log, _mendable(mine), robot)
-            notes += said
-    return log, tuple(notes)
+    corrected, notes = _worded(log)
+    for _, _, corrected, said in mendings(log, examination, robot, checks):  # noqa: B007
+        notes += said
+    return corrected, tuple(notes)
+
+
+def mendings(
+    log: Log, examination: Examination, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS
+) -> Iterator[tuple[Log, list[Check], Log, list[str]]]:
+    """For every check the log that it sees, its findings, the log as it corrects it, and a sentence for each
+    correction."""
+    log, _ = _worded(log)
+    for check in checks:
+        mine = _mendable([one for one in examination.checks if one.check == check.name])
+        with np.errstate(all="ignore"):
+            corrected, said = check.mend(log, mine, robot)
+        yield log, mine, corrected, said
+        log = corrected
 
 
 def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:

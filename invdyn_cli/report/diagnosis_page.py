@@ -9,6 +9,7 @@ from typing import Any
 
 from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.better_simulation import better_simulation
+from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
 from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
@@ -37,7 +38,7 @@ from invdyn_cli.report.wording import (
     words,
 )
 from invdyn_cli.report.wording import picture as picture_name
-from invdyn_cli.types import Check, Diagnosis, Finding, Gain
+from invdyn_cli.types import Diagnosis, Finding, Gain
 
 OVERLAY_CAPTION = "The held-out seconds in which the nominal model is most at fault."
 CAPTION = "Black: measured torque less what all other effects explain. Vermillion: the fitted term of this one."
@@ -63,12 +64,6 @@ FOLD_FROM = 4
 STYLE = """
 .verdict { font-weight: 600; } .lead { margin-top: .6rem; }
 .note-line { border-left: 4px solid var(--line); padding: .2rem .8rem; margin: .4rem 0; color: var(--soft); }
-.pill { display: inline-block; padding: 0 .55rem; border-radius: 1rem; font-size: .82rem; border: 1px solid;
-  white-space: nowrap; color: #0072b2; } .pill.ambiguous, .pill.warn { color: #b35a00; }
-.pill.not_excited, .pill.not_observable, .pill.note { color: var(--soft); } .pill.fail { color: #c2410c;
-  border-width: 2px; font-weight: 600; }
-@media (prefers-color-scheme: dark) { .pill { color: #6cc0f5; } .pill.ambiguous, .pill.warn { color: #f2a65a; }
-  .pill.fail { color: #ff8a5c; } }
 table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
 table.tests th { white-space: normal; vertical-align: bottom; } table.tests td, table.tests th { padding: .2rem .4rem; }
 table.causes { min-width: 58rem; } table.causes td:nth-child(4) { min-width: 13.5rem; }
@@ -130,7 +125,7 @@ def page(
         ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),
         ("How it was done", folded("filter, rates, tries", pairs(diagnosis.details)) if diagnosis.details else ""),
     ]
-    return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), STYLE)
+    return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), PILLS + STYLE)
 
 
 def _notes(notes: Sequence[str]) -> str:
@@ -191,7 +186,7 @@ def _causes(diagnosis: Diagnosis) -> str:
         body += (
             f'<tr><td class="whole"><a href="#finding-{number}">{escape(capital(words(finding.effect)))}</a>'
             f'<small class="name">{escape(finding.effect)}</small></td><td class="whole">{escape(place(finding))}</td>'
-            f"<td>{_pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
+            f"<td>{pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
         )
     if not body:
         none = "None was found beyond what every arm has." if in_table(diagnosis) else "None was found."
@@ -215,7 +210,7 @@ def _at(joint: str, finding: Finding) -> str:
 
 def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[str, Path]) -> str:
     """One claim: picture, law, parameters and gains, what else it could be, rivals, what to record."""
-    status = _pill(finding.status, STATUS_WORDS)
+    status = pill(finding.status, STATUS_WORDS)
     said = f"{place(finding)}: {cause(finding)}"
     out = f'<div class="cause" id="finding-{number}"><h3>{escape(said)} {status}</h3>\n'
     text = text_of(finding)
@@ -274,7 +269,7 @@ def _blind_spots(diagnosis: Diagnosis) -> str:
         where = "all joints" if len(every) > 1 and set(places) >= set(every) else ", ".join(places)
         body += (
             f'<tr><td>{escape(capital(words(effect)))}<small class="name">{escape(effect)}</small></td>'
-            f"<td>{escape(where)}</td><td>{_pill(status, STATUS_WORDS)}</td><td>{escape(advice)}</td></tr>"
+            f"<td>{escape(where)}</td><td>{pill(status, STATUS_WORDS)}</td><td>{escape(advice)}</td></tr>"
         )
     note = '<p class="note">No claims: these effects may be there or not.</p>'
     return note + table(("effect", "joint", "why", "what would show it"), body) if body else ""
@@ -330,25 +325,11 @@ def _checks(diagnosis: Diagnosis) -> str:
     order = ("fail", "warn", "note")
     told = [x for kind in order for x in diagnosis.examination.checks if x.severity == kind]
     fine = len({x.check for x in diagnosis.examination.checks if x.severity == "ok"})
-    skipped: dict[str, dict[str, None]] = {}
-    for x in diagnosis.examination.checks:
-        if x.severity == "skipped":
-            skipped.setdefault(x.seen, {})[x.check.replace("_", " ")] = None
+    skipped = skipped_reasons(diagnosis.examination.checks)
     why = "; ".join(f"{', '.join(names)} ({said})" for said, names in skipped.items())
-    body = "".join(_check(x) for x in told)
     count = f'<p class="note">{fine} check{"s" * (fine != 1)} found nothing to object to.</p>' if fine else ""
     count += f'<p class="note">Not looked at: {escape(why)}.</p>' if why else ""
-    return (table(("", "check", "where", "what was seen", "what to do"), body) if body else "") + count
-
-
-def _check(check: Check) -> str:
-    where = ", ".join(x for x in (check.trajectory, check.joint) if x) or "everywhere"
-    meaning = f"<small>{escape(capital(check.meaning))}</small>" if check.meaning else ""
-    return (
-        f"<tr><td>{_pill(check.severity, {'fail': 'fails', 'warn': 'warning', 'note': 'note'})}</td>"
-        f'<td class="whole">{escape(check.check.replace("_", " "))}</td><td>{escape(where)}</td>'
-        f"<td>{escape(capital(check.seen))}{meaning}</td><td>{escape(capital(check.advice))}</td></tr>"
-    )
+    return check_table(told) + count
 
 
 def _excitation(diagnosis: Diagnosis) -> str:
@@ -379,7 +360,3 @@ def _next_step() -> str:
 def _usage() -> str:
     note = f'<p class="note">{escape(COMMAND_NOTE)}</p>'
     return f"<pre>{escape(COMMAND)}</pre>{note}<pre>{escape(PYTHON)}</pre>"
-
-
-def _pill(kind: str, said: Mapping[str, str]) -> str:
-    return f'<span class="pill {escape(kind)}">{escape(said.get(kind, kind))}</span>'

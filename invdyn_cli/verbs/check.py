@@ -1,4 +1,4 @@
-"""invdyn check: what the doctor says of a measured log, as a table and as check.json."""
+"""invdyn check: what the doctor says of a measured log, as a table, as check.json and as a page."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,16 +17,20 @@ from invdyn_cli import store
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.data.selection import SETS
 from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.marks import located
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.logfile import Log, write_log
+from invdyn_cli.report import check_figures, check_page
+from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.report.tables import significant
-from invdyn_cli.types import Check, Examination, Header
+from invdyn_cli.types import Check, Examination, Header, Robot
 from invdyn_cli.verbs import raw, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
 from invdyn_cli.verbs.screen import Screen
 
 STYLE = {"fail": "bold red", "warn": "yellow", "note": "cyan", "skipped": "dim", "ok": "green"}
+REPORT = "report.html"
 MOST = 3
 """Lines of one check and severity on the screen; the file has them all."""
 
@@ -53,6 +57,8 @@ def task(config: DictConfig) -> None:
         report(0.0, f"{len(log.trajectories)} trajectories")
         examination = doctor.examine(log, robot)
         corrected, mended = doctor.mend(log, examination, robot)
+        report(0.8, "report")
+        page = draw(log, examination, robot, folder, notes)
         report(1.0, "done")
     if config.write is not None and not examination.usable:
         notes.append(f"{config.write} is not written: the log is not usable, corrected either")
@@ -62,9 +68,17 @@ def task(config: DictConfig) -> None:
     for note in notes:
         console.note(note)
     console.print(shown(examination, mended))
+    console.whole(f"page: {relative(folder) / page.name}")
     console.whole(relative(folder))
     if config.strict and not in_sweep() and any(one.severity == "fail" for one in examination.checks):
         raise SystemExit(1)
+
+
+def draw(log: Log, examination: Examination, robot: Robot | None, folder: Path, notes: Sequence[str]) -> Path:
+    """Write figures/*.png and report.html into the folder: the page's path."""
+    corrected, marks = located(log, examination, robot)
+    figures, lacking = check_figures.draw_all(CheckedLog(log, corrected, marks, robot), folder / "figures")
+    return check_page.write_page(examination, log, robot, figures, folder / REPORT, [*notes, *lacking])
 
 
 def refuse_target(config: DictConfig) -> None:

@@ -193,6 +193,18 @@ def test_a_spring_is_no_sign_error(seed, tmp_path):
     assert [(c.joint, c.severity) for c in seen(doctor.examine(turned, robot), "sign_error")] == [("j2", "fail")]
 
 
+def test_gravity_is_missed_in_exchanged_columns(log, arm):
+    """Torques without gravity in the columns of other joints: both are found, gravity when the order is right."""
+    swapped = order((1, 3))
+    raw = log.trajectories[0]
+    bad = changed(log, q=raw.q[:, swapped], qd=raw.qd[:, swapped], tau=without_gravity(log, arm)[:, swapped])
+    examination = doctor.examine(bad, arm)
+    assert set(alarms(examination)) == {"gravity_removed", "joint_order"}
+    mended, notes = doctor.mend(bad, examination, arm)
+    assert mended.compensated == ("gravity",) and len(notes) == 2
+    np.testing.assert_array_equal(mended.trajectories[0].q, raw.q)
+
+
 def test_gravity_that_is_removed_is_declared(log, arm):
     """Torques without gravity are found; mending leaves them, and says so in the log's `compensated`."""
     bad = spoiled(log, arm, "no gravity")

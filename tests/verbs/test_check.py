@@ -59,6 +59,30 @@ def test_a_sound_log(command, arm):
     assert "The log is usable" in text and "cannot show" in text and "ok (" in text and "skipped" in text
 
 
+def test_the_page(command, arm):
+    """report.html stands in the folder beside its figures, holds them, and the output names it."""
+    write_log(sound(arm, seconds=15), Path("log.h5"))
+    said = command("check", *LOG, *ARM)
+    folder = Path(said.out[-1])
+    assert said.out[-2] == f"page: {folder / 'report.html'}"
+    text = (folder / "report.html").read_text("utf-8")
+    assert text.count("data:image/png;base64,") == len(list((folder / "figures").glob("*.png"))) == 6
+    assert "The log is usable" in text
+
+
+def test_broken_logs_have_a_page(command):
+    """NaN everywhere, one row, and no robot: exit 0 and a page that says that the log is not usable."""
+    every = motion()
+    for name, channels in {
+        "nan": {c: x if c == "t" else np.full_like(x, np.nan) for c, x in every.items()},
+        "row": {c: x[:1] for c, x in every.items()},
+    }.items():
+        make_log(Path(f"{name}.h5"), {"run": channels}, urdf="")
+        said = command("check", "data=real_log", f"data.path={name}.h5")
+        assert said.code == 0, said.err
+        assert "The log is not usable" in Path(said.out[-1], "report.html").read_text("utf-8")
+
+
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_tables_fold(width, arm):
     """At any width every column's head and every number stands in full, and no line is wider."""

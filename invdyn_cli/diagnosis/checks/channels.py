@@ -68,7 +68,7 @@ class Quantisation(AbstractCheck):
                         raw.name,
                         name,
                         value=step,
-                        threshold=self.share,
+                        threshold={"channel": "q", "share": self.share},
                         seen=f"q comes in steps of {step:.3g}: rounding makes {noise:.2g} rad/s^2 of noise in qdd, "
                         f"{share:.2g} of its RMS",
                         meaning="accelerations from these positions are mostly rounding"
@@ -88,7 +88,7 @@ class Quantisation(AbstractCheck):
                         raw.name,
                         name,
                         value=step,
-                        threshold=self.levels,
+                        threshold={"channel": "tau", "steps": self.levels},
                         seen=f"tau comes in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
                         meaning="what is smaller than a step cannot be told from rounding",
                         advice="a logger that keeps more digits, or motion that asks more torque of this joint",

@@ -62,7 +62,7 @@ class Duplicates(AbstractCheck):
                         source="a clock increases",
                     )
                 )
-            repeated = self._repeated(raw)
+            repeated = self.repeated(raw)
             if repeated.any():
                 part = float(repeated.mean())
                 found.append(
@@ -88,7 +88,7 @@ class Duplicates(AbstractCheck):
         def change(raw: RawTrajectory) -> list[RawTrajectory]:
             if raw.name not in where:
                 return [raw]
-            drop = self._repeated(raw)
+            drop = self.repeated(raw)
             pieces = [rows[~drop[rows]] for rows in clock_pieces(raw.t)]
             gone = len(raw.t) - sum(map(len, pieces))
             notes.append(f"{raw.name}: dropped {gone} rows whose stamps are out of order or whose values repeat")
@@ -98,7 +98,7 @@ class Duplicates(AbstractCheck):
 
         return each(log, change), notes
 
-    def _repeated(self, raw: RawTrajectory) -> np.ndarray:
+    def repeated(self, raw: RawTrajectory) -> np.ndarray:
         """(T,) bool."""
         out = np.zeros(len(raw.t), bool)
         if len(raw.t) <= self.reach:

@@ -157,6 +157,10 @@ NEEDS: Mapping[str, str] = {
 """What effects may need of a joint's motion."""
 
 
+OF_ROBOT = ("load", "torque", "load_zeros")
+"""Of these, those that the nominal torque tells: with a robot alone."""
+
+
 def cannot_show(lacks: Mapping[str, str], effects: Mapping[str, AbstractEffect]) -> dict[str, str]:
     """{effect: why not} for the effects that need what a joint's motion `lacks`; the first need counts."""
     missing = {name: next((lacks[x] for x in effect.needs if x in lacks), "") for name, effect in effects.items()}

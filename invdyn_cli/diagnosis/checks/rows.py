@@ -163,13 +163,19 @@ def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0
 
     A joint's second differences are small beside its first ones where it is sampled well; where rows have nothing to do
     with each other, their RMS is sqrt(3) times as large (the variance of white noise's differences: 6 beside 2). Judged
-    on joints that move more than `moved` [rad]: one of them has to be below `roughness`.
+    on joints that move more than `moved` [rad]: one of them has to be below `roughness`. A step across a gap is no
+    difference of neighbours: gaps do not count.
     """
     rows = np.flatnonzero(usable_rows(raw))[:20_000]
     if len(rows) < 4:
         return False
     q = raw.q[rows]
     moving = np.ptp(q, axis=0) > moved
-    first = np.sqrt(np.mean(np.diff(q, axis=0) ** 2, axis=0))
-    second = np.sqrt(np.mean(np.diff(q, 2, axis=0) ** 2, axis=0))
+    steps = np.diff(raw.t[rows])
+    near = steps <= max(MAX_GAP, 5 * np.median(steps))
+    both = near[1:] & near[:-1]
+    if not both.any():  # rows farther apart than a gap: poses, or a clock in other units
+        near, both = np.ones_like(near), np.ones_like(both)
+    first = np.sqrt(np.mean(np.diff(q, axis=0)[near] ** 2, axis=0))
+    second = np.sqrt(np.mean(np.diff(q, 2, axis=0)[both] ** 2, axis=0))
     return not moving.any() or bool(np.any(second[moving] < roughness * first[moving]))

@@ -54,15 +54,21 @@ class GravityRemoved(AbstractCheck):
             wrong gain makes 0.5 to 2).
         odds: log of the likelihood ratio that it takes (ours: the odds against the defect, e^5, and e^8).
         varied: least RMS of the gravity torque, of what random states ask of a joint (ours).
+        again: asked once more, when orders and signs are right: only what fails is said.
     """
 
     name: ClassVar[str] = "gravity_removed"
     slope: float = 0.25
     odds: float = 13.0
     varied: float = 0.1
+    again: bool = False
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """For the whole log; the value is the slope of torque on gravity torque."""
+        found = self._judged(log, robot)
+        return [one for one in found if one.severity == "fail"] if self.again else found
+
+    def _judged(self, log: Log, robot: Robot | None) -> list[Check]:
         if robot is None:
             return [self.skipped("no robot")]
         if "gravity" in log.compensated:
@@ -110,7 +116,7 @@ class GravityRemoved(AbstractCheck):
 
     def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Declare it."""
-        if not found:
+        if not found or "gravity" in log.compensated:
             return log, []
         note = "torques are taken to have gravity compensated, as they follow none"
         return replace(log, compensated=(*log.compensated, "gravity")), [note]

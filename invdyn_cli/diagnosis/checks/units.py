@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Evidence, gather, stretches
+from invdyn_cli.diagnosis.checks.evidence import Evidence, Stretch, gather, stretches
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope
 from invdyn_cli.diagnosis.checks.rows import each, is_series, median_step
 from invdyn_cli.interfaces import AbstractCheck
@@ -29,6 +29,18 @@ RATES = {
 
 POSITIONS = {1 / DEGREE: "radians that were converted from degrees once too often", 1 / (2 * np.pi): "revolutions"}
 """Logged over SI for positions too small to be seen by their limits; degrees are seen by these."""
+
+SCALES = {
+    1e3: "milliradians",
+    200 / np.pi: "gradians",
+    60 * DEGREE: "minutes of arc",
+    3600 * DEGREE: "seconds of arc",
+    **{2**k / (2 * np.pi): f"encoder counts, 2^{k} for a turn" for k in range(10, 25)},
+}
+"""Logged over SI for positions that are too large for degrees."""
+
+TURNS = {2 * np.pi: "revolutions"}
+"""qd over dq/dt where q, and not qd, is in another unit; qd in such a unit there is none."""
 
 CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
@@ -75,7 +87,7 @@ class MotionUnits(AbstractCheck):
                 if check.check != self.name or check.severity != "fail" or not isinstance(check.threshold, Mapping):
                     continue
                 channel, factor = check.threshold["channel"], check.threshold["factor"]
-                if check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
+                if factor is None or check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
                     continue
                 together = ("q", "q_ref", "q_link") if channel == "q" else (channel,)
                 kept = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
@@ -112,7 +124,10 @@ class MotionUnits(AbstractCheck):
             finite = raw.q[np.isfinite(raw.q).all(1)]
             reach = np.abs(finite).max(0, initial=0)
             beyond = turning & (reach > limit)
-            if not beyond.any() or np.any(turning & (reach / DEGREE > limit)):
+            if np.any(turning & (reach / DEGREE > limit)):
+                found += self._large(log, raw, robot, turning, limit)
+                continue
+            if not beyond.any():
                 continue
             sure = beyond.sum() >= max(1, 0.3 * turning.sum()) and (robot is not None or beyond.sum() > 1)
             if robot is not None:
@@ -150,6 +165,62 @@ class MotionUnits(AbstractCheck):
         seen += f"explains {fits[1]:.2g} of the torque, with all joints {fits[0]:.2g}"
         return replace(self._seen("q", trajectory, DEGREE, DEGREE, "degrees", seen), joint=log.joints[j])
 
+    def _large(
+        self, log: Log, raw: RawTrajectory, robot: Robot | None, turning: np.ndarray, limit: np.ndarray
+    ) -> list[Check]:
+        """Positions that are beyond the limits most of the time, as degrees too. Their unit is that of SCALES
+        of which qd is the derivative, or else with which the nominal torque fits; if there is none, they are wrong."""
+        finite = raw.q[np.isfinite(raw.q).all(1)]
+        size = np.quantile(np.abs(finite), 0.9, axis=0)
+        which = turning & (size > DEGREE * limit)
+        if not which.any() or not is_series(raw):
+            return []
+        one = replace(log, trajectories=(raw,))
+        able = [k for k in SCALES if np.all(size[which] / k < limit[which])]
+        known = self._by_velocity(one, able, turning, which) or self._by_torque(one, robot, able, turning, which)
+        factor, which, how = known or (None, which, "no unit that is known here makes them fit")
+        unit = SCALES[factor] if factor else "neither radians nor degrees but, perhaps, encoder counts"
+        most = float(size.max(where=which, initial=0))
+        seen = f"q reaches {most:.4g}, far beyond the limits; {how}"
+        found = self._seen("q", raw.name, factor or most, factor, unit, seen)
+        found = replace(found, advice="positions in rad; of counts the counts of a turn, the gear's ratio and the zero")
+        names = [None] if which[turning].all() else [log.joints[j] for j in np.flatnonzero(which)]
+        return [replace(found, joint=name) for name in names]
+
+    def _by_velocity(
+        self, log: Log, able: Sequence[float], turning: np.ndarray, which: np.ndarray
+    ) -> tuple[float, np.ndarray, str] | None:
+        """By what q of which joints has to be divided, and how it shows: dq/dt over qd, where that is one unit on the
+        joints that are beyond; others may have it, too."""
+        ratios = 1 / _rates(stretches(log), "qd", self.slow)
+        own = ratios[which & np.isfinite(ratios)]
+        factor = _nearest(float(np.median(own)), SCALES, self.within) if len(own) else None
+        if factor not in able or factor is None or np.mean(np.abs(own / factor - 1) < self.within) < self.most:
+            return None
+        joints = which | (turning & (np.abs(ratios / factor - 1) < self.within))
+        return factor, joints, "the derivative of q over qd: " + ", ".join(f"{x:.5g}" for x in own)
+
+    def _by_torque(
+        self, log: Log, robot: Robot | None, able: Sequence[float], turning: np.ndarray, which: np.ndarray
+    ) -> tuple[float, np.ndarray, str] | None:
+        """The same by the fit of the nominal torque, where no other factor comes near: of all turning joints or of
+        those that are beyond. Factors leave qd in a known unit, and as many joints to be judged as others do."""
+        if robot is None:
+            return None
+        rates = _rates(stretches(log), "qd", self.slow)[which]
+        rate = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else None
+        able = [k for k in able if rate is None or _nearest(rate * k, RATES | {1.0: "rad/s"}, self.within)]
+        sets = (turning,) if which[turning].all() else (turning, which)
+        fits = [(*_judged(gather(_scaled(log, k, one), robot, 1024)), k, one) for k in able for one in sets]
+        most = max((count for _, count, *_ in fits), default=0)
+        fits = [(fit, k, one) for fit, count, k, one in fits if count > 0.7 * most]
+        if not fits:
+            return None
+        best, factor, joints = max(fits, key=lambda x: x[0])
+        if best < 0.9 or any(1 - fit < self.better * (1 - best) for fit, k, _ in fits if k != factor):
+            return None
+        return factor, joints, f"with q divided by {factor:.6g} the nominal torque explains {best:.2g} of the torque"
+
     def _derivatives(self, log: Log) -> list[Check]:
         found = []
         if all(raw.qd is None and raw.qdd is None for raw in log.trajectories):
@@ -157,19 +228,22 @@ class MotionUnits(AbstractCheck):
         parts = stretches(log)
         for name in dict.fromkeys(x.trajectory for x in parts):
             mine = [x for x in parts if x.trajectory == name]
-            reference = {"qd": "qd", "qdd": "qdd"}
-            for channel, derived in reference.items():
+            for channel in ("qd", "qdd"):
                 if any(channel not in x.extra for x in mine):
                     continue
-                logged = np.concatenate([x.extra[channel] for x in mine])
-                own = np.concatenate([getattr(x, derived) for x in mine])
-                moving = rms(np.concatenate([x.qd for x in mine])) > self.slow
-                ratios = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])[moving]
+                every = _rates(mine, channel, self.slow)
+                ratios = every[np.isfinite(every)]
                 if not len(ratios):
                     continue
                 ratio = float(np.median(ratios))
-                factor = _nearest(ratio, RATES, self.within)
+                factor = _nearest(ratio, RATES | TURNS, self.within)
                 if not factor or np.mean(np.abs(ratios / factor - 1) < self.within) < self.most:
+                    found += self._odd(log, name, channel, every)
+                    continue
+                if factor in TURNS:
+                    if channel == "qd":
+                        seen = f"qd is {ratio:.5g} times the derivative of q on {len(ratios)} moving joints"
+                        found.append(self._seen("q", name, 1 / factor, 1 / factor, "revolutions", seen))
                     continue
                 raw = next(x for x in log.trajectories if x.name == name)
                 per = "" if channel == "qd" else " per second"
@@ -179,8 +253,33 @@ class MotionUnits(AbstractCheck):
                 found.append(self._seen(channel, name, ratio, factor, RATES[factor] + per, seen))
         return found
 
+    def _odd(self, log: Log, trajectory: str, channel: str, ratios: np.ndarray) -> list[Check]:
+        """Joints whose position or velocity alone is in another unit: qd over dq/dt is an exact ratio of units there,
+        and 1 on most of the others."""
+        near = np.abs(ratios - 1) < self.within
+        found = []
+        for j in np.flatnonzero(np.isfinite(ratios) & ~near):
+            factor = _nearest(float(ratios[j]), RATES | TURNS, self.within)
+            others = near[np.isfinite(ratios) & (np.arange(len(ratios)) != j)]
+            if factor is None or channel != "qd" or not len(others) or others.mean() < 0.5:
+                continue
+            seen = f"qd of {log.joints[j]} is {ratios[j]:.5g} times the derivative of its q, of most other joints once"
+            if factor in TURNS:
+                one = self._seen("q", trajectory, 1 / factor, 1 / factor, "revolutions", seen)
+            else:
+                one = self._seen("qd", trajectory, float(ratios[j]), factor, RATES[factor], seen)
+            found.append(replace(one, joint=log.joints[j]))
+        return found
+
     def _seen(
-        self, channel: str, trajectory: str | None, value: float, factor: float, unit: str, seen: str, severity="fail"
+        self,
+        channel: str,
+        trajectory: str | None,
+        value: float,
+        factor: float | None,
+        unit: str,
+        seen: str,
+        severity="fail",
     ) -> Check:
         return Check(
             self.name,
@@ -193,6 +292,18 @@ class MotionUnits(AbstractCheck):
             advice=f"{channel} in SI units, rad and s",
             source="exact ratio of two units",
         )
+
+
+def _rates(parts: Sequence[Stretch], channel: str, slow: float = 0.0) -> np.ndarray:
+    """(n,) slope of logged derivatives (qd or qdd) on those of q, NaN on joints slower than `slow` [rad/s] and where
+    none are logged."""
+    if not parts or any(channel not in x.extra for x in parts):
+        return np.full(1 if not parts else parts[0].q.shape[1], np.nan)
+    logged = np.concatenate([x.extra[channel] for x in parts])
+    own = np.concatenate([getattr(x, channel) for x in parts])
+    moving = rms(np.concatenate([x.qd for x in parts])) > slow
+    slopes = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])
+    return np.where(moving, slopes, np.nan)
 
 
 def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float | None:
@@ -211,12 +322,17 @@ def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:
 
 def _agreement(evidence: Evidence | None) -> float:
     """Mean over joints of the squared correlation of torque and nominal torque, friction taken out; 0 without data."""
+    return _judged(evidence)[0]
+
+
+def _judged(evidence: Evidence | None) -> tuple[float, int]:
+    """The same, and the number of joints whose nominal torque varies enough to count."""
     if evidence is None:
-        return 0.0
+        return 0.0, 0
     squares = []
     for joint in range(evidence.tau.shape[1]):
         columns = evidence.columns(joint)
         tau, nominal = left(evidence.tau[:, joint], columns), left(evidence.nominal[:, joint], columns)
         if rms(nominal) > 0.03 * evidence.reach[joint]:
             squares.append(correlation(tau, nominal) ** 2)
-    return float(np.mean(squares)) if squares else 0.0
+    return (float(np.mean(squares)) if squares else 0.0), len(squares)

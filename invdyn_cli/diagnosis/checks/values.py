@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.rows import each, is_series, parted, present, runs
+from invdyn_cli.diagnosis.checks.rows import MAX_GAP, each, is_series, parted, present, runs
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.types import Check, Robot
@@ -144,7 +144,7 @@ class Outliers(AbstractCheck):
         for raw in series:
             for channel in present(raw):
                 for joint, name in enumerate(log.joints):
-                    rows = self._of(raw, channel, joint)
+                    rows = self.rows_of(raw, channel, joint)
                     if not len(rows):
                         continue
                     found.append(self._outlying(raw, channel, joint, name, rows))
@@ -159,7 +159,7 @@ class Outliers(AbstractCheck):
             for check in mine:
                 channel, joint = check.threshold["channel"], log.joints.index(str(check.joint))
                 x = getattr(raw, channel).copy()
-                rows = self._of(raw, channel, joint)
+                rows = self.rows_of(raw, channel, joint)
                 keep = np.setdiff1d(np.arange(len(x)), rows)
                 x[rows, joint] = np.interp(raw.t[rows], raw.t[keep], x[keep, joint])
                 raw = replace(raw, **{channel: x})
@@ -187,19 +187,22 @@ class Outliers(AbstractCheck):
             source="Hampel 1974; Pearson 2002; 20 instead of 3: ours, torque noise has heavy tails",
         )
 
-    def _of(self, raw: RawTrajectory, channel: str, joint: int) -> np.ndarray:
+    def rows_of(self, raw: RawTrajectory, channel: str, joint: int) -> np.ndarray:
         """Row numbers of the outliers of a channel's joint."""
         x = getattr(raw, channel)[:, joint]
+        steps = np.diff(raw.t)
+        starts = np.r_[0, np.flatnonzero(steps > max(MAX_GAP, 5 * np.median(steps))) + 1]
         if channel == "tau":
-            return self.rows(x, self.least, 0.0)
+            return self.rows(x, self.least, 0.0, starts)
         low, high = np.quantile(raw.q[:: max(1, len(x) // 100_000), joint], [0.01, 0.99])
         if high - low < self.still:
             return np.arange(0)
         position = channel in ("q", "q_ref", "q_link")
-        return self.rows(x, self.position if position else 2 * self.least, self.still / 10)
+        return self.rows(x, self.position if position else 2 * self.least, self.still / 10, starts)
 
-    def rows(self, x: np.ndarray, share: float, floor: float) -> np.ndarray:
-        """Row numbers of the outliers of a series x (T,), by at least a share of its range and `floor`."""
+    def rows(self, x: np.ndarray, share: float, floor: float, starts: np.ndarray) -> np.ndarray:
+        """Row numbers of the outliers of a series x (T,), by at least a share of its range and `floor`; `starts`: first
+        rows of its uninterrupted stretches, across which no sample has neighbours."""
         second = np.zeros(len(x))
         second[1:-1] = np.abs(x[1:-1] - (x[:-2] + x[2:]) / 2)
         second[[0, -1]] = np.abs(x[[0, -1]] - x[[1, -2]])
@@ -211,7 +214,9 @@ class Outliers(AbstractCheck):
         if len(rows) > 10_000:  # a channel of jumps; a sample of them tells enough
             rows = rows[:: len(rows) // 10_000]
         around = rows[:, None] + np.arange(-50, 51)
-        near = x[np.clip(around, 0, len(x) - 1)]
+        stretch = np.searchsorted(starts, rows, side="right")
+        ends = np.append(starts, len(x))
+        near = x[np.clip(around, ends[stretch - 1][:, None], ends[stretch][:, None] - 1)]
         half = self.width // 2
         spans = np.lib.stride_tricks.sliding_window_view(near, self.width, axis=1)
         off = np.abs(near[:, half:-half] - np.median(spans, axis=2))

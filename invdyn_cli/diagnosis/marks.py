@@ -1,0 +1,199 @@
+"""Where in a log each finding of the doctor is: rows of the log as it was recorded, channel by channel."""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.clock import Duplicates
+from invdyn_cli.diagnosis.checks.excitation import Excitation
+from invdyn_cli.diagnosis.checks.rows import MAX_GAP, forward_rows, median_step, newton_metres, runs, uninterrupted
+from invdyn_cli.diagnosis.checks.values import Outliers
+from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.types import Check, Examination, Robot
+
+REST = 0.5
+"""[s] of a window in which a joint that moves less than `Excitation.rest` allows is at rest."""
+
+CHANNELS = {
+    "clock_jitter": "t", "gaps": "t", "duplicates": "t", "too_short": "t", "not_moving": "q", "saturation": "tau",
+    "gravity_removed": "tau", "model_mismatch": "tau", "command_copies_measurement": "q_ref",
+}  # fmt: skip
+"""Of findings that do not name theirs."""
+
+
+COUNTED = {
+    "not_finite": ("row not finite", "rows not finite"),
+    "outliers": ("outlier", "outliers"),
+    "gaps": ("gap", "gaps"),
+}
+"""Words after the number of rows, of gaps after their number."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A finding in one channel.
+
+    Attributes:
+        check: the check's name, or "at_rest".
+        severity: of the finding; "" where nothing is wrong.
+        channel: "t", "q", "qd", "qdd", "tau" or "q_ref".
+        joint: its column, None for all.
+        rows: (R,) rows of all trajectories one after another; of a gap the last before and the first after it. None:
+            the whole channel.
+        label: a few words.
+    """
+
+    check: str
+    severity: str
+    channel: str
+    joint: int | None
+    rows: np.ndarray | None
+    label: str
+
+
+def located(log: Log, examination: Examination, robot: Robot | None) -> tuple[Log, tuple[Mark, ...]]:
+    """The log as corrected, and a mark for every finding that has a place in it.
+
+    `stage` of the corrected trajectories holds the rows that they had in the log as recorded, counted over all of its
+    trajectories.
+    """
+    ends = np.cumsum([len(raw.t) for raw in log.trajectories], dtype=int)
+    log = replace(log, trajectories=tuple(
+        replace(raw, stage=np.arange(end - len(raw.t), end)) for raw, end in zip(log.trajectories, ends, strict=True)
+    ))  # fmt: skip
+    found, told, corrected = [], [], log
+    for before, mine, after, _ in doctor.mendings(log, examination, robot):
+        corrected = after
+        for one in mine:
+            if not any(one is x for x in told):
+                told.append(one)
+                found += _marks(before, one)
+    return corrected, (*_merged(found), *_at_rest(corrected))
+
+
+def _marks(log: Log, one: Check) -> Iterator[Mark]:
+    known = one.threshold if isinstance(one.threshold, Mapping) else {}
+    joint = log.joints.index(one.joint) if one.joint in log.joints else None
+    if one.check == "joint_order":
+        for channel, key in (("q", "order"), ("tau", "columns")):
+            for j, i in enumerate(known.get(key, ())):
+                if i != j:
+                    yield Mark(one.check, one.severity, channel, j, None, f"belongs to {log.joints[i]}")
+        return
+    channels = known.get("channel", CHANNELS.get(one.check, ""))
+    for channel in channels.replace(" or ", ", ").split(", ") if channels else ():
+        rows = None
+        if one.check in PLACES:
+            mine = [
+                raw
+                for raw in log.trajectories
+                if raw.stage is not None and (one.trajectory in (None, raw.name) or one.check == "saturation")
+            ]  # of it only the worst is told
+            chosen = [np.asarray(raw.stage)[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
+            rows = np.concatenate([np.arange(0), *chosen])
+        yield Mark(one.check, one.severity, channel, joint, rows, _label(one))
+
+
+def _merged(marks: Sequence[Mark]) -> Iterator[Mark]:
+    """Marks of several recordings as one."""
+    groups: dict[tuple, list[Mark]] = {}
+    for x in marks:
+        groups.setdefault((x.check, x.channel, x.joint, x.rows is None, x.severity), []).append(x)
+    for same in groups.values():
+        first = same[0]
+        labels = list(dict.fromkeys(x.label for x in same))
+        label = labels[0] + " …" * (len(labels) > 1)
+        if first.rows is not None:
+            rows = np.concatenate([np.arange(0), *(x.rows for x in same if x.rows is not None)])
+            count = len(rows) // 2 if first.check == "gaps" else len(rows)
+            words = COUNTED.get(first.check)
+            label = f"{count} {words[count != 1]}" if words else label
+            first = replace(first, rows=rows)
+        yield replace(first, label=label)
+
+
+def _label(one: Check) -> str:
+    """What stands beside the mark."""
+    value = one.value if isinstance(one.value, int | float) else None
+    known = one.threshold if isinstance(one.threshold, Mapping) else {}
+    if one.check == "time_offset" and value is not None:
+        apart = f"{1e3 * abs(value):.3g} ms" if abs(value) < 1 else f"{abs(value):.3g} s"
+        word = "late" if value > 0 else "early"
+        return f"q comes {apart} {word}" if known.get("channel") == "q_ref" else f"{apart} {word}"
+    if one.check == "unit_error" and known.get("factor"):
+        unit = one.meaning.split(":")[0]
+        return unit if len(unit) < 40 else f"{known['channel']} is {known['factor']:.3g} times SI"
+    number = "" if value is None else f"{value:.3g}"
+    words = {
+        "saturation": f"stays at {number}",
+        "quantisation": f"steps of {number}",
+        "not_moving": "does not move",
+        "duplicates": "stamps out of order" if one.severity == "fail" else "repeated rows",
+        "sign_error": "opposite sign" if one.severity == "fail" else "sign in doubt",
+        "unit_error": one.meaning.split(":")[0],
+        "gravity_removed": "without gravity",
+        "command_copies_measurement": "a copy",
+        "too_short": f"{number} s: too short",
+        "derivative_consistency": "not q's derivative" if one.severity == "fail" else "differs from q's derivative",
+    }
+    return words.get(one.check, one.check.replace("_", " "))
+
+
+def _not_finite(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+    x = np.asarray(getattr(raw, channel), float)
+    if len(x) != len(raw.t) or not len(x):
+        return np.zeros(len(raw.t), bool)
+    bad = ~np.isfinite(x if joint is None or x.ndim < 2 else x[:, joint])
+    return np.asarray(bad.reshape(len(x), -1).any(axis=1))
+
+
+def _duplicates(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+    return ~forward_rows(raw.t) if one.severity == "fail" else Duplicates().repeated(raw)
+
+
+def _gaps(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+    pieces = uninterrupted(raw)
+    return np.array([row for a, b in itertools.pairwise(pieces) for row in (a[-1], b[0])], int)
+
+
+def _outliers(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+    return Outliers().rows_of(raw, channel, joint or 0)
+
+
+def _saturation(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+    """Rows at the torque's extreme; of an effort limit, those beyond it but for half a percent."""
+    x: np.ndarray = newton_metres(log, raw)[:, joint or 0]
+    at = np.asarray(np.abs(x - one.value) <= 1e-5 * max(float(np.ptp(x)), 1e-300))
+    return at if at.sum() >= 5 or raw.name != one.trajectory else np.asarray(np.abs(x) >= 0.995 * abs(one.value))
+
+
+Place = Callable[[Log, RawTrajectory, Check, str, int | None], np.ndarray]
+PLACES: dict[str, Place] = {
+    "not_finite": _not_finite,
+    "duplicates": _duplicates,
+    "gaps": _gaps,
+    "outliers": _outliers,
+    "saturation": _saturation,
+}
+"""Checks whose findings are in some rows of a channel, and these rows: a mask or numbers."""
+
+
+def _at_rest(log: Log) -> Iterator[Mark]:
+    """Where joints that move elsewhere rest for two windows and more."""
+    for joint in range(len(log.joints)):
+        rows = []
+        for raw in log.trajectories:
+            step = median_step(raw.t)
+            size = int(REST / step) if np.isfinite(step) else 0
+            if size < 2 or step > MAX_GAP or np.ptp(raw.q[:, joint]) < 0.005:
+                continue
+            blocks = raw.q[: len(raw.q) // size * size, joint].reshape(-1, size)
+            still = np.ptp(blocks, axis=1) < Excitation().rest * REST
+            for a, b in runs(still):
+                if b - a > 1:
+                    rows.append(np.asarray(raw.stage)[a * size : b * size])
+        if rows:
+            yield Mark("at_rest", "", "q", joint, np.concatenate(rows), "at rest")

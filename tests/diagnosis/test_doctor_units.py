@@ -1,0 +1,101 @@
+"""Positions that are neither in radians nor in degrees, of all joints or of one, are corrected or said to be wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis.checks.rows import taken
+from invdyn_cli.diagnosis.checks.units import MotionUnits
+from invdyn_cli.diagnosis.checks.values import Outliers
+from invdyn_cli.robots import load_urdf
+from tests.diagnosis.sick import changed, sound
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Four joints of the built-in arm, the others locked."""
+    return load_urdf("apollo_arm", joints=[f"arm_joint_{i}" for i in (1, 2, 3, 4)])
+
+
+@pytest.fixture(scope="module")
+def log(arm):
+    return sound(arm, seconds=15)
+
+
+def told(log, robot):
+    """{(channel, joint): factor} of what fails."""
+    found = [c for c in MotionUnits().examine(log, robot) if c.severity == "fail"]
+    assert all(c.check == "unit_error" and c.seen and c.meaning and c.advice for c in found)
+    return {(c.threshold["channel"], c.joint): c.threshold["factor"] for c in found}
+
+
+COUNTS = 2**13 / (2 * np.pi)
+
+
+@pytest.mark.parametrize("with_robot", [True, False])
+@pytest.mark.parametrize("factor", [1e3, COUNTS])
+def test_large_units_are_found_and_corrected(factor, with_robot, log, arm):
+    """Milliradians, and counts of a 13 bit encoder: by the torque, or without a robot by the velocities."""
+    robot = arm if with_robot else None
+    bad = changed(log, q=factor * log.trajectories[0].q)
+    assert told(bad, robot) == {("q", None): pytest.approx(factor)}
+    mended, _ = MotionUnits().mend(bad, MotionUnits().examine(bad, robot), robot)
+    np.testing.assert_allclose(mended.trajectories[0].q, log.trajectories[0].q)
+
+
+def test_velocities_in_another_unit_do_not_mislead(log, arm):
+    """q in milliradians and qd in revolutions per minute: the torque tells the first, its derivative the second."""
+    raw = log.trajectories[0]
+    assert raw.qd is not None
+    bad = changed(log, q=1e3 * raw.q, qd=30 / np.pi * raw.qd)
+    assert told(bad, arm) == {("q", None): 1e3, ("qd", None): pytest.approx(30 / np.pi)}
+
+
+def test_torques_of_the_opposite_sign_do_not_mislead(log, arm):
+    """A torque turned round, and counts of a 13 bit encoder with velocities beside them: the scale is that of the
+    velocities, though a larger one makes the motion so small that one joint alone is judged."""
+    raw = log.trajectories[0]
+    bad = changed(log, q=COUNTS * raw.q, tau=raw.tau * np.array([1, 1, -1, 1]))
+    assert told(bad, arm) == {("q", None): pytest.approx(COUNTS)}
+
+
+def test_unknown_units_are_said_to_be_wrong(log):
+    """Counts of another scale, without a robot and without velocities: a failure, and nothing is changed."""
+    bad = changed(log, q=12345.6 * log.trajectories[0].q, qd=None)
+    assert told(bad, None) == {("q", None): None}
+    mended, notes = MotionUnits().mend(bad, MotionUnits().examine(bad, None), None)
+    assert notes == [] and mended.trajectories == bad.trajectories
+
+
+@pytest.mark.parametrize(("factor", "channel"), [(0.5 / np.pi, "q"), (180 / np.pi, "qd"), (30 / np.pi, "qd")])
+def test_one_joint_in_another_unit(factor, channel, log, arm):
+    """A position in revolutions, and velocities in degrees per second or rpm, of one joint among sound ones."""
+    x = np.array(getattr(log.trajectories[0], channel))
+    x[:, 2] *= factor
+    assert told(changed(log, **{channel: x}), arm) == {
+        ("q" if channel == "q" else "qd", log.joints[2]): pytest.approx(factor)
+    }
+
+
+def test_all_joints_in_revolutions(log):
+    """Without a robot velocities tell that positions are in revolutions."""
+    assert told(changed(log, q=log.trajectories[0].q / (2 * np.pi)), None) == {("q", None): pytest.approx(0.5 / np.pi)}
+
+
+def test_single_wild_positions_are_no_unit(log, arm):
+    """Five samples of a million are left for the outliers."""
+    q = log.trajectories[0].q.copy()
+    q[100::600] = 1e6
+    assert told(changed(log, q=q), arm) == {}
+
+
+def test_gaps_do_not_hide_outliers(log):
+    """A log that was interrupted twenty times is a time series still: its outliers are found."""
+    raw = log.trajectories[0]
+    tau = raw.tau.copy()
+    tau[777, 1] += 20 * np.ptp(tau[:, 1])
+    rows = np.flatnonzero(np.arange(3000) % 150 < 60)
+    one = taken(replace(raw, tau=tau), rows)
+    found = [c for c in Outliers().examine(replace(log, trajectories=(one,)), None) if c.severity == "warn"]
+    assert [(c.joint, c.value) for c in found] == [(log.joints[1], 1)]
