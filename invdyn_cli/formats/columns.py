@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.errors import LogError, UsageError, closest, listed, shortened
 from invdyn_cli.formats.table import Table
 from invdyn_cli.formats.units import CURRENTS, TIME, factor
-from invdyn_cli.logfile import CHANNELS, Log, RawTrajectory
+from invdyn_cli.logfile import CHANNELS, LONGEST_NAME, Log, RawTrajectory
 
 NONE = "none"
 """As the only column of a channel: the file has none."""
@@ -102,12 +102,18 @@ def log_from(where: str, tables: Sequence[Table], columns: ColumnMap) -> Log:
     """The log of tables with the same columns, a trajectory each; t starts at 0.
 
     Raises:
-        LogError: if a table lacks a column, or counts of columns, units or signs differ from that of the joints.
+        LogError: if a table lacks a column, or counts of columns differ from that of the joints.
+        UsageError: for counts of units, signs or gains that differ from it.
     """
     trajectories = tuple(_trajectory(f"{where}: {table.name}", table, columns) for table in tables)
     rate = columns.rate or _measured_rate(trajectories[0].t)
     tau = columns.channel("tau")
     current = bool(set(tau.unit) & set(CURRENTS)) and not tau.full_scale
+    if current and not set(tau.unit) <= set(CURRENTS):
+        raise UsageError(f"tau.unit={list(tau.unit)}; allowed: torques, or currents, on all joints")
+    if columns.drive_gain and not current:
+        raise UsageError("drive_gain is given, but tau is no current", advice="tau.unit=A")
+    gain = each("drive_gain", columns.drive_gain, len(columns.joints)) if columns.drive_gain else None
     return Log(
         robot=columns.robot or "robot",
         joints=columns.joints,
@@ -116,7 +122,7 @@ def log_from(where: str, tables: Sequence[Table], columns: ColumnMap) -> Log:
         rate=rate,
         trajectories=trajectories,
         urdf=columns.urdf,
-        drive_gain=np.array(columns.drive_gain) if columns.drive_gain and current else None,
+        drive_gain=None if gain is None else np.array(gain),
         source=columns.source or Path(where).name,
         licence=columns.licence,
         position_side=columns.position_side or "unknown",
@@ -146,7 +152,7 @@ def _trajectory(where: str, table: Table, columns: ColumnMap) -> RawTrajectory:
     made = {name: _values(where, table, columns, name) for name in CHANNELS if columns.channel(name).columns}
     made = {name: x for name, x in made.items() if x is not None}
     tau = made.pop("tau", np.full((len(t), n), np.nan))
-    name, notes = table.name.replace("/", "."), " ".join(table.notes)
+    name, notes = shortened(table.name.replace("/", "."), LONGEST_NAME), " ".join(table.notes)
     return RawTrajectory(name, t, made.pop("q"), tau, notes=notes, **made)  # pyright: ignore[reportArgumentType]
 
 

@@ -153,9 +153,9 @@ class _Guess:
         if not wanted:
             self.known["joints"] = NAME if words else "numbered"
             return named
-        if len(wanted) != len(named):
+        if len(wanted) != len(named) or len(set(wanted)) < len(wanted):
             got = f"{self.where}: joints={wanted}, and q has {len(named)} columns: {listed(self.columns_q)}"
-            raise LogError(f"{got}; allowed: a name for each")
+            raise LogError(f"{got}; allowed: a name for each, each once")
         if set(wanted) == set(named) and not self.given.channel("q").columns:  # an order, not new names
             order = [named.index(name) for name in wanted]
             self.joints_by = [self.joints_by[k] for k in order]
@@ -369,7 +369,9 @@ def _candidates(table: Table) -> list[Candidate]:
         if not one.quantity:
             continue
         key = (bool(told), one.quantity, one.word, one.commanded, one.measured, one.link)
-        groups.setdefault(key, {}).setdefault(one.joint, name)
+        while one.joint in groups.get(key, {}):  # two columns that say the same: one of two groups
+            key = (*key, "another")
+        groups.setdefault(key, {})[one.joint] = name
         read.setdefault(key, one)
     return [Candidate(read[key], columns, table.by if key[0] else NAME) for key, columns in groups.items()]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from invdyn_cli.errors import UsageError, closest, listed, shortened
+from invdyn_cli.errors import InvdynError, UsageError, closest, listed, shortened
 from invdyn_cli.formats.columns import GIVEN, NONE, Channel, ColumnMap, numbered
 from invdyn_cli.formats.units import ALLOWED, canonical
 from invdyn_cli.logfile import CHANNELS, POSITION_SIDES, TORQUE_SIDES
@@ -33,6 +33,18 @@ class _Plain(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
+def plain_yaml(path: Path, raises: type[InvdynError], advice: str = "") -> Any:
+    """The plain values of a YAML file.
+
+    Raises:
+        `raises`: if it is no such file, or names objects or references.
+    """
+    try:
+        return yaml.load(read_text(path, raises, advice), _Plain)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise raises(f"{path} is no YAML that can be read: {error}", advice=advice) from error
+
+
 def load(path: Path) -> ColumnMap:
     """The map of a YAML file; its URDF is relative to it.
 
@@ -40,10 +52,7 @@ def load(path: Path) -> ColumnMap:
         UsageError: if it is no such file.
     """
     advice = "docs/formats.md shows a column map"
-    try:
-        tree = yaml.load(read_text(path, UsageError, advice), _Plain)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise UsageError(f"{path} is no YAML that can be read: {error}", advice=advice) from error
+    tree = plain_yaml(path, UsageError, advice)
     if not isinstance(tree, Mapping):
         raise UsageError(f"{path} holds no column map; allowed: {listed(ENTRIES, most=20)}", advice=advice)
     return from_plain(tree, str(path), path.parent)

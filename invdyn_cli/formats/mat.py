@@ -18,7 +18,7 @@ DEEPEST = 5
 
 
 def read(path: Path, limit: float) -> tuple[Table, ...]:
-    """The table of a file's arrays; a field x of a structure s is called s.x.
+    """The table of a file's arrays; a field x of a structure s is called s.x, or x where s is all that there is.
 
     Raises:
         LogError: if it is no such file, or holds more than `limit` [bytes].
@@ -37,7 +37,10 @@ def read(path: Path, limit: float) -> tuple[Table, ...]:
         raise
     except Exception as error:  # scipy raises nearly anything on a damaged file
         raise LogError(f"{path} is no MATLAB file that can be read: {error}", advice="save -v7 in MATLAB") from error
-    return (from_arrays(path, _flat({k: v for k, v in found.items() if not k.startswith("__")})),)
+    values = {name: x for name, x in found.items() if not name.startswith("__")}
+    if len(values) == 1 and isinstance(only := next(iter(values.values())), dict):
+        values = only
+    return (from_arrays(path, _flat(values)),)
 
 
 def _flat(values: Mapping[str, Any], depth: int = 0) -> dict[str, np.ndarray]:

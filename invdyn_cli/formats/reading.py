@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli import hdf5, logfile
-from invdyn_cli.errors import LogError, closest, listed
+from invdyn_cli.errors import LogError, UsageError, closest, listed
 from invdyn_cli.formats import delimited, map_file, mat, npz, parquet, rosbag
 from invdyn_cli.formats.columns import ColumnMap, log_from
 from invdyn_cli.formats.guess import complete
@@ -20,13 +20,16 @@ READERS |= dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), delimited.read)
 BAGS = (".bag", ".db3", ".mcap")
 KINDS = "csv, tsv, txt, npz, mat, parquet, bag, db3, mcap, the folder of a ROS 2 bag or of a LeRobot dataset"
 
+FEWEST = 3
+"""Rows of a recording: with fewer there are no steps to compare."""
+
 Columns = str | Path | Mapping[str, Any] | None
 """A column map: the path of a YAML file, its entries, or None: all is guessed."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A log from files of another format, the whole map that made it, and how many rows the trajectories have."""
+    """A log from files of another format, and the whole map that made it."""
 
     log: Log
     columns: ColumnMap
@@ -52,6 +55,9 @@ def imported(paths: Sequence[str | Path], given: ColumnMap, limit: float = hdf5.
         twice = listed(dict.fromkeys(name for name in names if names.count(name) > 1))
         raise LogError(f"several recordings are called {twice}; allowed: files with different names")
     where = str(paths[0])
+    for table in tables:
+        if (rows := len(next(iter(table.columns.values()), ()))) < FEWEST:
+            raise LogError(f"{where}: {table.name} has {rows} rows of numbers; allowed: at least {FEWEST}")
     columns = complete(where, tables[0], given)
     columns = replace(columns, notes=(*columns.notes, *(note for table in tables for note in table.notes)))
     return Imported(log_from(where, tables, columns), columns)
@@ -83,6 +89,8 @@ def import_one(path: str | Path, columns: Columns = None, limit: float = hdf5.LI
         LogError, UsageError: as `imported` and `map_file.load`.
     """
     path = Path(path).expanduser()
+    if columns is not None and not isinstance(columns, str | Path | Mapping):
+        raise UsageError(f"data.columns={columns}; allowed: the path of a column map, or its entries")
     if isinstance(columns, Mapping):
         text, given = json.dumps(columns, sort_keys=True, default=str), None
     else:

@@ -10,6 +10,7 @@ import numpy as np
 
 from invdyn_cli.errors import LogError, closest, listed, shortened
 from invdyn_cli.formats import ros_messages
+from invdyn_cli.formats.map_file import plain_yaml
 from invdyn_cli.formats.ros_messages import CONTROLLER_STATE, JOINT_STATE
 from invdyn_cli.formats.table import Table, Told, missing, refuse_size
 
@@ -36,7 +37,7 @@ def read(path: Path, limit: float, topic: str = "") -> tuple[Table, ...]:
     """
     files = [x for x in path.iterdir() if x.is_file()] if path.is_dir() else [path]
     refuse_size(path, sum(x.stat().st_size for x in files), limit)
-    ros1 = path.suffix == ".bag"
+    ros1 = path.suffix == ".bag" and path.is_file()
     with _opened(path, ros1) as bag:
         chosen = _topic(path, bag, topic)
         read_one = READERS[chosen[0].msgtype.rpartition("/")[2]]
@@ -58,10 +59,7 @@ def _opened(path: Path, ros1: bool) -> Iterator[Any]:
         from rosbags import rosbag1, rosbag2
     except ImportError:
         raise missing(path, "rosbags") from None
-    if (path / "metadata.yaml").is_file() and "compression_mode: FILE" in (path / "metadata.yaml").read_text(
-        errors="replace"
-    ):
-        raise LogError(f"{path} is compressed as a whole file", advice="ros2 bag convert without compression")
+    _refuse_compressed(path)
     try:
         with rosbag1.Reader(path) if ros1 else rosbag2.Reader(path) as bag:
             yield bag
@@ -70,6 +68,15 @@ def _opened(path: Path, ros1: bool) -> Iterator[Any]:
     except Exception as error:  # the library, sqlite and the decompressors raise nearly anything on a damaged bag
         told = "a message is cut off" if isinstance(error, ros_messages.Damaged) else f"{type(error).__name__}: {error}"
         raise LogError(f"{path} is no bag that can be read: {told}", advice="a new copy of it") from error
+
+
+def _refuse_compressed(path: Path) -> None:
+    """Raise a LogError for a bag that is compressed as a whole: the library would inflate it to any size."""
+    meta = path / "metadata.yaml"
+    tree = plain_yaml(meta, LogError) if meta.is_file() else {}
+    inner = tree.get("rosbag2_bagfile_information") if isinstance(tree, dict) else None
+    if isinstance(inner, dict) and str(inner.get("compression_mode")).lower() == "file":
+        raise LogError(f"{path} is compressed as a whole file", advice="ros2 bag convert without compression")
 
 
 def _topic(path: Path, bag: Any, topic: str) -> list[Any]:

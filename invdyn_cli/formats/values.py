@@ -31,7 +31,7 @@ def time_unit(t: np.ndarray) -> str | None:
         return None
     step = float(np.median(steps))
     fits = [u for u, x in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if FASTEST <= step * x <= SLOWEST]
-    return fits[0] if len(fits) == 1 and not (steps == 1).all() else None
+    return fits[0] if len(fits) == 1 and not (np.abs(steps - 1) < 1e-6).all() else None
 
 
 def is_clock(x: np.ndarray) -> bool:

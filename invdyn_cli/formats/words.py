@@ -18,7 +18,7 @@ _FLAGS = {
     "commanded": "target desired des cmd command commanded commands ref reference setpoint goal action d",
     "measured": "actual act measured meas msr feedback fb present observation",
     "other": "tcp pose cartesian ee wrench force ext external error err temp temperature temperatures voltage volt ft",
-    "filler": "joint joints j axis motor robot value values data sensor",
+    "filler": "joint joints j axis motor robot value values data sensor states field header",
     "unit": "deg degs degree degrees rad rads radian radians ms us ns nm nmm ma rpm percent pct dps msec usec nsec",
 }
 COMMANDED, MEASURED, OTHER, FILLERS, UNITS = (frozenset(words.split()) for words in _FLAGS.values())
@@ -59,7 +59,7 @@ def meaning(name: str) -> Meaning:
     for found in _BRACKETS.finditer(name):
         if canonical(found[1]):
             text, unit = text.replace(found[0], " "), canonical(found[1]) or ""
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text)
+    text = re.sub(r"(?<=[a-z]{2})(?=[A-Z])", "_", text)
     tokens = [(m[0], m.start(), m.end()) for m in _TOKEN.finditer(text.lower())]
     words = [word for word, _, _ in tokens]
     if any(word in OTHER for word in words):
