@@ -26,7 +26,6 @@ class RealLog(AbstractSource):
 
     Attributes:
         path: the log, or several.
-        columns: the column map of files in other formats than invdyn's, a YAML file or its entries; None: guessed.
         train, validation, test: selections, or None.
         reference: what `invdyn diagnose` compares with, selections of trajectories or another log; a run ignores it.
         train_share, validation_share: shares of time, where nothing was selected.
@@ -40,10 +39,10 @@ class RealLog(AbstractSource):
         rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
         max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
         max_size: [GB] that a log's trajectories may hold.
+        columns: the column map of files in other formats than invdyn's, a YAML file or its entries; None: guessed.
     """
 
     path: str | Sequence[str]
-    columns: Columns = None
     train: Sequence[str] | None = None
     validation: Sequence[str] | None = None
     test: Sequence[str] | None = None
@@ -60,6 +59,7 @@ class RealLog(AbstractSource):
     rate: float | None = None
     max_gap: float = 0.1
     max_size: float = hdf5.LIMIT / 1e9
+    columns: Columns = None
 
     needs_robot = False
 
