@@ -4,29 +4,21 @@ A guess is made only where one reading is left. Where several are left, an optio
 and a necessary one is asked for: all questions of a file stand in one line.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.formats import values
+from invdyn_cli.formats.candidates import NAME, candidates, in_order, ranged
 from invdyn_cli.formats.columns import GIVEN, NONE, Channel, ColumnMap, each, expanded, numbered, seconds
 from invdyn_cli.formats.table import ASK, Table
 from invdyn_cli.formats.units import ACCELERATION, ALLOWED, CURRENTS, SPEED, factor
-from invdyn_cli.formats.words import Meaning, meaning
+from invdyn_cli.formats.words import meaning
 
-NAME, VALUES = "guessed from the name", "guessed from values"
+VALUES = "guessed from values"
 OPTIONAL = ("qd", "qdd", "q_ref", "q_link")
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Columns that may be a channel: their common meaning, by joint, and how that is known."""
-
-    meaning: Meaning
-    columns: dict[str, str]
-    known: str
 
 
 def complete(where: str, table: Table, given: ColumnMap) -> ColumnMap:
@@ -48,7 +40,7 @@ class _Guess:
         self.questions: list[str] = []
         self.notes: list[str] = []
         self.advice: list[str] = []
-        self.candidates = _candidates(table)
+        self.candidates = candidates(table)
         self.joints: list[str] = []
         self.clock: np.ndarray | None = None
 
@@ -183,7 +175,7 @@ class _Guess:
         found = [c for c in found if c.columns]
         best = [c for c in found if c.meaning.measured] or found
         if len(best) > 1:
-            which = listed(_range(list(c.columns.values())) for c in best)
+            which = listed(ranged(list(c.columns.values())) for c in best)
             if channel in OPTIONAL:
                 self.notes.append(f"{channel} is left out: it may be {which}; {channel}.columns=… takes one.")
             else:
@@ -197,12 +189,12 @@ class _Guess:
     def ordered(self, columns: dict[str, str]) -> dict[str, str]:
         """The columns of the joints of `q`, in that order; numbers that are as many are taken in order."""
         if not self.joints:
-            return {joint: columns[joint] for joint in _sorted(columns)}
+            return {joint: columns[joint] for joint in in_order(columns)}
         if set(self.joints_by) <= set(columns):
             return {joint: columns[joint] for joint in self.joints_by}
         numbers = all(joint.isdigit() for joint in (*columns, *self.joints_by))
         if numbers and len(columns) == len(self.joints):
-            return dict(zip(self.joints_by, (columns[x] for x in _sorted(columns)), strict=True))
+            return dict(zip(self.joints_by, (columns[x] for x in in_order(columns)), strict=True))
         return {}
 
     def by_derivatives(self) -> dict[str, str]:
@@ -242,12 +234,13 @@ class _Guess:
         used = {x for one in self.channels.values() for x in one.columns}
         rest = [x for x in self.table.columns if x not in used and not meaning(x).quantity]
         if any(meaning(x).quantity for x in self.table.columns) or len(rest) < len(self.joints):
-            self.channels["tau"], self.known["tau"] = Channel((NONE,)), NAME
-            self.notes.append("The file has no torques or currents: tau is NaN. Clock and positions can be checked;")
-            self.notes[-1] += " run and diagnose need torques."
+            self.channels["tau"] = Channel((NONE,))
+            self.known["tau"] = "no name says torque, current or load"
+            self.notes.append("The file has no torques or currents: tau is NaN. The log keeps the clock, positions and")
+            self.notes[-1] += " commands; check, run and diagnose need torques."
             return
         n = len(self.joints)
-        blocks = [_range(rest[k : k + n]) for k in range(0, len(rest) - n + 1, n)]
+        blocks = [ranged(rest[k : k + n]) for k in range(0, len(rest) - n + 1, n)]
         self.ask(f"which columns are tau: {listed(blocks)}", "tau.columns=FIRST:LAST", "tau.unit='N m'|A|mA|percent")
 
     def optional(self, name: str) -> None:
@@ -276,24 +269,24 @@ class _Guess:
         if one.unit:
             self.known[f"{name}.unit"] = GIVEN
             return
-        said = {self.said_unit(x) for x in one.columns}
-        if len(said) == 1 and said <= set(ALLOWED[name]):
+        units = tuple(self.said_unit(x) for x in one.columns)
+        if set(units) <= set(ALLOWED[name]):
             told = one.columns[0] in self.table.told
             self.known[f"{name}.unit"] = self.table.by if told else NAME
-            unit = said.pop()
         else:
             self.known[f"{name}.unit"] = VALUES
             matrix = np.column_stack([self.table.columns[x] for x in one.columns]).astype(float)
-            unit = None if ASK in said and option else guess(name, matrix)
-        if unit:
-            self.channels[name] = replace(one, unit=(unit,))
+            guessed = None if ASK in units and option else guess(name, matrix)
+            units = (guessed,) if guessed else ()
+        if units:
+            self.channels[name] = replace(one, unit=units[:1] if len(set(units)) == 1 else units)
         elif option:
             largest = max(float(np.nanmax(np.abs(self.table.columns[x]), initial=0)) for x in one.columns)
-            self.ask(f"the unit of {name}, {_range(list(one.columns))} (largest {largest:.4g})", option)
+            self.ask(f"the unit of {name}, {ranged(list(one.columns))} (largest {largest:.4g})", option)
         else:
             del self.channels[name]
             why = "its values do not tell its unit beside q's"
-            self.notes.append(f"{name} ({_range(list(one.columns))}) is left out: {why}; {name}.unit=… takes it.")
+            self.notes.append(f"{name} ({ranged(list(one.columns))}) is left out: {why}; {name}.unit=… takes it.")
 
     def angle(self, name: str, matrix: np.ndarray) -> str | None:
         return values.angle_unit(matrix)
@@ -317,17 +310,17 @@ class _Guess:
         if of not in self.channels or not self.channels[of].unit or self.clock is None:
             return None
         other = self.scaled(of)
-        if name == "qd":
-            return values.matching(values.derivative_ratio(self.clock, other, matrix), SPEED)
-        if name == "qdd":
-            return values.matching(values.derivative_ratio(self.clock, other, matrix), ACCELERATION)
+        matrix = matrix * np.array(each(f"{name}.sign", self.channels[name].sign or (1,), matrix.shape[1]))
+        if name in ("qd", "qdd"):
+            ratio = values.derivative_ratio(self.clock, other, matrix)
+            return values.matching(ratio, SPEED if name == "qd" else ACCELERATION)
         units = self.channels[of].unit
         if len(set(units)) > 1:
             return None
         return units[0] if values.follows(other, matrix * factor("q", units[0])) else None
 
     def scaled(self, name: str) -> np.ndarray:
-        """A channel (T, n) in rad, rad/s, …, of any sign."""
+        """A channel (T, n) in rad, rad/s, …."""
         one = self.channels[name]
         n = len(one.columns)
         factors = [factor(name, unit) for unit in each(f"{name}.unit", one.unit, n)]
@@ -346,6 +339,9 @@ class _Guess:
             return "command"
         if tau.unit and set(tau.unit) <= set(CURRENTS):
             self.known["torque_side"] = "guessed from the unit"
+            if "percent" not in tau.unit and not self.given.drive_gain:
+                said = "tau is a current: drive_gain=[…], N m per A, makes torques of it"
+                self.notes.append(f"{said}; without, invdyn diagnose estimates gains from the URDF's masses.")
             if "percent" in tau.unit and not tau.full_scale:
                 said = "tau is in percent of full scale and stored as if it were A, so drive gains are N m per percent"
                 self.notes.append(f"{said}; tau.full_scale=[…], N m at 100 percent, gives torques.")
@@ -355,31 +351,3 @@ class _Guess:
         said = "The torque side is unknown: torque_side=link|motor|command says where the torque was taken,"
         self.notes.append(f"{said} which decides what effects the log can show.")
         return "unknown"
-
-
-def _candidates(table: Table) -> list[Candidate]:
-    """The columns in groups of one meaning."""
-    groups: dict[tuple, dict[str, str]] = {}
-    read: dict[tuple, Meaning] = {}
-    for name in table.columns:
-        told = table.told.get(name)
-        one = Meaning(told.channel, joint=told.joint, commanded=told.channel == "q_ref") if told else meaning(name)
-        if told and told.channel == "q_ref":
-            one = replace(one, quantity="q")
-        if not one.quantity:
-            continue
-        key = (bool(told), one.quantity, one.word, one.commanded, one.measured, one.link)
-        while one.joint in groups.get(key, {}):  # two columns that say the same: one of two groups
-            key = (*key, "another")
-        groups.setdefault(key, {})[one.joint] = name
-        read.setdefault(key, one)
-    return [Candidate(read[key], columns, table.by if key[0] else NAME) for key, columns in groups.items()]
-
-
-def _sorted(joints: dict[str, str]) -> list[str]:
-    """Numbers by size; names as the file has them."""
-    return sorted(joints, key=int) if all(x.isdigit() for x in joints) else list(joints)
-
-
-def _range(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]}:{names[-1]}"

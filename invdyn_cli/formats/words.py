@@ -67,6 +67,8 @@ def meaning(name: str) -> Meaning:
     found = [word for word in words if word in _QUANTITY]
     word = next((x for x in reversed(found) if x != "state"), found[-1] if found else "")
     quantity = _QUANTITY.get(word, "")
+    if word == "state" and "observation" not in words:  # that of a machine
+        quantity = ""
     unit, used = (unit, set()) if unit else _unit(words, quantity)
     flags = {w for w in words if w in COMMANDED or w in MEASURED or w == "link"}
     kept = [

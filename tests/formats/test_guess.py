@@ -77,6 +77,16 @@ def test_units_in_names(names, factors):
         np.testing.assert_allclose(getattr(one, channel), DATA[channel], atol=1e-9)
 
 
+def test_a_unit_for_each_joint():
+    """A slide in mm beside a hinge in deg: each joint has its own unit; signs of q and qd are kept apart."""
+    data = scaled(q=np.array([1 / DEG, 1000]), qd=-1.0)
+    names = {"t": data["t"], "q1 [deg]": data["q"][:, 0], "q2 [mm]": data["q"][:, 1]}
+    names |= {f"tau{k + 1}": data["tau"][:, k] for k in (0, 1)} | {f"dq{k + 1}": data["qd"][:, k] for k in (0, 1)}
+    one = log(names, qd={"sign": -1})
+    np.testing.assert_allclose(one.q, DATA["q"], atol=1e-9)
+    np.testing.assert_allclose(one.qd, DATA["qd"], atol=1e-9)
+
+
 def test_units_from_values():
     """Without units in names: a clock in ms, positions in degrees, and velocities in the unit that makes them the
     derivatives of positions."""

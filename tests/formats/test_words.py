@@ -41,6 +41,7 @@ NAMES = {
     "field.effort0": ("tau", "0", False, ""),
     "field.header.stamp": ("t", "", False, ""),
     "J2 Torque (Nm)": ("tau", "2", False, "N m"),
+    "robot_state": ("", "", False, ""),
     "robot_mode": ("", "mode", False, ""),
 }
 
