@@ -11,6 +11,7 @@ from invdyn_cli import interruption
 VERBS = {
     "run": "one experiment, or a sweep with -m: data, model, adaptation",
     "check": "is a measured log sane, what can be mended in it, what does it excite",
+    "convert": "csv, parquet, npz, mat, ROS bags and LeRobot datasets as an invdyn log",
     "diagnose": "what the simulation gets wrong on a log, why, and what mending it is worth",
     "excite": "a trajectory within the joints' limits that tells given causes apart, ready to play",
     "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
@@ -29,6 +30,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run model=ffnn data=sim_noisy                one experiment
   invdyn run -m model=pest,ffnn seed=0,1,2            a sweep
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
+  invdyn convert bag/ log.h5                          also log.csv, log.npz, log.mat, log.parquet, log.mcap
   invdyn diagnose data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf
   invdyn excite robot=urdf robot.path=arm.urdf diagnosis=FOLDER/diagnosis.json
   invdyn control model=pest_friction adaptation=payload

@@ -22,7 +22,7 @@ TORQUE_UNITS = ("N m", "A")
 TORQUE_SIDES = ("link", "motor", "command", "unknown")
 POSITION_SIDES = ("motor", "link", "unknown")
 CHANNELS = ("q", "tau", "qd", "qdd", "q_ref", "q_link")
-CONVERT = "docs/logs.md shows how a log is written"
+CONVERT = "invdyn convert for csv, parquet, npz, mat and bags; docs/logs.md shows how a log is written"
 HISTORY = " | "
 """Between the sentences of a log's history."""
 

@@ -11,14 +11,15 @@ from invdyn_cli import hdf5
 from invdyn_cli.data.conditioning import Conditioning, ordered
 from invdyn_cli.data.selection import SETS, Block
 from invdyn_cli.errors import LogError, UsageError, listed
+from invdyn_cli.formats.reading import Columns, read_log, trajectory_names
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
-from invdyn_cli.logfile import Log, RawTrajectory, read_log, refuse_defects, trajectory_names
+from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
 from invdyn_cli.types import Header, Robot, Splits
 
 
 @dataclass(frozen=True)
 class RealLog(AbstractSource):
-    """Trajectories of one or several invdyn logs of one robot.
+    """Trajectories of one or several logs of one robot, in any format that `formats` reads.
 
     `selection` says how trajectories are named and split; with several logs they are called "<file stem>/<name>" too.
     With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
@@ -38,6 +39,7 @@ class RealLog(AbstractSource):
         rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
         max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
         max_size: [GB] that a log's trajectories may hold.
+        columns: the column map of files in other formats than invdyn's, a YAML file or its entries; None: guessed.
     """
 
     path: str | Sequence[str]
@@ -57,6 +59,7 @@ class RealLog(AbstractSource):
     rate: float | None = None
     max_gap: float = 0.1
     max_size: float = hdf5.LIMIT / 1e9
+    columns: Columns = None
 
     needs_robot = False
 
@@ -77,6 +80,10 @@ class RealLog(AbstractSource):
         if not 0 < self.max_size < np.inf:
             raise UsageError(f"data.max_size={self.max_size}; allowed: a number of GB above 0")
         return 1e9 * self.max_size
+
+    def names(self, path: Path) -> tuple[str, ...]:
+        """The trajectories of one of its logs."""
+        return trajectory_names(path, self.columns, self.limit)
 
     def header(self) -> Header:
         """Robot and joints of the logs, and the first URDF that one of them names."""
@@ -112,7 +119,7 @@ class RealLog(AbstractSource):
         """What a trajectory is called in selections -> its log, and its name there."""
         paths = self._paths()
         label = "{0.stem}/{1}" if len(paths) > 1 else "{1}"
-        return {label.format(path, name): (path, name) for path in paths for name in trajectory_names(path)}
+        return {label.format(path, name): (path, name) for path in paths for name in self.names(path)}
 
     def _found(
         self, robot: Robot | None, notes: list[str]
@@ -131,7 +138,7 @@ class RealLog(AbstractSource):
         """The logs with the wanted trajectories, drive gains set, all of the same joints."""
         logs = []
         for path, names in wanted.items():
-            log = read_log(path, names, check=False, limit=self.limit)
+            log = read_log(path, names, check=False, columns=self.columns, limit=self.limit)
             if self.drive_gain is not None and log.torque_unit == "A":
                 log = replace(log, drive_gain=np.asarray(self.drive_gain, float))
             refuse_defects(log, str(path))

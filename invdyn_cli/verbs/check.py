@@ -24,7 +24,7 @@ from invdyn_cli.report import check_figures, check_page
 from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Check, Examination, Header, Robot
-from invdyn_cli.verbs import raw, screen
+from invdyn_cli.verbs import imports, raw, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
 from invdyn_cli.verbs.screen import Screen
@@ -47,7 +47,9 @@ def task(config: DictConfig) -> None:
     refuse_target(config)
     folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
-    logs = read(raw.refuse_other(instantiate(config.data)))
+    source = raw.refuse_other(instantiate(config.data))
+    logs = read(source)
+    imports.show_all(source, folder, console)
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
     robot = make_robot(config, header, optional=True, console=console)
     notes = list(robot.notes) if robot else ["no robot: what needs its kinematics was not looked at"]
@@ -114,7 +116,7 @@ def read(source: RealLog) -> list[Log]:
         LogError: if a log cannot be read, or logs have different joints.
         UsageError: if a selection cannot be read.
     """
-    keys = raw.keys_of(source.path)
+    keys = raw.keys_of(source.path, source)
     options = SETS if raw.reference_files(source, keys) else (*SETS, "reference")
     named = {block.key for blocks in raw.asked(source, keys, options).values() for block in blocks or ()}
     return raw.read(keys, named or keys, source)

@@ -33,7 +33,7 @@ from invdyn_cli.report import diagnosis_figures, diagnosis_page, diagnosis_table
 from invdyn_cli.report.better_simulation import replay_line
 from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Diagnosis
-from invdyn_cli.verbs import check, screen
+from invdyn_cli.verbs import check, imports, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.material import material_of
 from invdyn_cli.verbs.run import make_robot, refuse_seed
@@ -78,7 +78,9 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
     refuse_seed(config.seed)
     if config.data is None or "_target_" not in config.data:
         raise UsageError(f"data={config.data}; allowed: real_log, plant")
-    brought = material_of(instantiate(config.data))
+    source = instantiate(config.data)
+    brought = material_of(source)
+    imports.show_all(source, folder, console)
     robot = make_robot(config, brought.header(), optional=False, console=console)
     if robot is None:
         got = "a diagnosis needs the robot's kinematics, and these data bring no URDF"

@@ -40,7 +40,7 @@ class Recorded:
     def __init__(self, source: RealLog) -> None:
         Conditioning.of(source).refuse_options()
         self.source = source
-        self.keys = raw.keys_of(source.path)
+        self.keys = raw.keys_of(source.path, source)
         files = raw.reference_files(source, self.keys)
         names = SETS if files else (*SETS, "reference")
         self.asked = raw.asked(source, self.keys, names)
@@ -48,7 +48,7 @@ class Recorded:
         named = {block.key for blocks in self.asked.values() for block in blocks or ()}
         whole = self.asked["train"] is None or self.asked["test"] is None
         self.logs = raw.read(self.keys, self.keys if whole else named, source)
-        keys = raw.keys_of(files) if files else {}
+        keys = raw.keys_of(files, source) if files else {}
         self.earlier = raw.read(keys, keys, source) if files else []
 
     def header(self) -> Header:

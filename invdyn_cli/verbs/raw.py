@@ -11,15 +11,16 @@ from invdyn_cli.data.conditioning import ordered
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.data.selection import SETS, Block, parse
 from invdyn_cli.errors import LogError, UsageError, listed
-from invdyn_cli.logfile import Log, read_log, trajectory_names
+from invdyn_cli.formats.reading import is_foreign, read_log
+from invdyn_cli.logfile import Log
 from invdyn_cli.types import Robot
 
 Keys = Mapping[str, tuple[Path, str]]
 """What a trajectory is called in selections -> its log, and its name there."""
 
 
-def keys_of(paths: Iterable[str | Path]) -> dict[str, tuple[Path, str]]:
-    """All trajectories of one or several logs: "name", or "<file stem>/<name>" where there are several.
+def keys_of(paths: Iterable[str | Path], source: RealLog) -> dict[str, tuple[Path, str]]:
+    """All trajectories of one or several logs, read as `source` says: "name", or "<file stem>/<name>" of several logs.
 
     Raises:
         LogError: for a file that is no log.
@@ -29,7 +30,7 @@ def keys_of(paths: Iterable[str | Path]) -> dict[str, tuple[Path, str]]:
     if not files or len({path.stem for path in files}) < len(files):
         raise UsageError(f"data.path={listed(map(str, files))}; allowed: one log or more, with different names")
     label = "{0.stem}/{1}" if len(files) > 1 else "{1}"
-    return {label.format(path, name): (path, name) for path in files for name in trajectory_names(path)}
+    return {label.format(path, name): (path, name) for path in files for name in source.names(path)}
 
 
 def refuse_other(source: Any) -> RealLog:
@@ -55,7 +56,7 @@ def reference_files(source: RealLog, keys: Iterable[str]) -> tuple[Path, ...]:
 
 
 def _is_file(text: str) -> bool:
-    return text.endswith((".h5", ".hdf5")) or Path(text).expanduser().is_file()
+    return text.endswith((".h5", ".hdf5")) or Path(text).expanduser().is_file() or is_foreign(text)
 
 
 def asked(source: Any, keys: Iterable[str], names: Sequence[str] = SETS) -> dict[str, list[Block] | None]:
@@ -75,7 +76,8 @@ def read(keys: Keys, used: Iterable[str], source: RealLog) -> list[Log]:
     paths = list(dict.fromkeys(path for path, _ in keys.values()))
     for path in paths:
         names = {name: key for key, (at, name) in keys.items() if at == path}
-        log = read_log(path, [name for name, key in names.items() if key in used], check=False, limit=source.limit)
+        chosen = [name for name, key in names.items() if key in used]
+        log = read_log(path, chosen, check=False, columns=source.columns, limit=source.limit)
         if source.drive_gain is not None and log.torque_unit == "A":
             log = replace(log, drive_gain=np.asarray(source.drive_gain, float))
         gain = log.drive_gain

@@ -13,10 +13,11 @@ from omegaconf import DictConfig, OmegaConf
 from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import RobotError, UsageError, listed
 from invdyn_cli.files import write_file
+from invdyn_cli.formats.columns import numbered
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.types import Header, Robot, RunRecord
-from invdyn_cli.verbs import origin, screen, sweep
+from invdyn_cli.verbs import imports, origin, screen, sweep
 from invdyn_cli.verbs.launch import TRACEBACK, in_sweep, instantiate, job, launch, told
 from invdyn_cli.verbs.screen import Screen
 
@@ -61,7 +62,9 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
     source = make_object(config, "data", AbstractSource)
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)
-    robot = make_robot(config, source.header(), optional=not (source.needs_robot or model.needs_robot), console=console)
+    header = source.header()
+    imports.show_all(source, folder, console)
+    robot = make_robot(config, header, optional=not (source.needs_robot or model.needs_robot), console=console)
     for note in robot.notes if robot else ():
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
@@ -113,7 +116,12 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
         if not node.path and Path(path).suffix == ".xacro":
             got = f"the log names the robot description {path}; allowed there: .urdf, because a xacro file runs code"
             raise RobotError(got, advice="robot=urdf robot.path=…, if you trust that file")
-        robot = instantiate(node, path=str(path), joints=joints)()
+        try:
+            robot = instantiate(node, path=str(path), joints=joints)()
+        except RobotError:
+            if joints is None or tuple(joints) != numbered(len(joints)):
+                raise
+            robot = instantiate(node, path=str(path), joints=None)()  # numbers are no names: joints in the URDF's order
     except RobotError as error:
         if not optional or node.path:
             raise

@@ -1,0 +1,1 @@
+"""Files of others as invdyn logs: a reader for each format, and the column map that says what their columns mean."""

@@ -1,0 +1,47 @@
+"""The columns of a file in groups that may each be one channel: one quantity, one kind of name, a column a joint."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from invdyn_cli.formats.table import Table
+from invdyn_cli.formats.words import Meaning, meaning
+
+NAME = "guessed from the name"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Columns that may be a channel: their common meaning, by joint, and how that is known."""
+
+    meaning: Meaning
+    columns: dict[str, str]
+    known: str
+
+
+def candidates(table: Table) -> list[Candidate]:
+    """The columns in groups of one meaning."""
+    groups: dict[tuple, dict[str, str]] = {}
+    read: dict[tuple, Meaning] = {}
+    for name in table.columns:
+        told = table.told.get(name)
+        one = Meaning(told.channel, joint=told.joint, commanded=told.channel == "q_ref") if told else meaning(name)
+        if told and told.channel == "q_ref":
+            one = replace(one, quantity="q")
+        if not one.quantity:
+            continue
+        key = (bool(told), one.quantity, one.word, one.commanded, one.measured, one.link)
+        while one.joint in groups.get(key, {}):  # two columns that say the same: one of two groups
+            key = (*key, "another")
+        groups.setdefault(key, {})[one.joint] = name
+        read.setdefault(key, one)
+    return [Candidate(read[key], columns, table.by if key[0] else NAME) for key, columns in groups.items()]
+
+
+def in_order(joints: dict[str, str]) -> list[str]:
+    """The joints of a group: numbers by size, names as the file has them."""
+    return sorted(joints, key=int) if all(x.isdigit() for x in joints) else list(joints)
+
+
+def ranged(names: Sequence[str]) -> str:
+    """How columns are called in a line: the first and the last."""
+    return names[0] if len(names) == 1 else f"{names[0]}:{names[-1]}"

@@ -1,0 +1,145 @@
+"""Logs of any format: an invdyn log as it is, every other file by its column map, guessed where none is given."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from invdyn_cli import hdf5, logfile
+from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.formats import delimited, map_file, mat, npz, parquet, rosbag
+from invdyn_cli.formats.columns import ColumnMap, log_from
+from invdyn_cli.formats.guess import complete
+from invdyn_cli.formats.table import Table
+from invdyn_cli.logfile import Log
+
+READERS = {".npz": npz.read, ".mat": mat.read, ".parquet": parquet.read}
+READERS |= dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), delimited.read)
+BAGS = (".bag", ".db3", ".mcap")
+KINDS = "csv, tsv, txt, npz, mat, parquet, bag, db3, mcap, the folder of a ROS 2 bag or of a LeRobot dataset"
+
+FEWEST = 3
+"""Rows of a recording: with fewer there are no steps to compare."""
+
+Columns = str | Path | Mapping[str, Any] | None
+"""A column map: the path of a YAML file, its entries, or None: all is guessed."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A log from files of another format, and the whole map that made it."""
+
+    log: Log
+    columns: ColumnMap
+
+
+def is_foreign(path: str | Path) -> bool:
+    """Whether a path is a file of another format than invdyn's, by its ending, or by what a folder holds."""
+    path = Path(path).expanduser()
+    if path.is_dir():
+        return rosbag.is_bag(path) or parquet.is_dataset(path)
+    return path.is_file() and path.suffix.lower() in (*READERS, *BAGS)
+
+
+def imported(paths: Sequence[str | Path], given: ColumnMap, limit: float = hdf5.LIMIT) -> Imported:
+    """One log of files that have the same columns, a trajectory for each recording in them.
+
+    Raises:
+        LogError: for a file that cannot be read, columns that leave something open or differ between files.
+    """
+    tables = [table for path in paths for table in read_tables(Path(path).expanduser(), limit, given.topic)]
+    names = [table.name for table in tables]
+    if len(set(names)) < len(names):
+        twice = listed(dict.fromkeys(name for name in names if names.count(name) > 1))
+        raise LogError(f"several recordings are called {twice}; allowed: files with different names")
+    where = str(paths[0])
+    for table in tables:
+        if (rows := len(next(iter(table.columns.values()), ()))) < FEWEST:
+            raise LogError(f"{where}: {table.name} has {rows} rows of numbers; allowed: at least {FEWEST}")
+    columns = complete(where, tables[0], given)
+    columns = replace(columns, notes=(*columns.notes, *(note for table in tables for note in table.notes)))
+    return Imported(log_from(where, tables, columns), columns)
+
+
+def read_tables(path: Path, limit: float, topic: str = "") -> tuple[Table, ...]:
+    """The recordings of a file as it has them.
+
+    Raises:
+        LogError: if there is none, it has another format, is damaged, or holds more than `limit` [bytes].
+    """
+    if not path.exists():
+        near = [p.name for p in path.parent.glob("*")] if path.parent.is_dir() else []
+        raise LogError(f"no file {path}{closest(path.name, near)}")
+    kind = path.suffix.lower()
+    if path.is_dir() and parquet.is_dataset(path):
+        return parquet.read(path, limit)
+    if kind in BAGS or (path.is_dir() and rosbag.is_bag(path)):
+        return rosbag.read(path, limit, topic)
+    if path.is_file() and kind in READERS:
+        return READERS[kind](path, limit)
+    raise LogError(f"{path} has a format that is not read; allowed: {KINDS}")
+
+
+def import_one(path: str | Path, columns: Columns = None, limit: float = hdf5.LIMIT) -> Imported:
+    """The log of one file; read once while the file and the map stay as they are.
+
+    Raises:
+        LogError, UsageError: as `imported` and `map_file.load`.
+    """
+    path = Path(path).expanduser()
+    if columns is not None and not isinstance(columns, str | Path | Mapping):
+        raise UsageError(f"data.columns={columns}; allowed: the path of a column map, or its entries")
+    if isinstance(columns, Mapping):
+        text, given = json.dumps(columns, sort_keys=True, default=str), None
+    else:
+        text, given = "", None if columns is None else Path(columns).expanduser()
+    return _kept(path, _stamp(path), text, given, _stamp(given) if given else (), limit)
+
+
+@lru_cache(maxsize=16)
+def _kept(path: Path, stamp: tuple, text: str, map_path: Path | None, map_stamp: tuple, limit: float) -> Imported:
+    given = map_file.load(map_path) if map_path else ColumnMap()
+    given = map_file.from_plain(json.loads(text), "data.columns") if text else given
+    return imported([path], given, limit)
+
+
+def read_log(
+    path: str | Path,
+    names: Iterable[str] | None = None,
+    *,
+    check: bool = True,
+    columns: Columns = None,
+    limit: float = hdf5.LIMIT,
+) -> Log:
+    """The log at `path`, in any format; otherwise as `logfile.read_log`.
+
+    Raises:
+        LogError, UsageError: as `logfile.read_log` and `import_one`.
+    """
+    if not is_foreign(path):
+        return logfile.read_log(path, names, check=check, limit=limit)
+    log = import_one(path, columns, limit).log
+    found = {one.name: one for one in log.trajectories}
+    chosen = list(found) if names is None else list(names)
+    for name in chosen:
+        if name not in found:
+            raise LogError(f"{path}: no trajectory {name!r}{closest(name, found)}; it has {listed(found)}")
+    log = replace(log, trajectories=tuple(found[name] for name in chosen))
+    if check:
+        logfile.refuse_defects(log, str(path))
+    return log
+
+
+def trajectory_names(path: str | Path, columns: Columns = None, limit: float = hdf5.LIMIT) -> tuple[str, ...]:
+    """The names of all trajectories at `path`; failures as `read_log`."""
+    if not is_foreign(path):
+        return logfile.trajectory_names(path)
+    return tuple(one.name for one in import_one(path, columns, limit).log.trajectories)
+
+
+def _stamp(path: Path) -> tuple:
+    """What changes when a file, or a file in a folder, does."""
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    return tuple((str(x), s.st_mtime_ns, s.st_size) for x in files if x.is_file() for s in (x.stat(),))

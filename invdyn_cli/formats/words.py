@@ -1,0 +1,111 @@
+"""What the name of a column says: which quantity, of which joint, in which unit, measured or commanded."""
+
+import re
+from dataclasses import dataclass
+
+from invdyn_cli.formats.units import canonical
+
+QUANTITIES = {
+    "q": "q pos position positions angle angles theta state",
+    "qd": "qd dq vel velocity velocities speed speeds omega qdot",
+    "qdd": "qdd ddq acc accel acceleration accelerations qddot",
+    "tau": "tau torque torques trq effort efforts moment moments",
+    "current": "current currents cur curr amps i",
+    "load": "load pwm",
+    "t": "t time timestamp timestamps stamp clock",
+}
+_FLAGS = {
+    "commanded": "target desired des cmd command commanded commands ref reference setpoint goal action d",
+    "measured": "actual act measured meas msr feedback fb present observation",
+    "other": "tcp pose cartesian ee wrench force ext external error err temp temperature temperatures voltage volt ft",
+    "filler": "joint joints j axis motor robot value values data sensor states field header",
+    "unit": "deg degs degree degrees rad rads radian radians ms us ns nm nmm ma rpm percent pct dps msec usec nsec",
+}
+COMMANDED, MEASURED, OTHER, FILLERS, UNITS = (frozenset(words.split()) for words in _FLAGS.values())
+"""Words of targets, of measurements, of what a log has no channel for, beside "joint", of units anywhere in a name."""
+
+LAST_UNITS = {"s": "t", "sec": "t", "secs": "t", "seconds": "t", "a": "current"}
+"""Units only at the end of the name of that quantity: elsewhere they may mean anything."""
+
+_QUANTITY = {word: quantity for quantity, words in QUANTITIES.items() for word in words.split()}
+_TOKEN = re.compile(r"[a-zµ°%]+|\d+")
+_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]")
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a name says.
+
+    Attributes:
+        quantity: "t", "q", "qd", "qdd", "tau", "current", "load"; "" for what a log has no channel for.
+        word: the word that says so.
+        joint: its joint: a name, or a number as text; "" where there is none.
+        commanded, measured, link: whether the name says that.
+        unit: as `units` has it, "" where the name has none.
+    """
+
+    quantity: str
+    word: str = ""
+    joint: str = ""
+    commanded: bool = False
+    measured: bool = False
+    link: bool = False
+    unit: str = ""
+
+
+def meaning(name: str) -> Meaning:
+    """What the name of a column says; a quantity of "" where it says nothing that a log needs."""
+    text, unit = name, ""
+    for found in _BRACKETS.finditer(name):
+        if canonical(found[1]):
+            text, unit = text.replace(found[0], " "), canonical(found[1]) or ""
+    text = re.sub(r"(?<=[a-z]{2})(?=[A-Z])", "_", text)
+    tokens = [(m[0], m.start(), m.end()) for m in _TOKEN.finditer(text.lower())]
+    words = [word for word, _, _ in tokens]
+    if any(word in OTHER for word in words):
+        return Meaning("")
+    found = [word for word in words if word in _QUANTITY]
+    word = next((x for x in reversed(found) if x != "state"), found[-1] if found else "")
+    quantity = _QUANTITY.get(word, "")
+    if word == "state" and "observation" not in words:  # that of a machine
+        quantity = ""
+    unit, used = (unit, set()) if unit else _unit(words, quantity)
+    flags = {w for w in words if w in COMMANDED or w in MEASURED or w == "link"}
+    kept = [
+        i for i, w in enumerate(words) if i not in used and w not in _QUANTITY and w not in flags and w not in FILLERS
+    ]
+    joint = _joint(text, tokens, kept)
+    return Meaning(
+        quantity,
+        word,
+        joint,
+        commanded=any(w in COMMANDED for w in flags),
+        measured=any(w in MEASURED for w in flags),
+        link="link" in flags,
+        unit=unit,
+    )
+
+
+def _unit(words: list[str], quantity: str) -> tuple[str, set[int]]:
+    """The unit that stands in a name without brackets, and which of its words it takes."""
+    for i, word in enumerate(words):
+        if word in UNITS or (i == len(words) - 1 > 0 and LAST_UNITS.get(word) == quantity):
+            after = words[i + 1 : i + 3]
+            if word in ("deg", "rad") and after == ["s", "2"]:
+                return f"{word}/s^2", {i, i + 1, i + 2}
+            if word in ("deg", "rad") and after[:1] == ["s"]:
+                return f"{word}/s", {i, i + 1}
+            return canonical(word) or "", {i}
+    return "", set()
+
+
+def _joint(text: str, tokens: list[tuple[str, int, int]], kept: list[int]) -> str:
+    """The name of the joint as it is written: what is left of a name, with "joint" where it stands beside it."""
+    if not kept:
+        return ""
+    if all(tokens[i][0].isdigit() for i in kept):
+        return tokens[kept[-1]][0]
+    first, last = kept[0], kept[-1]
+    while last + 1 < len(tokens) and tokens[last + 1][0] in FILLERS:
+        last += 1
+    return text[tokens[first][1] : tokens[last][2]]

@@ -1,0 +1,70 @@
+"""Shows how a file of another format was read: the column map as a table, what is doubtful, and the map as YAML."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from invdyn_cli.data.recorded import RealLog
+from invdyn_cli.errors import shortened
+from invdyn_cli.files import write_file
+from invdyn_cli.formats.columns import GIVEN, NONE, ColumnMap
+from invdyn_cli.formats.map_file import to_yaml
+from invdyn_cli.formats.reading import import_one, is_foreign
+from invdyn_cli.logfile import CHANNELS, Log
+from invdyn_cli.verbs.screen import Screen
+
+
+def show_all(source: Any, folder: Path, console: Screen) -> None:
+    """Tell of every file of a source that is no invdyn log how it is read; its map goes into `folder`."""
+    if not isinstance(source, RealLog):
+        return
+    for path in (Path(x).expanduser() for x in source.path):
+        if is_foreign(path):
+            made = import_one(path, source.columns, source.limit)
+            console.whole(f"{path} is read as:")
+            show(made.log, made.columns, console)
+            saved = write_file(folder / f"{path.stem}.columns.yaml", to_yaml(made.columns, path.name, folder))
+            console.whole(f"column map: {saved} (data.columns= takes it)")
+
+
+def show(log: Log, columns: ColumnMap, console: Screen) -> None:
+    """The map as a table, the size of the log, and the notes."""
+    console.print(_table(columns))
+    rows = sum(len(one.t) for one in log.trajectories)
+    torque = "no torque" if columns.channel("tau").columns in ((), (NONE,)) else f"torque in {log.torque_unit}"
+    side = columns.known.get("torque_side", "not said")
+    console.print(
+        f"{len(log.trajectories)} trajectories, {rows} rows, {log.rate:g} Hz, {torque}, torque side {log.torque_side}"
+        f" ({side}), joints: {', '.join(log.joints)}"
+    )
+    for note in columns.notes:
+        console.warn(note)
+
+
+def _table(columns: ColumnMap) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in ("channel", "columns", "unit", "sign", "how known"):
+        table.add_column(head, overflow="fold")
+    for row in _rows(columns):
+        table.add_row(*map(Text, row))
+    return table
+
+
+def _rows(columns: ColumnMap) -> Iterator[tuple[str, ...]]:
+    for name in ("t", *CHANNELS):
+        one = columns.channel(name)
+        if one.columns in ((), (NONE,)):
+            if name in ("t", "tau"):
+                made = f"row number / {columns.rate:g} Hz" if name == "t" else "(none)"
+                yield name, made, "s" if name == "t" else "", "", columns.known.get(name, "")
+            continue
+        known = columns.known.get(name, GIVEN), columns.known.get(f"{name}.unit", GIVEN)
+        how = known[0] if known[0] == known[1] else f"{known[0]}; unit {known[1]}"
+        sign = "".join("-" if x < 0 else "+" for x in one.sign) or "+"
+        ends = [shortened(x, 40) for x in (one.columns[0], one.columns[-1])]
+        named = ends[0] if len(one.columns) == 1 else f"{ends[0]} … {ends[1]} ({len(one.columns)})"
+        yield name, named, ", ".join(dict.fromkeys(one.unit)), sign, how
