@@ -24,6 +24,7 @@ h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2
   padding: .4rem .8rem; margin: .4rem 0; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
 th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
+thead th { white-space: normal; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }
 thead tr:first-child th[colspan] { text-align: center; border-bottom: 0; }
 tr.mean td { font-weight: 600; border-top: 2px solid var(--soft); } b.worst { color: var(--worst); }

@@ -3,16 +3,19 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.extension import exported
 from invdyn_cli.diagnosis.search.events import places
 from invdyn_cli.diagnosis.search.judge import parameters_of
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import Acting, When
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.effects.gear import JointElasticity
@@ -21,8 +24,13 @@ from invdyn_cli.effects.passing import ExternalContact
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractChannelEffect, AbstractTorqueEffect, JointState, Parameter, Parameters
 from invdyn_cli.joints import SimulatorTerms
+from invdyn_cli.logfile import Log
 from invdyn_cli.models.extended import Extended
 from invdyn_cli.report.wording import law
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import simulate
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Array
 from tests.diagnosis.analytic import arm, log_of, moved, raw, recording_of
 
@@ -174,3 +182,20 @@ def test_all_of_them_are_exported_or_said():
 def test_the_report_has_their_law():
     """The equation of a user's effect is shown with its parameters in italics."""
     assert law(CableDrag().text) == "τ += <i>cubic</i> q̇³"
+
+
+def test_the_effect_of_the_docs_is_found():
+    """The class of docs/own_effects.md names what a MuJoCo arm hides and the catalogue lacks, on the right joint and
+    within 3 %, and brings its text to the report."""
+    page = (Path(__file__).parents[2] / "docs" / "own_effects.md").read_text(encoding="utf-8")
+    scope: dict[str, Any] = {"__name__": "drag"}
+    exec(page.split("```python\n")[1].split("```")[0], scope)
+    robot, size = arm(), float(np.random.default_rng(2611).uniform(0.4, 0.9))
+    hidden = Hidden("custom", robot.joints[1], {"force": lambda t, q, qd: size * qd**3})
+    one = simulate(robot, Multisine(), [hidden], noise=Noise(torque=0.02), duration=20.0, seed=5)
+    log = Log("arm", robot.joints, "motor", "N m", 1000.0, (one,))
+    diagnosis = diagnose(log, robot, effects={**EFFECTS, "cable_drag": scope["CableDrag"]()})
+    (found,) = [x for x in diagnosis.findings if x.status in ("named", "ambiguous")]
+    assert (found.effect, found.joint, found.status) == ("cable_drag", robot.joints[1], "named")
+    assert found.parameters["cubic"].value == pytest.approx(size, rel=0.03)
+    assert found.text is not None and found.text.meaning == "A cable that drags."
