@@ -29,6 +29,9 @@ from invdyn_cli.types import Motion, Robot
 ALONE, LEARNED, ADAPTED = "feedback alone", "as learned", "adapted"
 """Kinds of feedforward."""
 
+KIND_WORDS = {ALONE: "feedback alone", LEARNED: "not adapted", ADAPTED: "adapted"}
+"""What tables and figures call them."""
+
 LOOK_EVERY = 50
 """Ticks between two looks at whether the arm is still under control."""
 
@@ -182,7 +185,7 @@ def run(
                 feedforward = Table(model.predict(fit, desired) if kind == LEARNED else np.zeros_like(desired.q))
             loop = _arm(robot, task, sweep, source)
             cases.append(_measured(loop, task, desired, feedforward, gain, spread, sweep, (loaded, kind, k + 1)))
-            progress(len(cases) / len(wanted), f"{cases[-1].rms:.3g} deg at {gain:g} /rad, {kind}")
+            progress(len(cases) / len(wanted), f"{cases[-1].rms:.3g} deg at {gain:g} /rad, {KIND_WORDS[kind]}")
     return ControlRecord(
         joints=robot.joints,
         spread=spread,

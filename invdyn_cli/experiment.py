@@ -47,8 +47,8 @@ def run(
     started = time.perf_counter()
     splits = source.load(robot, stage("data"))
     if "test" not in splits.tests:
-        got = f"the source {type(source).__name__} gives {listed(splits.tests)} to be judged on"
-        raise UsageError(f"{got}; allowed: test, and others beside it")
+        got = f"the source {type(source).__name__} has the test sets {listed(splits.tests)}"
+        raise UsageError(f"{got}; allowed: test, and further ones")
     fit_started = time.perf_counter()
     fit = adaptation.fit(
         model, splits.train, jax.random.key(seed), validation=splits.validation, progress=stage("learn")

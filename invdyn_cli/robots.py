@@ -89,7 +89,7 @@ def load_urdf(
     if locked:
         notes.append(f"locked ({why}): {', '.join(locked)}")
     if dropped:
-        notes.append(f"dropped with all behind them (robot.dofs={dofs}): {', '.join(dropped)}")
+        notes.append(f"keeping the first {dofs} joint{'s' * (dofs != 1)}; dropped: {', '.join(dropped)}")
     if dynamics_tags == "ignore" and dynamics.any():
         notes.append("ignored: <dynamics> damping and friction")
         dynamics[:] = 0.0
