@@ -160,7 +160,9 @@ def run(
         UsageError: for an arm with sliding joints, or thinned samples.
     """
     if any(robot.prismatic):
-        raise UsageError(f"control of {robot.name}, whose joints slide; allowed: arms whose joints all turn")
+        raise UsageError(
+            f"control of {robot.name}, which has prismatic joints; allowed: arms with revolute joints only"
+        )
     if source.decimate != 1:
         raise UsageError(f"data.decimate={source.decimate}; allowed here: 1, the loop ticks at {RATE:g} Hz")
     started = time.perf_counter()
@@ -290,9 +292,7 @@ def _measured(
         took[tick] = time.perf_counter() - started
         if not np.isfinite(ahead).all():
             joint = loop.robot.joints[int(np.argmin(np.isfinite(ahead)))]
-            failed = (
-                f"at {loop.sample / RATE:.2f} s the feedforward of {joint} is no number any more, learning diverged"
-            )
+            failed = f"at {loop.sample / RATE:.2f} s the feedforward of {joint} is not finite: learning diverged"
             break
         back[tick] = stiffness * (goal[row] - last) + damping * (goal_qd[row] - velocity)
         loop.apply(ahead + back[tick])

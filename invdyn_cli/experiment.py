@@ -172,7 +172,7 @@ def diverged(adaptation: AbstractAdapter, data: Dataset, learned: np.ndarray, fo
             at = f"{x.t[row] - x.t[0]:.2f} s of {x.name}"
             how = "from there on" if not finite[first:].any() else "there"
             advice = f"; {adaptation.if_diverged}" if adaptation.if_diverged else ""
-            return (f"adapting diverged at {at}: its torques are no numbers {how}{advice}",)
+            return (f"adapting diverged at {at}: its torques are not finite {how}{advice}",)
         row -= len(x.t)
     return ()
 

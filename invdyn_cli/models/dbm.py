@@ -270,6 +270,6 @@ def _refuse_sliding(dataset: Dataset) -> None:
     named = [joint for joint, slide in zip(dataset.joints, slides, strict=False) if slide]
     if named:
         raise UsageError(
-            f"model=dbm supports only joints that turn, but {', '.join(named)} slides",
+            f"model=dbm supports only revolute joints; prismatic: {', '.join(named)}",
             advice="model=pest or model=ffnn",
         )
