@@ -175,7 +175,7 @@ def draw(tried: Sequence[Tried], before: tuple[float, float]) -> Figure:
         keys += [panels[0].scatter([], [], color="0.4", s=s, label=f"batches of {x}") for x, s in sizes.items()]
         ring = {"s": 190, "facecolors": "none", "edgecolors": BLACK}
         keys += [panels[0].scatter([], [], label="the paper's rate, batch, epochs", **ring)]
-        keys += [panels[0].scatter([], [], marker="*", s=150, color=BLACK, label="as learned")]
+        keys += [panels[0].scatter([], [], marker="*", s=150, color=BLACK, label="not adapted")]
         figure.legend(handles=keys, loc="outside lower center", ncols=4)
     return figure
 

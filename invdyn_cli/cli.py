@@ -9,16 +9,16 @@ from importlib import import_module
 from invdyn_cli import interruption
 
 VERBS = {
-    "run": "one experiment, or a sweep with -m: data, model, adaptation",
-    "check": "is a measured log sane, what can be mended in it, what does it excite",
-    "convert": "csv, parquet, npz, mat, ROS bags and LeRobot datasets as an invdyn log",
-    "diagnose": "what the simulation gets wrong on a log, why, and what mending it is worth",
-    "excite": "a trajectory within the joints' limits that tells given causes apart, ready to play",
-    "tables": "the published tables from experiments/*.yaml, beside the paper's statements",
-    "figures": "the published figures, and a page that puts all of it beside the paper",
-    "simulate": "the log of a simulated arm that plays the real one, with effects hidden in it",
-    "control": "a learned model, adapted or not, in the control loop of the simulated arm",
-    "report": "draw the figures and the page of a run.h5 anew",
+    "run": "run one experiment, or a sweep with -m: data, model, adaptation",
+    "check": "check a measured log: defects, their corrections, and what the motion excites",
+    "convert": "write an invdyn log of a csv, parquet, npz or mat file, a ROS bag or a LeRobot dataset",
+    "diagnose": "find what the simulation gets wrong on a log, the causes, and the gain of each correction",
+    "excite": "design a trajectory within the joint limits that distinguishes given causes, ready to play",
+    "tables": "make the published tables from experiments/*.yaml, with the paper's statements",
+    "figures": "draw the published figures, and a page that compares all results with the paper",
+    "simulate": "write the log of a simulated arm that stands in for the real one, with hidden effects",
+    "control": "test a learned model, adapted or not, in the control loop of the simulated arm",
+    "report": "draw the figures and the page of a run again, from its run.h5",
 }
 
 HELP = """invdyn: learn, adapt and compare inverse dynamics models tau = f(q, qd, qdd)
@@ -37,8 +37,8 @@ usage: invdyn VERB [option=value ...]
   invdyn run --help                                   all options of a verb
   invdyn --version
 
-Exit code: 0; 1 where a check failed under strict=true; 2 for wrong use or where a job of a sweep failed; 3 for an error
-of invdyn's own; 130 where Ctrl-C stopped it.
+Exit code: 0; 1 where a check failed under strict=true; 2 for wrong use or where a job of a sweep failed; 3 for an
+internal error of invdyn; 130 after Ctrl-C.
 """
 
 

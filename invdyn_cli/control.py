@@ -29,6 +29,9 @@ from invdyn_cli.types import Motion, Robot
 ALONE, LEARNED, ADAPTED = "feedback alone", "as learned", "adapted"
 """Kinds of feedforward."""
 
+KIND_WORDS = {ALONE: "feedback alone", LEARNED: "not adapted", ADAPTED: "adapted"}
+"""What tables and figures call them."""
+
 LOOK_EVERY = 50
 """Ticks between two looks at whether the arm is still under control."""
 
@@ -157,7 +160,9 @@ def run(
         UsageError: for an arm with sliding joints, or thinned samples.
     """
     if any(robot.prismatic):
-        raise UsageError(f"control of {robot.name}, whose joints slide; allowed: arms whose joints all turn")
+        raise UsageError(
+            f"control of {robot.name}, which has prismatic joints; allowed: arms with revolute joints only"
+        )
     if source.decimate != 1:
         raise UsageError(f"data.decimate={source.decimate}; allowed here: 1, the loop ticks at {RATE:g} Hz")
     started = time.perf_counter()
@@ -182,7 +187,7 @@ def run(
                 feedforward = Table(model.predict(fit, desired) if kind == LEARNED else np.zeros_like(desired.q))
             loop = _arm(robot, task, sweep, source)
             cases.append(_measured(loop, task, desired, feedforward, gain, spread, sweep, (loaded, kind, k + 1)))
-            progress(len(cases) / len(wanted), f"{cases[-1].rms:.3g} deg at {gain:g} /rad, {kind}")
+            progress(len(cases) / len(wanted), f"{cases[-1].rms:.3g} deg at {gain:g} /rad, {KIND_WORDS[kind]}")
     return ControlRecord(
         joints=robot.joints,
         spread=spread,
@@ -287,9 +292,7 @@ def _measured(
         took[tick] = time.perf_counter() - started
         if not np.isfinite(ahead).all():
             joint = loop.robot.joints[int(np.argmin(np.isfinite(ahead)))]
-            failed = (
-                f"at {loop.sample / RATE:.2f} s the feedforward of {joint} is no number any more, learning diverged"
-            )
+            failed = f"at {loop.sample / RATE:.2f} s the feedforward of {joint} is not finite: learning diverged"
             break
         back[tick] = stiffness * (goal[row] - last) + damping * (goal_qd[row] - velocity)
         loop.apply(ahead + back[tick])

@@ -47,8 +47,8 @@ def run(
     started = time.perf_counter()
     splits = source.load(robot, stage("data"))
     if "test" not in splits.tests:
-        got = f"the source {type(source).__name__} gives {listed(splits.tests)} to be judged on"
-        raise UsageError(f"{got}; allowed: test, and others beside it")
+        got = f"the source {type(source).__name__} has the test sets {listed(splits.tests)}"
+        raise UsageError(f"{got}; allowed: test, and further ones")
     fit_started = time.perf_counter()
     fit = adaptation.fit(
         model, splits.train, jax.random.key(seed), validation=splits.validation, progress=stage("learn")
@@ -172,7 +172,7 @@ def diverged(adaptation: AbstractAdapter, data: Dataset, learned: np.ndarray, fo
             at = f"{x.t[row] - x.t[0]:.2f} s of {x.name}"
             how = "from there on" if not finite[first:].any() else "there"
             advice = f"; {adaptation.if_diverged}" if adaptation.if_diverged else ""
-            return (f"adapting diverged at {at}: its torques are no numbers {how}{advice}",)
+            return (f"adapting diverged at {at}: its torques are not finite {how}{advice}",)
         row -= len(x.t)
     return ()
 

@@ -100,7 +100,7 @@ def _dataset(node: Any, where: str) -> dict[str, Any]:
         raise Refused(f"has data of other files at {where}; allowed: data in the file itself")
     for i in range(layout.get_nfilters()):
         if (code := layout.get_filter(i)[0]) not in FILTERS:
-            raise Refused(f"has data squeezed by filter {code} at {where}; allowed: {', '.join(FILTERS.values())}")
+            raise Refused(f"has data compressed by filter {code} at {where}; allowed: {', '.join(FILTERS.values())}")
     size, stored = item * int(np.prod(node.shape, dtype=object)), int(node.id.get_storage_size())
     if size > MOST_SQUEEZED * stored + SLACK:
         raise Refused(f"claims {size / 1e9:.3g} GB at {where} and stores {stored} bytes")

@@ -60,7 +60,7 @@ class AbstractModel(abc.ABC):
         Raises:
             UsageError: where there is none.
         """
-        got = f"{type(self).__name__} has no weights that go on learning"
+        got = f"{type(self).__name__} has no weights that can be adapted"
         raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep")
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:

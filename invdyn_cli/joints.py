@@ -8,8 +8,8 @@ import numpy as np
 
 from invdyn_cli.types import Array, Robot
 
-NO_PLACE = "is left out: a simulator's file has no place for it"
-NO_TIME = "is left out: a simulator's file does not change with time"
+NO_PLACE = "is left out: the files for simulators cannot contain it"
+NO_TIME = "is left out: the files for simulators do not change with time"
 
 
 class JointState(NamedTuple):

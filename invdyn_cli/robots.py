@@ -89,7 +89,7 @@ def load_urdf(
     if locked:
         notes.append(f"locked ({why}): {', '.join(locked)}")
     if dropped:
-        notes.append(f"dropped with all behind them (robot.dofs={dofs}): {', '.join(dropped)}")
+        notes.append(f"keeping the first {dofs} joint{'s' * (dofs != 1)}; dropped: {', '.join(dropped)}")
     if dynamics_tags == "ignore" and dynamics.any():
         notes.append("ignored: <dynamics> damping and friction")
         dynamics[:] = 0.0
@@ -165,7 +165,9 @@ def _model(root: ET.Element, path: str | Path | None) -> tuple[pin.Model, list[s
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         reason = (said[0] if said else str(error)).rstrip(".")
-        raise RobotError(f"{path} is no valid URDF: {reason}", advice="check_urdf, or another export of it") from error
+        raise RobotError(
+            f"{path} is not a valid URDF: {reason}", advice="check_urdf, or another export of it"
+        ) from error
     if model.njoints == 1:
         raise RobotError(f"{path} has no moving joint; allowed types: {listed(MOVING)}", advice="the URDF of an arm")
     return model, [f"urdfdom: {x}" for x in said]
@@ -207,7 +209,7 @@ def _up_to(model: pin.Model, tip: str) -> list[int]:
     last = next((x.parentJoint for x in model.frames if x.name == tip), None)
     if last is None:
         links = [x.name for x in model.frames if x.type == pin.FrameType.BODY]
-        raise RobotError(f"robot.tip={tip!r} is no link or joint{closest(str(tip), links)}; links: {listed(links)}")
+        raise RobotError(f"robot.tip={tip!r} is not a link or joint{closest(str(tip), links)}; links: {listed(links)}")
     if last == 0:
         raise RobotError(f"no joint moves between the base and robot.tip={tip}", advice="a link farther out")
     return list(model.supports[last])[1:]

@@ -79,7 +79,7 @@ def load_run(path: str | Path, trust: Sequence[str] = (), *, limit: float = hdf5
     except RunFileError as error:
         raise RunFileError(f"{path}: {error.got}", advice=error.advice) from None
     except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        got = f"{path} is no whole run ({type(error).__name__}: {error})"
+        got = f"{path} is not a complete run ({type(error).__name__}: {error})"
         raise RunFileError(got, advice="running it again") from error
 
 
@@ -105,7 +105,7 @@ def _read(path: Path, members: Sequence[str] | None, limit: float) -> dict[str, 
     if told != RUN_SCHEMA:
         raise RunFileError(f"{path} has schema {told!r}; allowed: {RUN_SCHEMA!r}")
     if missing := [name for name in members or () if name not in root.members]:
-        raise RunFileError(f"{path} is no whole run (it lacks {missing[0]})", advice="running it again")
+        raise RunFileError(f"{path} is not a complete run (it lacks {missing[0]})", advice="running it again")
     wanted = root.members if members is None else {name: root.members[name] for name in members}
     values = hdf5.read(path, list(_leaves(wanted)), RunFileError, limit)
     return _filled(wanted, values)

@@ -120,7 +120,7 @@ def check_source(source: AbstractSource, robot: Robot | None) -> None:
     Checked: a frozen dataclass; the same data whenever it loads; a "test" among the tests; shapes, joints, clocks that
     run forward, finite numbers; no sample in two of train, validation and a test; a description that JSON can hold.
     """
-    _claim(_is_frozen(source), f"{type(source).__name__} is no frozen dataclass")
+    _claim(_is_frozen(source), f"{type(source).__name__} is not a frozen dataclass")
     who = type(source).__name__
     header = source.header()
     _claim(
@@ -164,7 +164,7 @@ def _close(what: str, one: Any, other: Any, size: float) -> None:
 def _frozen(value: Any) -> str:
     """The name of its class, once it is a frozen dataclass that can be hashed (jit takes it as a static argument)."""
     who = type(value).__name__
-    _claim(_is_frozen(value), f"{who} is no frozen dataclass")
+    _claim(_is_frozen(value), f"{who} is not a frozen dataclass")
     try:
         hash(value)
     except TypeError as error:

@@ -26,7 +26,7 @@ def parsed(text: str, what: str, raises: type[InvdynError], advice: str = "") ->
     try:
         return json.loads(text)
     except ValueError as error:
-        raise raises(f"{what} is no JSON ({error})", advice=advice) from error
+        raise raises(f"{what} is not JSON ({error})", advice=advice) from error
     except RecursionError as error:
         raise raises(f"{what} is nested too deep for JSON of ours", advice=advice) from error
 
@@ -48,7 +48,7 @@ def read_text(path: Path, raises: type[InvdynError], advice: str = "") -> str:
     """
     try:
         if not path.is_file():
-            what = "is no file" if path.exists() else "is not there"
+            what = "is not a file" if path.exists() else "does not exist"
             raise raises(f"{path} {what}", advice=advice)
         if (size := path.stat().st_size) > LARGEST:
             raise raises(f"{path} holds {size / 1e6:.0f} MB; allowed: {LARGEST / 1e6:.0f} MB of text", advice=advice)
@@ -56,7 +56,7 @@ def read_text(path: Path, raises: type[InvdynError], advice: str = "") -> str:
     except OSError as error:
         raise raises(f"{path}: {error.strerror or error}", advice=advice) from error
     except UnicodeDecodeError as error:
-        raise raises(f"{path} is no text", advice=advice) from error
+        raise raises(f"{path} is not a text file", advice=advice) from error
 
 
 def robot(tree: Mapping[str, Any]) -> Robot:

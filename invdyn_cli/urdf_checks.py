@@ -131,7 +131,8 @@ def doubts(root: ET.Element) -> list[str]:
             impossible.append(link.get("name", ""))
     if not impossible:
         return []
-    return [f"no body has the inertia of {listed(impossible, most=5)}: check its <inertia>, about the centre of mass"]
+    names = listed(impossible, most=5)
+    return [f"the inertia of {names} is not physically consistent: check its <inertia>, about the centre of mass"]
 
 
 def inertialess(inertias: Mapping[str, float]) -> list[str]:

@@ -354,7 +354,7 @@ def make_diagnosis(*, joints: tuple[str, ...] = JOINTS) -> Diagnosis:
     summary = (
         "Five causes explain 97 % of what the nominal model gets wrong: a body of 1.00 kg at the hand, Coulomb "
         "friction of 2.00 N m on joint2, a late torque on joint5, ripple on joint4, and an offset on joint6 that may "
-        "be something else. On joint7 a learner still finds 71 % of what is left: its cause is not in the catalogue."
+        "be something else. On joint7 a learner still predicts 71 % of the residual: its cause is not in the catalogue."
     )
     notes = (
         "3 doubled rows of sweep_2 were left out.",

@@ -172,5 +172,5 @@ def test_what_cannot_be_controlled_is_refused(arm, source):
     """Thinned samples and sliding joints are refused before anything is simulated."""
     with pytest.raises(UsageError, match=r"data\.decimate=2"):
         run(replace(source, decimate=2), Exact(), Batch(), arm, Sweep())
-    with pytest.raises(UsageError, match="slide"):
+    with pytest.raises(UsageError, match="prismatic"):
         run(source, Exact(), Batch(), replace(arm, prismatic=(True, False, False)), Sweep())

@@ -250,7 +250,7 @@ def test_what_diverged_is_told_and_has_no_score(nonsense):
     """Torques of joint a that are no numbers from the second trajectory's eleventh sample on: one warning with that
     time and name, no score of that joint, and no mean as if the other joint were all; what was learned is scored."""
     record = experiment.run(Data(), Constant(), Diverging(nonsense=nonsense), None)
-    assert record.fit.warnings == ("adapting diverged at 0.10 s of move_1: its torques are no numbers from there on",)
+    assert record.fit.warnings == ("adapting diverged at 0.10 s of move_1: its torques are not finite from there on",)
     for kind in ("nmse", "rmse"):
         adapted = record.scores["test_adapted"]
         assert np.isnan([adapted.mean(kind), getattr(adapted, kind)[0]]).all()
@@ -274,6 +274,6 @@ def test_only_adapting_is_blamed_for_what_it_did():
     """No word where all is finite or the model was no better as learned; "there" where numbers come back; what may
     help is said where the adaptation knows it."""
     (told,) = experiment.run(Data(), Constant(), Curable(lasting=5), None).fit.warnings
-    assert told.endswith("0.10 s of move_1: its torques are no numbers there; a lower adaptation.after may help")
+    assert told.endswith("0.10 s of move_1: its torques are not finite there; a lower adaptation.after may help")
     assert not experiment.run(Data(), Constant(), Follower(), None).fit.warnings
     assert not experiment.run(Data(), Constant(np.nan), Diverging(), None).fit.warnings

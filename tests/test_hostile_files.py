@@ -340,5 +340,5 @@ def test_other_kinds_of_files(tmp_path):
             read_log(path)
         with pytest.raises(RunFileError, match="no run at"):
             store.load_run(path)
-        with pytest.raises(UsageError, match="is no file"):
+        with pytest.raises(UsageError, match="is not a file"):
             extended.load_model(path)

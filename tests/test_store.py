@@ -196,7 +196,7 @@ def test_a_cut_off_run_is_one_line(tmp_path):
         path.write_bytes(whole)
         with h5py.File(path, "a") as file:
             del file[name]
-        refused(path, "no whole run")
+        refused(path, "not a complete run")
 
 
 def test_a_damaged_run_is_read_or_refused(tmp_path):

@@ -47,7 +47,7 @@ def said(self, change, params, motion):
 
 
 BROKEN = {
-    "is no frozen dataclass": {"frozen": False},
+    "is not a frozen dataclass": {"frozen": False},
     "cannot be hashed": {"field": [1]},
     "init gives list; allowed: a nested dict": {"init": lambda self, d, k: [1.0]},
     "holds float at 'gain'": {"init": lambda self, d, k: {"gain": 1.0}},

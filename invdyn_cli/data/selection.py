@@ -47,7 +47,7 @@ def parse(option: str, text: str, keys: Iterable[str]) -> Block:
     keys = list(keys)
     windowed = None if text in keys else _WINDOWED.fullmatch(text)
     if windowed is None and text not in keys and set("[]") & set(text):
-        got = f"data.{option}: {text!r} is no selection"
+        got = f"data.{option}: {text!r} is not a selection"
         raise UsageError(f"{got}; allowed: name, name[t0:t1], name[t0:], name[:t1], in seconds")
     name, first, last = windowed.groups() if windowed else (text.strip(), None, None)
     start, end = float(first or -np.inf), float(last or np.inf)

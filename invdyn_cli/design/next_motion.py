@@ -97,7 +97,7 @@ def _rivals(finding: Finding) -> list[tuple[str, Any, Any]]:
 def _told_cause(name: str, joint: Any, parameters: Any, robot: Robot) -> Cause | str:
     """A cause as a diagnosis tells it, its parameters left out where they are not whole; or why it is none."""
     if name not in EFFECTS:
-        return f"{name} is not in the catalogue: the motion that would tell it is not known."
+        return f"{name} is not in the catalogue: no motion can be designed for it."
     if joint is not None and joint not in robot.joints:
         return left_out(EFFECTS[name], f"{robot.name} has no joint {joint!r}")
     whole = isinstance(parameters, Mapping) and not refused(EFFECTS[name], parameters)
@@ -175,9 +175,10 @@ def _advised(finding: Finding, pairs: Sequence[Told], duration: float) -> Findin
     said = []
     if can:
         least = min(p.distance for p in can)
-        said.append(f"play {FILE} ({duration:g} s): it parts {_names(can)} by {least:.2g} standard errors or more")
+        apart = f"{least:.2g} standard errors or more"
+        said.append(f"play and log {FILE} ({duration:g} s): it separates {_names(can)} by {apart}")
     if cannot:
-        said.append(f"no motion tells {_names(cannot)} apart; {finding.advice}" if finding.advice else "")
+        said.append(f"no motion separates {_names(cannot)}; use instead: {finding.advice}" if finding.advice else "")
     evidence = {
         **finding.evidence,
         "distances": [

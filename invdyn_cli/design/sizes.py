@@ -49,19 +49,19 @@ def unplayable(
     if coupled and joint in robot.joints and not has_driver(robot, robot.joints.index(joint)):
         return f"there is no joint before {joint} that could share a gear with it"
     if effect.passing:
-        return "it comes and goes, and no motion makes it come again"
+        return "it acts only for a time, and no motion reproduces it"
     if effect.point not in POINTS:
-        return f"it acts at the {effect.point}, which no motion asks for"
+        return f"it acts at the {effect.point}, and no motion can be designed for such effects"
     if effect.turns_gravity and not np.any(robot.gravity):
-        return f"nothing pulls at {robot.name}"
+        return f"no gravity acts on {robot.name}"
     if parameters is None and effect.typical(UsualJoint(robot, 0, *[1.0] * 7)) is None:
-        return "its usual size is not known"
+        return "its typical size is not known"
     return ""
 
 
 def left_out(effect: AbstractEffect, why: str) -> str:
     """That an effect is left out of a design, and what would tell it from others."""
-    return f"{effect.title}: {why}" + (f"; what would tell: {effect.advice}" if effect.advice else "")
+    return f"{effect.title}: {why}" + (f"; use instead: {effect.advice}" if effect.advice else "")
 
 
 def refused(effect: AbstractEffect, parameters: Parameters) -> str:
@@ -74,7 +74,7 @@ def refused(effect: AbstractEffect, parameters: Parameters) -> str:
         try:
             value = np.asarray(parameters[name], float)
         except (TypeError, ValueError):
-            return f"{name} is no number"
+            return f"{name} is not a number"
         if value.shape != shape or not np.all(np.isfinite(value)):
             return f"{name}={parameters[name]}; allowed: {shape[0] if shape else 'a'} finite number{'s' * bool(shape)}"
     return effect.refuse(parameters)

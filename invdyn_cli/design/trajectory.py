@@ -141,9 +141,9 @@ def design(
     """
     for sides in questions:
         if len(sides) < 2:
-            raise UsageError(f"{len(sides)} rival to tell apart; allowed: two or more")
+            raise UsageError(f"{len(sides)} cause to distinguish; allowed: two or more")
     if not questions:
-        raise UsageError("nothing to tell apart; allowed: two rivals or more")
+        raise UsageError("nothing to distinguish; allowed: two causes or more")
     if not np.isfinite(duration) or duration < 5.0:
         raise UsageError(f"duration={duration:g} s; allowed: from 5 s")
     draw = np.random.default_rng(seed)

@@ -80,7 +80,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
             continue
         real = realisable(new)
         if not np.allclose(real, new, rtol=1e-9, atol=0):
-            said.append(f"{link}: its inertials are not of a real body; the nearest ones of one are written")
+            said.append(f"{link}: its inertials are not physically consistent; the nearest consistent ones are written")
         change[link] = real - old
     numbers = {x: (0.0, 0.0) for x in robot.joints}
     for one in model.acting:
@@ -90,7 +90,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
             numbers[joint] = damping + terms.joint.get("damping", 0.0), friction + terms.joint.get("friction", 0.0)
         lacks = [x.replace("_", " ") for x in terms.joint if x not in ("damping", "friction")]
         lacks += ["drive"] if terms.drive else []
-        without = f"is written without its {listed(lacks)}: a URDF has no place for it" if lacks else ""
+        without = f"is written without its {listed(lacks)}: a URDF cannot contain it" if lacks else ""
         said += [f"{joint or 'whole arm'}: {one.effect.title} {x}" for x in (terms.lost, without) if x]
     if not np.array_equal(robot.gravity, heavier.gravity):
         gravity = ",".join(f"{x:.5g}" for x in np.asarray(heavier.gravity))
@@ -117,7 +117,7 @@ def stretches_of(log: Log, robot: Robot, recording: Recording, lead: float) -> l
 def why_not(log: Log) -> str:
     """Why a log cannot be replayed, "" if it can."""
     if log.torque_side == "link":
-        return "its torques were taken behind the gears, and what the motors gave is not known"
+        return "its torques were measured on the link side of the gears, and the motor torques are not known"
     if log.torque_unit != "N m":
         return "its torques are currents, and their drive gains are not known"
     return ""

@@ -60,10 +60,12 @@ class Gains:
         told = ", ".join(f"{joint} {x:.4g} ± {1.96 * e:.2g}" for joint, x, e, known in rows if known)
         others = ", ".join(joint for joint, *_, known in rows if not known)
         units = "; ".join(dict.fromkeys(self.units))
-        said = f"The log has currents without drive gains; the masses of the URDF tell these [{units}]: {told}"
+        said = "The log has currents without drive gains."
+        if told:
+            said += f" These gains are estimated from the masses in the URDF [{units}]: {told}."
         if others:
-            said += f"; of {others} gravity and inertia do not show, so only ratios are known there, and sizes are in A"
-        return said + "."
+            said += f" Gravity and inertia hardly act on {others}: only ratios are known there, and sizes are in A."
+        return said
 
 
 def lacks(log: Log) -> bool:

@@ -109,7 +109,7 @@ def diagnose(
     inquiry, columns = asked(evidence), standard.columns_of(evidence, side)
     wear = None if compares else standard.wear_of(columns, inquiry)
     if wear is not None:
-        progress(0.65, "search beside worn links")
+        progress(0.65, "search with link errors")
         again = asked(*standard.beside_wear(columns, inquiry, wear))
         inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence

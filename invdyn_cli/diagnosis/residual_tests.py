@@ -133,7 +133,7 @@ def _line(basis: Basis, left: np.ndarray, used: np.ndarray) -> tuple[Basis, int]
         return basis._replace(columns=basis.columns[:, :0]), 1
     cycles = grid[np.argmax(ripple.power(left[used] - np.mean(left[used]), q[used], grid))]
     phase = np.mod(cycles * q, 2 * np.pi)
-    said = f"phase of {cycles:.4g} cycles a turn [rad]"
+    said = f"phase of {cycles:.4g} cycles per revolution [rad]"
     return Basis(np.stack([np.cos(phase), np.sin(phase)], axis=1), phase, said), len(grid)
 
 
@@ -152,17 +152,17 @@ def _bases(evidence: Evidence, motion: Mapping[str, np.ndarray], j: int, used: n
     way = np.sign(qd)
     loaded = _hats(load, used)
     return {
-        "level": Basis(np.ones((len(q), 1)), rows / len(rows), "share of the log"),
+        "level": Basis(np.ones((len(q), 1)), rows / len(rows), "time, share of the log"),
         "velocity": Basis(np.hstack([_hats(qd, used), way[:, None]]), qd, f"velocity [{unit}/s]"),
         "angle": Basis(_hats(q, used), q, f"{angle} [{unit}]"),
         "ripple": Basis(q[:, None], q, f"{angle} [{unit}]"),
         "load": Basis(np.hstack([loaded, loaded * way[:, None]]), load, f"torque of the nominal model [{torque}]"),
-        "load_zeros": _around(load, parts, motion["t"], used, "since the load changed its sign [s]"),
+        "load_zeros": _around(load, parts, motion["t"], used, "time since the load changed sign [s]"),
         "acceleration": Basis(_hats(qdd, used), qdd, f"acceleration [{unit}/s²]"),
-        "torque_slope": Basis(slope[:, None], slope, f"slope of the torque [{torque}/s]"),
-        "reversals": _around(qd, parts, motion["t"], used, "since the joint turned back [s]"),
+        "torque_slope": Basis(slope[:, None], slope, f"rate of the torque [{torque}/s]"),
+        "reversals": _around(qd, parts, motion["t"], used, "time since the joint reversed [s]"),
         "neighbours": _neighbours(evidence, motion, j, used),
-        "time": Basis(_hats(rows, used, 5), rows / len(rows), "share of the log"),
+        "time": Basis(_hats(rows, used, 5), rows / len(rows), "time, share of the log"),
     }
 
 

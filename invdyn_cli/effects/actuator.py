@@ -36,7 +36,7 @@ class RotorInertia(AbstractTorqueEffect):
     parameters = {"armature": Parameter("kg m²", 0.0)}
     sides = MOTOR_SIDES
     confounders = (("link_inertia_error",),)
-    advice = "accelerations of the joint in postures that change the inertia it carries"
+    advice = "accelerations of the joint in postures with different link inertia"
     panels = ("acceleration",)
     group = "standard"
     needs = ("motion", "acceleration")
@@ -69,7 +69,7 @@ class TorqueOffset(AbstractTorqueEffect):
     reference = "Swevers, Verdonck and De Schutter, IEEE Control Systems 2007"
     parameters = {"offset": Parameter("N m")}
     confounders = (("joint_spring",), ("asymmetric_coulomb_friction",), ("base_tilt",), ("link_inertia_error",))
-    advice = "many postures approached from both sides, one of them without load"
+    advice = "many postures, each approached from both directions, one of them without gravity load"
     group = "standard"
     needs = ("reversals",)
     shows = ("level",)
@@ -103,7 +103,7 @@ class TorqueOffsetDrift(AbstractTorqueEffect):
     reference = "Albu-Schäffer, Haddadin, Ott, Stemmer, Wimböck and Hirzinger, Industrial Robot 2007"
     parameters = {"rate": Parameter("N m/s")}
     confounders = (("torque_offset",), ("thermal_friction_drift",), ("joint_spring",))
-    advice = "the same postures again after some minutes"
+    advice = "the same postures, repeated after some minutes"
     needs = ("minutes",)
     shows = ("time",)
 
@@ -136,7 +136,7 @@ class TorqueGainError(AbstractChannelEffect):
     parameters = {"gain": Parameter("-", 0.4, 2.5)}
     factor = "gain"
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
-    advice = "a known payload: it tells a gain from masses"
+    advice = "a known payload: it distinguishes a wrong gain from wrong masses"
     panels = ("nominal_torque",)
     needs = ("torque",)
     shows = ("load",)
@@ -175,7 +175,7 @@ class TorqueDelay(AbstractChannelEffect):
     parameters = {"delay": Parameter("s", 0.0, SLOWEST)}
     late_by = "delay"
     confounders = (("actuator_lag",), ("viscous_friction",))
-    advice = "fast motion: a delay grows with frequency as a line, a lag bends and damps"
+    advice = "fast motion: the phase of a delay is linear in frequency; that of a lag is not, and a lag also attenuates"
     panels = ("torque_rate", "time_shift")
     needs = ("torque",)
     shows = ("torque_slope",)
@@ -259,12 +259,12 @@ class TorqueSaturation(AbstractChannelEffect):
 
     name = "torque_saturation"
     title = "torque saturation"
-    meaning = "The drive gives no more than a limit, however much is commanded."
+    meaning = "The drive delivers at most a limit, even if more is commanded."
     invertible = False  # what was asked for beyond the limit, no model can know
     equation = "delivered = clip(logged, ±limit)"
     reference = "data sheets of drives"
     parameters = {"limit": Parameter("N m", 0.0)}
-    advice = "the measured torque or current beside the commanded one"
+    advice = "a log of the measured torque or current together with the commanded one"
     panels = ("clipping",)
     shows = ("load",)
 

@@ -58,7 +58,7 @@ class CoupledFriction(AbstractTorqueEffect):
     )
     nonlinear = ("ratio",)
     chosen = ("ratio",)
-    advice = "each of the two joints moved alone while the other is held, then both together, both ways"
+    advice = "each of the two joints moved alone while the other is held, then both together, in both directions"
     panels = ("velocity", "shared_velocity")
     shows = ("neighbours",)
     coupled = True

@@ -166,7 +166,7 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
     except KeyError as error:
         raise UsageError(f"{where} lacks {error}", advice="the file as invdyn diagnose wrote it") from error
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
-        got = f"{where} is no whole model ({error})"
+        got = f"{where} is not a complete model ({error})"
         raise UsageError(got, advice="the file as invdyn diagnose wrote it") from error
     return ExtendedModel(robot, tuple(acting), tuple(intervals), stored.get("filter", {}), stored.get("provenance", {}))
 

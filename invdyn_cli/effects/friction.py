@@ -41,7 +41,7 @@ class ViscousFriction(AbstractTorqueEffect):
         ("torque_delay",),
         ("stribeck_friction",),
     )
-    advice = "constant speeds in both directions, at least three of them"
+    advice = "at least three constant speeds in both directions"
     panels = ("velocity",)
     group = "standard"
     needs = ("motion", "speeds")
@@ -74,7 +74,7 @@ class CoulombFriction(AbstractTorqueEffect):
     reference = ARMSTRONG
     parameters = {"coulomb": Parameter("N m", 0.0)}
     confounders = (("stribeck_friction",), ("asymmetric_coulomb_friction",), ("load_dependent_friction",))
-    advice = "slow motion through many reversals, below 0.05 rad/s too"
+    advice = "slow motion with many reversals, also below 0.05 rad/s"
     jumps = True
     panels = ("velocity",)
     group = "standard"
@@ -109,7 +109,7 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
     parameters = {"positive": Parameter("N m", 0.0), "negative": Parameter("N m", 0.0)}
     confounders = (("coulomb_friction", "torque_offset"),)
     contains = ("coulomb_friction",)
-    advice = "the torque in a posture that needs none, with the joint at rest and free: an offset stays, friction goes"
+    advice = "the torque of the free joint at rest, in a posture that needs none: an offset remains, friction vanishes"
     panels = ("velocity",)
     jumps = True
     sum_of = {
@@ -180,7 +180,7 @@ class StribeckFriction(AbstractTorqueEffect):
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         level = parameters["coulomb"]
-        return SimulatorTerms({"friction": level}, lost=f"is held by its level at speed, {level:.3g}")
+        return SimulatorTerms({"friction": level}, lost=f"is represented by its level at high speed, {level:.3g}")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.qd.__array_namespace__()
@@ -224,7 +224,9 @@ class LoadDependentFriction(AbstractTorqueEffect):
     reference = "Gogoussis and Donath, ICRA 1988; Hamon, Gautier and Garrec, IROS 2010"
     parameters = {"mu": Parameter("-", 0.0, 1.0)}
     confounders = (("coulomb_friction",), ("torque_gain_error",))
-    advice = "the same slow motion both ways in postures of different load, or with and without a known payload"
+    advice = (
+        "the same slow motion in both directions, in postures with different load or with and without a known payload"
+    )
     jumps = True
     panels = ("velocity", "load")
     needs = ("motion", "load")
@@ -254,7 +256,7 @@ class QuadraticFriction(AbstractTorqueEffect):
     reference = "Waiboer, Aarts and Jonker, Multibody Dynamics 2005"
     parameters = {"drag": Parameter("N m s²/rad²", 0.0)}
     confounders = (("viscous_friction",), ("thermal_friction_drift",))
-    advice = "constant speeds up to the fastest the joint can do, both ways"
+    advice = "constant speeds up to the maximum of the joint, in both directions"
     panels = ("velocity",)
     needs = ("motion", "speeds", "curvature")
     shows = ("velocity",)
@@ -298,7 +300,7 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
     confounders = (("viscous_friction",), ("quadratic_friction",))
     contains = ("viscous_friction",)
     nonlinear = ("time_constant",)
-    advice = "the same trajectory cold and after 20 minutes of motion"
+    advice = "the same trajectory with a cold gear and after 20 minutes of motion"
     panels = ("velocity", "slope_over_time")
     needs = ("motion", "warming")
     shows = ("time",)
@@ -309,7 +311,9 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         warm = parameters["warm"]
-        return SimulatorTerms({"damping": warm}, lost=f"is held warm, damping {warm:.3g}, whatever the temperature")
+        return SimulatorTerms(
+            {"damping": warm}, lost=f"is represented by the damping of the warm gear, {warm:.3g}, at every temperature"
+        )
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         xp = state.t.__array_namespace__()
@@ -360,7 +364,9 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     confounders = (("coulomb_friction",), ("stribeck_friction",), ("backlash",))
     contains = ("coulomb_friction",)
     nonlinear = ("stiffness",)
-    advice = "small reversals of a few milliradians, slow and fast: bristles know the way since the last one, not speed"
+    advice = (
+        "reversals of a few milliradians, slow and fast: it depends on the distance since the reversal, not on speed"
+    )
     panels = ("loops_over_position",)
     needs = ("motion", "reversals", "creep")
     shows = ("reversals",)
@@ -370,7 +376,9 @@ class PreslidingHysteresis(AbstractTorqueEffect):
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         level = parameters["coulomb"]
-        return SimulatorTerms({"friction": level}, lost=f"is held as dry friction of {level:.3g}, without a memory")
+        return SimulatorTerms(
+            {"friction": level}, lost=f"is represented as dry friction of {level:.3g}, without memory"
+        )
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["coulomb"] * _bristle(state, self.shape_of(parameters)["length"])

@@ -43,7 +43,7 @@ class Backlash(AbstractGearEffect):
     reference = "Nordin and Gutman, Automatica 2002"
     parameters = {"gap": Parameter("rad", 1e-5, 0.1)}
     confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
-    advice = "the same slow motion with the load always pulling to one side, and through its zero; a link encoder"
+    advice = "the same slow motion with a load of constant sign and with a load that changes sign; or a link encoder"
     panels = ("loops_over_load",)
     needs = ("motion", "load_zeros")
     shows = ("load_zeros",)
@@ -81,7 +81,7 @@ class JointElasticity(AbstractGearEffect):
     reference = "Spong, ASME JDSMC 1987"
     parameters = {"stiffness": Parameter("N m/rad", 1.0)}
     confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
-    advice = "a chirp up to the resonance: phase of a delay grows as a line, that of a spring with its square"
+    advice = "a chirp up to the resonance: the phase of a delay is linear in frequency, that of a spring is quadratic"
     panels = ("loops_over_load",)
     needs = ("motion", "frequency")
     shows = ("torque_slope", "acceleration")

@@ -34,7 +34,7 @@ class Payload(AbstractBodyEffect):
     reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
     parameters = {"mass": Parameter("kg"), "com": Parameter("m"), "inertia": Parameter("kg m²")}
     confounders = (("link_inertia_error",), ("torque_gain_error",))
-    advice = "the same trajectory without the load, or the tool on a scale"
+    advice = "the same trajectory without the load, or the mass of the tool from a scale"
     panels = ("joints",)
     of_joint = False
     load = True
@@ -121,12 +121,14 @@ class BaseTilt(AbstractBodyEffect):
 
     name = "base_tilt"
     title = "base tilt"
-    meaning = "The base does not stand level."
+    meaning = "The base is not level."
     equation = "gravity = 9.81 (sin angle cos azimuth, sin angle sin azimuth, −cos angle)"
     reference = "Atkeson, An and Hollerbach, IJRR 1986"
     parameters = {"angle": Parameter("rad", 0.0, np.pi), "azimuth": Parameter("rad")}
     confounders = (("link_inertia_error",), ("encoder_offset",), ("torque_offset",))
-    advice = "a spirit level on the base; turning the first joint, whose torque a true vertical leaves at zero"
+    advice = (
+        "a spirit level on the base; or rotations of a vertical first joint: its gravity torque is zero without tilt"
+    )
     panels = ("joints",)
     of_joint = False
     turns_gravity = True
@@ -179,7 +181,7 @@ class EncoderOffset(AbstractMotionEffect):
     reference = "Hollerbach and Wampler, IJRR 1996"
     parameters = {"offset": Parameter("rad", -0.8, 0.8)}
     confounders = (("link_inertia_error",), ("base_tilt",), ("torque_offset",))
-    advice = "a calibration of the joint's zero by an outer measurement"
+    advice = "a calibration of the joint's zero by an external measurement"
     panels = ("position",)
     needs = ("range",)
     shows = ("angle",)

@@ -35,7 +35,7 @@ class PayloadChange(AbstractBodyEffect):
     of_joint = False
     load = True
     confounders = (("external_contact",), ("torque_gain_change",))
-    advice = "the load held through several postures, turned by the wrist: weight and centre of mass move as one body"
+    advice = "several postures with the load held and turned by the wrist: weight and centre of mass move as one body"
     panels = ("joints",)
     shows = ("time",)
 
@@ -95,7 +95,7 @@ class ExternalContact(AbstractForceEffect):
     scale = 300.0
     passing = True
     confounders = (("external_contact",), ("payload_change",), ("torque_gain_change",))
-    advice = "a force sensor or a camera at the contact; the contact held while the arm moves on"
+    advice = "a force sensor or a camera at the contact; or motion of the arm while the contact is held"
     panels = ("joints",)
     shows = ("time",)
 

@@ -37,7 +37,7 @@ class TorqueRipple(AbstractTorqueEffect):
     }
     confounders = (("joint_spring",),)
     nonlinear = ("cycles",)
-    advice = "a slow constant speed over a whole turn, logged fast enough"
+    advice = "a slow constant speed over a full revolution, at a high sampling rate"
     panels = ("angle", "angle_spectrum")
     scanned = tuple({"cycles": x} for x in (6.0, 12.0, 24.0, 48.0))
     needs = ("motion", "turn")
@@ -78,7 +78,7 @@ class JointSpring(AbstractTorqueEffect):
     parameters = {"stiffness": Parameter("N m/rad", 0.0), "rest": Parameter("rad")}
     confounders = (("link_inertia_error",), ("torque_offset",), ("base_tilt",), ("encoder_offset",))
     contains = ("torque_offset",)
-    advice = "postures over the joint's whole range: gravity bends as a sine, a spring does not"
+    advice = "postures over the joint's whole range: gravity torque follows a sine, a spring torque a line"
     panels = ("position",)
     needs = ("motion", "range")
     shows = ("angle",)

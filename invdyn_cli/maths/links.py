@@ -54,9 +54,9 @@ def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[st
     """That the data want links that no bodies are, with the RMS torque (n,) by which those that can be differ."""
     worst = int(np.argmax(change))
     return (
-        f"The data want links that no bodies are: the nearest that can be cost {cost:.3g} noise variances, chance at "
-        f"most {chance:.3g}, and {change[worst]:.2g} N m RMS on {joints[worst]}; friction, rotor inertia or an offset "
-        "that is not in the model may look like it."
+        f"The best-fit links are not physically consistent. The nearest consistent ones cost {cost:.3g} noise "
+        f"variances (by chance at most {chance:.3g}) and change the torque of {joints[worst]} by "
+        f"{change[worst]:.2g} N m RMS. Suspect friction, rotor inertia or an offset that is not in the model."
     )
 
 

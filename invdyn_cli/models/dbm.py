@@ -180,7 +180,7 @@ class Dbm(AbstractModel):
             details={"searches": found.searches, "rank": found.rank},
             warnings=()
             if found.sure
-            else ("No two searches came to the same chain: another may come farther (model.searches).",),
+            else ("No two searches found the same chain: more searches may find a better one (model.searches).",),
         )
 
     @property
@@ -270,5 +270,6 @@ def _refuse_sliding(dataset: Dataset) -> None:
     named = [joint for joint, slide in zip(dataset.joints, slides, strict=False) if slide]
     if named:
         raise UsageError(
-            f"model=dbm knows joints that turn, and {', '.join(named)} slides", advice="model=pest or model=ffnn"
+            f"model=dbm supports only revolute joints; prismatic: {', '.join(named)}",
+            advice="model=pest or model=ffnn",
         )

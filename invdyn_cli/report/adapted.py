@@ -15,9 +15,9 @@ def adaptation(record: RunRecord) -> Figure | None:
         return None
     data, run = record.predictions["test_adapted"].data, course(record)
     step = float(np.median(np.concatenate([np.diff(x.t) for x in data.trajectories])))
-    figure = titled_figure(record, f"errors of {BLOCK} samples, as it goes on learning", 3.6)
+    figure = titled_figure(record, f"errors of {BLOCK} samples during adaptation", 3.6)
     axes = figure.add_subplot()
-    for name, label, colour in (("test", "as it was learned", GREY), ("test_adapted", "adapted", RESIDUAL)):
+    for name, label, colour in (("test", "not adapted", GREY), ("test_adapted", "adapted", RESIDUAL)):
         at, errors = joined(run, run.errors[name])
         if not len(at):
             return None

@@ -12,8 +12,8 @@ from invdyn_cli.report.wording import units_of
 from invdyn_cli.types import Diagnosis
 
 REPLAY_CAPTION = (
-    "Every window begins with the measured positions and velocities; from there on the arm follows the logged torques, "
-    "and nothing pulls it back. The windows are of data that chose nothing."
+    "Every window begins with the measured positions and velocities. Then the arm moves under the logged torques "
+    "alone, without feedback. The windows are from held-out data."
 )
 OPEN = 4
 """Things that a file does not hold, above which their list is folded."""
@@ -34,21 +34,22 @@ def better_simulation(diagnosis: Diagnosis, drawn: Path | None, lacks: Mapping[s
     out += _held(diagnosis) if diagnosis.replay is not None else ""
     for name, sentences in lacks.items():
         out += f'<p><span class="name">{escape(name)}</span> '
-        out += "holds all that was found.</p>" if not sentences else "does not hold, or only nearly:</p>"
+        out += "does not contain, or only approximates:</p>" if sentences else "contains all effects found.</p>"
         listed = f"<ul>{''.join(f'<li>{escape(x)}</li>' for x in sentences)}</ul>" if sentences else ""
-        out += folded(f"{len(sentences)} things", listed) if len(sentences) > OPEN else listed
+        out += folded(f"{len(sentences)} items", listed) if len(sentences) > OPEN else listed
     mujoco = any(name.endswith(".xml") for name in lacks)
     return out + (folded("in MuJoCo", f"<pre>{escape(MUJOCO)}</pre>") if mujoco else "")
 
 
 def replay_line(diagnosis: Diagnosis) -> str:
-    """'Replayed in MuJoCo: left free for 0.2 s, the arm is off by 0.021 rad (nominal: 0.31), 93 % less.'"""
+    """'Unconstrained replay in MuJoCo, 0.2 s …: the extended arm deviates by 0.021 rad, the nominal by 0.31.'"""
     replay = diagnosis.replay
     unit = "; ".join(dict.fromkeys(angle_unit(diagnosis).values()))
     after, before = (significant(float(x.mean())) for x in (replay.after, replay.before))
     change = f"{abs(100 * replay.gain):.0f} % {'less' if replay.gain >= 0 else 'more'}"
-    free = f"left free for {replay.length:g} s under the logged torques, the extended arm is off by {after} {unit}"
-    return f"Replayed in MuJoCo: {free}, the nominal one by {before} {unit}: {change} (RMS, mean of the joints)."
+    free = f"Unconstrained replay in MuJoCo, {replay.length:g} s under the logged torques"
+    off = f"the extended arm deviates by {after} {unit}, the nominal arm by {before} {unit}: {change}"
+    return f"{free}: {off} (RMS, mean of the joints)."
 
 
 def _held(diagnosis: Diagnosis) -> str:
@@ -67,9 +68,18 @@ def _held(diagnosis: Diagnosis) -> str:
             )
         ]
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{escape(x)}</td>" for x in cells) + "</tr>"
-    heads = ("joint", "free, nominal", "extended", "held, nominal", "extended", "torque, nominal", "extended")
-    note = (
-        f"RMS. Held: for {replay.held:.0f} s, beside the logged torques, a weak spring and damper, the same for both "
-        "arms, pull each joint to the measured motion; torque: what they give. A right model needs nothing."
+    heads = (
+        "joint",
+        "unconstrained, nominal",
+        "extended",
+        "with spring, nominal",
+        "extended",
+        "spring torque, nominal",
+        "extended",
     )
-    return folded("joint by joint, and held", f'{table(heads, body, "")}<p class="note">{escape(note)}</p>')
+    note = (
+        f"RMS. With spring: for {replay.held:.0f} s, in addition to the logged torques, a weak spring and damper "
+        "pull each joint to the measured motion; they are the same for both arms. Spring torque: the torque of both, "
+        "which is zero for a correct model."
+    )
+    return folded("each joint, also with a spring", f'{table(heads, body, "")}<p class="note">{escape(note)}</p>')

@@ -54,7 +54,7 @@ def misfit_over_shift(axes: Axes, exhibit: Exhibit) -> None:
     misfit = np.sqrt(squares / max(1, count))
     axes.plot(1000 * shifts, misfit, color=MEASURED, lw=1.4)
     k = int(np.argmin(misfit))
-    axes.plot(1000 * shifts[k], misfit[k], "o", color=MEASURED, ms=6, label="least misfit")
+    axes.plot(1000 * shifts[k], misfit[k], "o", color=MEASURED, ms=6, label="smallest misfit")
     axes.axvline(0, color=INK, lw=0.8)
     axes.axvline(1000 * delay, color=PREDICTED, lw=2.2, alpha=0.35, zorder=0)
     axes.set_ylim(bottom=0)
@@ -74,7 +74,7 @@ def clipping(axes: Axes, exhibit: Exhibit) -> None:
         axes.axhline(side * limit, color=PREDICTED, lw=2, label=f"limit ±{limit:.4g} {exhibit.units[exhibit.column]}")
     axes.set_title("delivered over logged torque")
     name_axes(
-        axes, exhibit, f"logged torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]", y="torque it took"
+        axes, exhibit, f"logged torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]", y="delivered torque"
     )
 
 

@@ -70,7 +70,7 @@ def by_stages(jobs: Sequence[Job]) -> Grid:
     their range."""
     rows: list[tuple[str, ...]] = []
     for labels, several in merged(jobs):
-        for kind, shown in (("learned", "as learned"), ("adapted", "adapted")):
+        for kind, shown in (("learned", "not adapted"), ("adapted", "adapted")):
             names = list(dict.fromkeys(s for m in several for s in _errors(m, kind).get("stages", {})))
             for where, said in [
                 *((f".{name}", name) for name in names),

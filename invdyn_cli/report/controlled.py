@@ -15,7 +15,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from invdyn_cli.control import ADAPTED, ALONE, LEARNED, Case, ControlRecord
+from invdyn_cli.control import ADAPTED, ALONE, KIND_WORDS, LEARNED, Case, ControlRecord
 from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, WIDTH, add_legend, house_style, log_axis, plain, save
 from invdyn_cli.report.tables import significant
 
@@ -33,6 +33,10 @@ IN_TIMES, SEEN = 1.2, 1.0
 """Ratio of errors from which they are told in times, below it in per cent; [%] below which they are told as equal."""
 
 
+SAME = "the same"
+"""Of two errors that differ by less."""
+
+
 def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
     """The figure, in the formats that the paths end with."""
     with house_style():
@@ -44,7 +48,7 @@ def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
 def _figure(record: ControlRecord, named: str) -> Figure:
     """Tracking error and the feedback's share over the gain, without and with the object."""
     figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
-    title = f"{named}: tracking, and the feedback that it takes"
+    title = f"{named}: tracking error and feedback torque"
     figure.suptitle(plain(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     gains = sorted(record.sweep.gains)
@@ -59,13 +63,13 @@ def _figure(record: ControlRecord, named: str) -> Figure:
                     "lw": WIDTHS[kind],
                     "ms": 3 + 1.2 * WIDTHS[kind],
                 }
-                axes.plot(gains, said, label=kind, **look)
+                axes.plot(gains, said, label=KIND_WORDS[kind], **look)
             log_axis(axes)
         panels[0, column].set_title(OBJECT[loaded])
         panels[1, column].set_xlabel("gain Kp / standard deviation of the joint's torque [1/rad]")
         _gain_axis(panels[1, column], gains)
     panels[0, 0].set_ylabel("tracking error, RMS over joints [deg]")
-    panels[1, 0].set_ylabel("feedback's torque, share of the whole [%]")
+    panels[1, 0].set_ylabel("feedback torque, share of the total [%]")
     add_legend(figure, panels[0, 0])
     return figure
 
@@ -84,9 +88,9 @@ def table(record: ControlRecord) -> Table:
     table.add_column("object")
     table.add_column(Text("gain\n[1/rad]"), justify="right")
     for kind in record.kinds:
-        table.add_column(Text(f"{kind}\nerror [deg]"), justify="right")
+        table.add_column(Text(f"{KIND_WORDS[kind]}\nerror [deg]"), justify="right")
     for kind in record.kinds[1:]:
-        table.add_column(Text(f"{kind}\nfeedback [%]"), justify="right")
+        table.add_column(Text(f"{KIND_WORDS[kind]}\nfeedback [%]"), justify="right")
     for loaded in (False, True):
         for i, gain in enumerate(record.sweep.gains):
             errors = [significant(record.rms(gain, loaded, kind)) for kind in record.kinds]
@@ -105,27 +109,30 @@ def sentences(record: ControlRecord) -> list[str]:
         if not finite:
             continue
         gain = min(finite, key=lambda g: abs(math.log(finite[g] / POOR)))
-        told = f"{OBJECT[loaded].capitalize()}, gain {gain:g}: feedback alone errs by {significant(finite[gain])} deg"
+        told = f"{OBJECT[loaded].capitalize()}, gain {gain:g}: the error is {significant(finite[gain])} deg with "
+        told += "feedback alone"
         learned, *adapted = (record.rms(gain, loaded, kind) for kind in record.kinds[1:])
         if math.isfinite(learned):
-            told += f"; as learned it is {_times(finite[gain], learned)}"
+            told += f"; with the model it is {_times(finite[gain], learned)}"
         if adapted and math.isfinite(adapted[0]):
-            told += f"; adapted {_times(finite[gain], adapted[0])}"
+            told += f"; with the adapted model it is {_times(finite[gain], adapted[0])}"
             if math.isfinite(learned):
-                told += f", {_times(learned, adapted[0])} than as learned"
+                compared = _times(learned, adapted[0])
+                told += f", {compared} {'as' if compared == SAME else 'than'} without adaptation"
         out.append(f"{told}.")
     for case in record.cases:
         if case.failed:
-            out.append(f"{OBJECT[case.loaded].capitalize()}, gain {case.gain:g}, {case.kind}: {case.failed}.")
+            kind = KIND_WORDS[case.kind]
+            out.append(f"{OBJECT[case.loaded].capitalize()}, gain {case.gain:g}, {kind}: {case.failed}.")
     return out
 
 
 def _times(before: float, after: float) -> str:
-    times, where = (before / after, "closer") if before > after else (after / before, "farther off")
+    times, where = (before / after, "smaller") if before > after else (after / before, "larger")
     if times >= IN_TIMES:
         return f"{times:.1f} times {where}"
     change = 100 * abs(after / before - 1)
-    return f"{change:.0f} % {where}" if change >= SEEN else "no closer"
+    return f"{change:.0f} % {where}" if change >= SEEN else SAME
 
 
 def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:

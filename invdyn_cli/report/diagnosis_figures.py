@@ -129,7 +129,7 @@ def level(exhibit: Exhibit, *, bins: int = 150) -> Figure:
         whole.plot(t[some], y[rows][some], ".", color=SAMPLES, ms=2, mew=0, alpha=0.5, rasterized=True)
         parts = np.array_split(np.arange(len(t)), max(1, min(len(t), round(bins * len(t) / len(y)))))
         middle = [float(np.nanmedian(y[rows][x])) if np.isfinite(y[rows][x]).any() else np.nan for x in parts]
-        whole.plot([t[x].mean() for x in parts], middle, ".", color=MEASURED, ms=4, label="median of a while", zorder=3)
+        whole.plot([t[x].mean() for x in parts], middle, ".", color=MEASURED, ms=4, label="median over time", zorder=3)
         whole.plot(*thinned(t, term[rows]), color=PREDICTED, lw=1.8, label=laws.TERM, zorder=2)
         if start:
             whole.axvline(start, color=GREY, lw=1, ls=":")
@@ -189,7 +189,7 @@ def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
     headline = f"{place(finding)}: {headline_of(finding)}"
     meaning = text_of(finding).meaning
     if finding.status == "ambiguous":
-        meaning = f"This log cannot tell it from {' or '.join(shortened(rivals_of(finding))) or 'others'}."
+        meaning = f"This log cannot distinguish it from {' or '.join(shortened(rivals_of(finding))) or 'others'}."
     gain, joint = "", best_gain(finding.gain)
     if joint is not None:
         one, other = (significant(x) for x in (finding.gain[joint].rmse_before, finding.gain[joint].rmse_after))
@@ -217,7 +217,7 @@ def _stretch(axes: Axes, exhibit: Exhibit) -> None:
 
 def _two_curves(axes: Axes, t: np.ndarray, y: np.ndarray, term: np.ndarray, least: float = 0.0) -> None:
     axes.axhline(0, color=INK, lw=0.8)
-    axes.plot(*thinned(t, y), color=MEASURED, lw=1.0, label="left by the other effects")
+    axes.plot(*thinned(t, y), color=MEASURED, lw=1.0, label="residual without this effect")
     axes.plot(*thinned(t, term), color=PREDICTED, lw=1.8, alpha=0.9, label=laws.TERM)
     axes.margins(x=0.01)
     seen = np.concatenate([[0.0], y[np.isfinite(y)], term[np.isfinite(term)]])

@@ -40,17 +40,17 @@ from invdyn_cli.report.wording import (
 from invdyn_cli.report.wording import picture as picture_name
 from invdyn_cli.types import Diagnosis, Finding, Gain
 
-OVERLAY_CAPTION = "The held-out seconds in which the nominal model is most at fault."
-CAPTION = "Black: measured torque less what all other effects explain. Vermillion: the fitted term of this one."
+OVERLAY_CAPTION = "The held-out seconds in which the error of the nominal model is largest."
+CAPTION = "Black: measured torque minus the terms of all other effects. Vermillion: the fitted term of this effect."
 OVERVIEW_CAPTION = (
-    "Errors on data that chose nothing. A black line is the noise floor of repeated trajectories: no model can do "
-    "better. What a learner still finds in the rest has a cause that is not named here."
+    "Errors on held-out data. A black line is the noise floor of repeated trajectories: no model can be more accurate. "
+    "What a learner still predicts of the residual has a cause that is not named here."
 )
 COMMAND = """\
 invdyn run data=real_log data.path=log.h5 model=extended model.path=extended_model.json"""
 COMMAND_NOTE = """\
-Run in the folder of this report, with the path of a log of this robot. It brings the robot of the diagnosis; give \
-robot=… as there only if the log calls its joints otherwise."""
+Run this in the folder of this report, with the path of a log of this robot. The model file contains the robot. Set \
+robot=… as in the diagnosis only if the log has other joint names."""
 CHECK = """\
 invdyn check data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf"""
 PYTHON = """\
@@ -115,15 +115,15 @@ def page(
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
         ("What to do next", _to_do(diagnosis, record_next) if usable else ""),
         ("Causes", _causes(diagnosis)),
-        ("What every arm has", _standard(diagnosis)),
-        ("What is left", tests_section(diagnosis, drawn.get(RESIDUAL_TESTS))),
-        ("What is gained", picked + _errors(diagnosis)),
+        ("Standard terms", _standard(diagnosis)),
+        ("Residual", tests_section(diagnosis, drawn.get(RESIDUAL_TESTS))),
+        ("Improvement", picked + _errors(diagnosis)),
         ("The better simulation", better_simulation(diagnosis, drawn.get(REPLAY), lacks or {})),
         ("Using the extended model", _usage() if usable and (found or diagnosis.standard) else ""),
         ("The evidence", evidence),
-        ("What this log could not have shown", folded("effects that may be there or not", unseen) if unseen else ""),
+        ("What this log cannot show", folded("effects that may or may not be present", unseen) if unseen else ""),
         ("The log", (_checks(diagnosis) if usable else "") + _excitation(diagnosis)),
-        ("How it was done", folded("filter, rates, tries", pairs(diagnosis.details)) if diagnosis.details else ""),
+        ("Method", folded("filter, rates, trials", pairs(diagnosis.details)) if diagnosis.details else ""),
     ]
     return document(_title(diagnosis, robot_name), told + "".join(section(*x) for x in sections), PILLS + STYLE)
 
@@ -152,7 +152,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 
 def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
-    """What a user can do now: record what tells open causes apart, look where something is left, mend the log."""
+    """What a user can do now: record what distinguishes ambiguous causes, look at the residual, correct the log."""
     items = []
     if record_next:
         link = f'<a href="{escape(record_next)}">{escape(record_next)}</a>'
@@ -164,13 +164,13 @@ def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
     for x in failing(diagnosis):
         left.setdefault(x.joint, {}).update(dict.fromkeys(map(words, x.points_at)))
     for joint, names in left.items():
-        said = ", ".join(names) or "nothing else in the catalogue"
-        items.append(f"{escape(joint)}: something is left that is no noise (see below); {escape(said)} would look so.")
+        said = f"possible causes: {', '.join(names)}" if names else "no other effect in the catalogue looks like this"
+        items.append(f"{escape(joint)}: the residual is not noise (see below); {escape(said)}.")
     for check in diagnosis.examination.checks:
         if check.severity in ("warn", "fail") and check.advice:
             items.append(f"The log, {escape(check.check.replace('_', ' '))}: {escape(check.advice.rstrip('.'))}.")
     if not items:
-        return "<p>Nothing is open: use the extended model.</p>" if diagnosis.model is not None else ""
+        return "<p>There are no open questions: use the extended model.</p>" if diagnosis.model is not None else ""
     return f"<ul>{''.join(f'<li>{x}</li>' for x in items)}</ul>"
 
 
@@ -189,7 +189,7 @@ def _causes(diagnosis: Diagnosis) -> str:
             f"<td>{pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
         )
     if not body:
-        none = "None was found beyond what every arm has." if in_table(diagnosis) else "None was found."
+        none = "None was found beyond the standard terms." if in_table(diagnosis) else "None was found."
         return "" if diagnosis.verdict == "log_unusable" else f"<p>{none}</p>"
     unit = "; ".join(dict.fromkeys(units_of(diagnosis).values()))
     heads = (
@@ -198,7 +198,7 @@ def _causes(diagnosis: Diagnosis) -> str:
         "status",
         "estimate [95 %]",
         f"held-out RMSE falls by [{unit}]".replace("N m", f"N{NO_BREAK}m"),
-        "or else",
+        "alternatives",
     )
     return table(heads, body, "words causes")
 
@@ -224,11 +224,11 @@ def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[s
     out += f'<div class="side"><div>{_parameters(finding)}</div><div>{_gains(diagnosis, finding.gain)}</div></div>'
     if finding.alternatives:
         sets = "; or by ".join(f"<b>{escape(x)}</b>" for x in rivals_of(finding))
-        out += f'<p class="warning">On this log it could be replaced by {sets}, within the noise.</p>'
+        out += f'<p class="warning">On this log, it could be replaced by {sets}; the difference is within noise.</p>'
     if finding.advice:
-        out += f"<p><b>To be surer:</b> {escape(finding.advice)}</p>"
+        out += f"<p><b>To be more certain:</b> {escape(finding.advice)}</p>"
     out += _rejected(finding.rejected)
-    return out + (folded("numbers behind it", pairs(finding.evidence)) if finding.evidence else "")
+    return out + (folded("supporting numbers", pairs(finding.evidence)) if finding.evidence else "")
 
 
 def _parameters(finding: Finding) -> str:
@@ -236,7 +236,7 @@ def _parameters(finding: Finding) -> str:
     for name, quantity in finding.parameters.items():
         degrees = in_degrees(quantity)
         small = f"<small>{escape(degrees)}</small>" if degrees else ""
-        shown = "not to be known from this log" if quantity.value is None else quantity_text(quantity)
+        shown = "cannot be determined from this log" if quantity.value is None else quantity_text(quantity)
         body += f"<tr><td>{escape(name)}</td><td>{escape(shown)}{small}</td></tr>"
     return table(("parameter", "estimate [95 %]"), body, "") if body else ""
 
@@ -254,8 +254,8 @@ def _rejected(rejected: Sequence[tuple[str, str]]) -> str:
     if not rejected:
         return ""
     body = "".join(f'<tr><td class="whole">{escape(words(x))}</td><td>{escape(why)}</td></tr>' for x, why in rejected)
-    count = f"{len(rejected)} rival{'s' * (len(rejected) > 1)} tried to replace it and failed"
-    return folded(count, table(("rival", "why not"), body), shown=len(rejected) < FOLD_FROM)
+    count = f"{len(rejected)} alternative{'s' * (len(rejected) > 1)} tested and rejected"
+    return folded(count, table(("alternative", "reason"), body), shown=len(rejected) < FOLD_FROM)
 
 
 def _blind_spots(diagnosis: Diagnosis) -> str:
@@ -271,7 +271,7 @@ def _blind_spots(diagnosis: Diagnosis) -> str:
             f'<tr><td>{escape(capital(words(effect)))}<small class="name">{escape(effect)}</small></td>'
             f"<td>{escape(where)}</td><td>{pill(status, STATUS_WORDS)}</td><td>{escape(advice)}</td></tr>"
         )
-    note = '<p class="note">No claims: these effects may be there or not.</p>'
+    note = '<p class="note">No claims are made: these effects may or may not be present.</p>'
     return note + table(("effect", "joint", "why", "what would show it"), body) if body else ""
 
 
@@ -285,11 +285,11 @@ def _errors(diagnosis: Diagnosis) -> str:
         cells = "".join(f"<td>{significant(x)}</td>" for x in errors_of(diagnosis, joint))
         body += f"<tr><td>{escape(joint)}</td>{cells}"
         body += f"<td>{bar}{'-' if share != share else f'{100 * share:.0f} %'}</td></tr>"
-    heads = ("joint", *ERROR_HEADS[:-1], "still unexplained")
+    heads = ("joint", *ERROR_HEADS[:-1], "unexplained")
     note = f"On held-out data; RMSE in {'; '.join(dict.fromkeys(units.values()))}. "
-    note += "Friction line: offset, Coulomb and viscous friction by least squares, the links as in the URDF. "
-    note += "Still unexplained: the share of the rest that a learner predicts. "
-    note += "" if floor else "No trajectory was repeated, so that there is no noise floor."
+    note += "Friction line: offset, Coulomb and viscous friction by least squares, with the links as in the URDF. "
+    note += "Unexplained: the share of the residual that a learner predicts. "
+    note += "" if floor else "No trajectory was repeated, so there is no noise floor."
     return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
 
 
@@ -304,11 +304,11 @@ def _standard(diagnosis: Diagnosis) -> str:
         cells = [_term(x, numbers.get((x.get("effect"), joint))) if x else "-" for x in map(terms.get, heads)]
         cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
-    how = {"left out": "learned by leaving motions out", "evidence": "learned from the evidence of one motion"}
+    how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
     note = (
-        "What every arm has beside its URDF, in the extended model whether it is a cause that is named (bold) or not. "
-        "Links: RMS torque of the change of the links' inertial parameters, which the URDF has right to about "
-        f"{100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+        "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
+        "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
+        f"correct in the URDF to about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
     )
     return table(("joint", *heads, "links"), body, "") + f'<p class="note">{escape(note)}</p>'
 
@@ -327,8 +327,8 @@ def _checks(diagnosis: Diagnosis) -> str:
     fine = len({x.check for x in diagnosis.examination.checks if x.severity == "ok"})
     skipped = skipped_reasons(diagnosis.examination.checks)
     why = "; ".join(f"{', '.join(names)} ({said})" for said, names in skipped.items())
-    count = f'<p class="note">{fine} check{"s" * (fine != 1)} found nothing to object to.</p>' if fine else ""
-    count += f'<p class="note">Not looked at: {escape(why)}.</p>' if why else ""
+    count = f'<p class="note">{fine} check{"s" * (fine != 1)} passed.</p>' if fine else ""
+    count += f'<p class="note">Skipped: {escape(why)}.</p>' if why else ""
     return check_table(told) + count
 
 
@@ -353,7 +353,7 @@ def _cell(value: Any) -> str:
 
 
 def _next_step() -> str:
-    said = "Nothing is said of the robot before its log is sane. Mend what fails, look again, then diagnose:"
+    said = "The robot is not diagnosed before its log passes. Correct what fails, check again, then diagnose:"
     return f"<p>{said}</p><pre>{escape(CHECK)}</pre>"
 
 

@@ -55,7 +55,7 @@ def finding_table(diagnosis: Diagnosis) -> Table:
             Text(gain + where),
         )
     if not table.row_count:
-        table.add_row("none beyond what every arm has" if in_table(diagnosis) else "none")
+        table.add_row("none beyond the standard terms" if in_table(diagnosis) else "none")
     return table
 
 
@@ -66,7 +66,7 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     if not heads:
         return None
     share = 100 * diagnosis.standard["inertials"]["share"]
-    said = f"What every arm has; bold: a cause by itself. Links are as the URDF says within some {share:.2g} %."
+    said = f"Standard terms of every arm; bold: also named as a cause. Links: as the URDF within about {share:.2g} %."
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)
     units = {name: dict.fromkeys(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
@@ -84,7 +84,7 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
 
 
 def unseen_line(diagnosis: Diagnosis) -> str:
-    """'Not to be seen in this log: Stribeck friction (joint3, joint4), …', nothing where nothing was hidden."""
+    """'This log cannot show: Stribeck friction (joint3, joint4), …', nothing where nothing was hidden."""
     hidden: dict[str, list[str]] = {}
     for x in diagnosis.findings:
         if x.status in ("not_excited", "not_observable"):
@@ -94,7 +94,7 @@ def unseen_line(diagnosis: Diagnosis) -> str:
         f"{words(effect)} ({'all joints' if len(every) > 1 and set(places) >= set(every) else ', '.join(places)})"
         for effect, places in hidden.items()
     ]
-    return f"Not to be seen in this log: {'; '.join(said)}." if said else ""
+    return f"This log cannot show: {'; '.join(said)}." if said else ""
 
 
 ERROR_HEADS = (
@@ -117,7 +117,7 @@ def error_table(diagnosis: Diagnosis) -> Table:
         others.setdefault(unit, []).append(joint)
     usual = next(iter(others)) if len(others) == 1 else "N m"
     said = usual + "".join(f" ({u} for {', '.join(joints)})" for u, joints in others.items() if u != usual)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held out; RMSE in {said}.", style="dim"))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held-out data; RMSE in {said}.", style="dim"))
     table.add_column("joint", overflow="fold", max_width=24)
     for head in (*ERROR_HEADS[:-2], ERROR_HEADS[-1]):  # 80 characters hold all but the NMSE
         table.add_column(Text(head.replace(" ", "\n")), justify="right", no_wrap=True)

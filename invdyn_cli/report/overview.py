@@ -20,7 +20,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     joints, signals = joints_of(diagnosis), as_numpy(diagnosis.signals)
     figure = Figure(figsize=(WIDTH, 6.2), layout="constrained")
     figure.suptitle(
-        "What the extended model gains, on held-out data", x=0.01, ha="left", fontsize=11, fontweight="bold"
+        "Improvement by the extended model, on held-out data", x=0.01, ha="left", fontsize=11, fontweight="bold"
     )
     grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1), height_ratios=(1.35, 1))
     bars, shares, time = (figure.add_subplot(grid[k]) for k in ((0, 0), (0, 1), (1, slice(None))))
@@ -31,7 +31,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.barh(where, np.nan_to_num(share), 0.62, color=ORANGE)
     for x, value in zip(where, share, strict=True):
         shares.annotate(
-            f"{value:.0f} %" if np.isfinite(value) else "not measured",
+            f"{value:.0f} %" if np.isfinite(value) else "not assessed",
             (np.nan_to_num(value), x),
             xytext=(4, 0),
             textcoords="offset points",
@@ -42,8 +42,8 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.set_xlim(0, 112)
     shares.set_xticks([0, 25, 50, 75, 100])
     shares.grid(False, axis="y")
-    shares.set_xlabel("[%] of what is left")
-    shares.set_title("still unexplained: what a learner finds in it")
+    shares.set_xlabel("[%] of the residual")
+    shares.set_title("unexplained: share that a learner predicts")
     bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
     unit = units_of(diagnosis)[joints[worst]]
@@ -54,7 +54,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     time.plot(*thinned(t, before), color=BEFORE, lw=1.6, label="nominal model")
     time.plot(*thinned(t, after), color=AFTER, lw=1.2, label="extended model")
     time.margins(x=0.01)
-    time.set_title(f"what is left of {plain(joints[worst])}, the joint with the largest error")
+    time.set_title(f"residual of {plain(joints[worst])}, the joint with the largest error")
     time.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
     time.set_ylabel(f"residual [{unit}]")
     add_legend(figure, bars)

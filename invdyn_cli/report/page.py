@@ -26,29 +26,30 @@ from invdyn_cli.types import RunRecord
 
 CAPTIONS = {
     "torques": (
-        "Measured and predicted torque at the beginning of the test set, the residual below. A residual that steps "
-        "when a joint reverses points to friction; one that follows the slope of the torque to a delay; one that stays "
-        "for a while to a load."
+        "Measured and predicted torque at the beginning of the test set, with the residual below. A residual that "
+        "steps when a joint reverses indicates friction; one that follows the slope of the torque indicates a delay; "
+        "one that is constant for some time indicates a load."
     ),
     "errors": (
-        "Errors per joint of every scored set. Bars of test well above those of train: the model has not learned what "
-        "the test set asks for. A high NMSE with a low RMSE: a joint that has little torque to explain."
+        "Errors per joint of every scored set. If the test bars are well above the train bars, the model does not "
+        "generalise to the test set. A high NMSE with a low RMSE means that the joint has little torque to explain."
     ),
     "loss": (
-        "Loss over epochs, the band spans the members. Validation that rises while train falls is overfitting; curves "
-        "that still fall at the end ask for more epochs."
+        "Loss over epochs; the band spans the members. If the validation loss rises while the train loss falls, the "
+        "model overfits. If the curves still fall at the end, more epochs would help."
     ),
     "adaptation": (
         "Errors of every hundred samples along a repetition: median and range over all of them. Where the grey line "
-        "rises and the blue one does not, adapting pays; where the blue one rises as the grey one falls, it forgets."
+        "rises and the blue one does not, adaptation helps. Where the blue line rises and the grey one falls, the "
+        "adapted model forgets."
     ),
     "residual_velocity": (
-        "Residual over the joint's own velocity, test set. A step at zero is Coulomb friction, a slope viscous "
-        "friction, a hump near zero Stribeck friction; a flat line off zero is a torque offset."
+        "Residual over the joint's own velocity, test set. A step at zero indicates Coulomb friction, a slope viscous "
+        "friction, and a peak near zero Stribeck friction. A horizontal line that is not at zero is a torque offset."
     ),
     "singular_values": (
-        "Singular values of the regressor. A clear gap at the threshold means that the rank is well decided; values "
-        "close to it are directions that this motion barely excites."
+        "Singular values of the regressor. A clear gap at the threshold means that the rank is clear; values close "
+        "to it belong to directions that this motion hardly excites."
     ),
 }
 
@@ -91,13 +92,13 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
 def summary(record: RunRecord) -> str:
     """Two sentences: how large the test error is and where it is worst; how it compares with the training error."""
     if "test" not in record.scores:
-        return "This run was not judged on a test set."
+        return "This run was not evaluated on a test set."
     score = record.scores["test"]
     mean = score.mean("nmse")
     if not np.isfinite(score.rmse).all():
-        return "Predictions on the test set are not finite, so that an NMSE cannot be given."
+        return "Predictions on the test set are not finite, so no NMSE can be given."
     if math.isnan(mean):
-        return "No joint's torque changes in the test set, so that an NMSE cannot be given."
+        return "No joint's torque changes in the test set, so no NMSE can be given."
     worst = int(np.nanargmax(score.nmse))
     where = f"{score.joints[worst]} (NMSE {significant(score.nmse[worst])}, "
     where += f"RMSE {significant(score.rmse[worst])} {units(record)[worst]})"
@@ -108,13 +109,13 @@ def summary(record: RunRecord) -> str:
     if math.isnan(train):
         return f"{first} There is no training error to compare it with."
     if max(train, mean) < EXACT:
-        return f"{first} The training error ({significant(train)}) is one of rounding too: the model is exact here."
+        return f"{first} The training error ({significant(train)}) is a rounding error, too: the model is exact here."
     ratio = mean / train if train > 0 else math.inf
     if ratio >= APART:
         times = f"{significant(ratio)} times the training error ({significant(train)})"
-        return f"{first} That is {times}: it has not learned all that the test set asks for."
+        return f"{first} That is {times}: the model does not fully generalise to the test set."
     if ratio <= 1 / APART:
-        return f"{first} That is less than the training error ({significant(train)}): the test set is the easier one."
+        return f"{first} That is less than the training error ({significant(train)}): the test set is easier."
     return f"{first} The training error is about the same ({significant(train)})."
 
 
@@ -163,7 +164,7 @@ def _loads(record: RunRecord) -> str:
     rows = load_rows(record)
     head = "".join(f"<th>{escape(x)}</th>" for x in LOAD_HEADS)
     body = "".join(f"<tr>{''.join(f'<td>{escape(x)}</td>' for x in row)}</tr>" for row in rows)
-    note = "What was believed in along the test set, as it was when nothing spoke against it yet, ± its standard error."
+    note = "Loads that the adaptation estimated during the test set, before a release showed, ± standard error."
     return f'<div class="wide"><table>{head}{body}</table></div><p class="note">{note}</p>' if rows else ""
 
 

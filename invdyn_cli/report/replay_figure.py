@@ -20,7 +20,11 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
     replay = diagnosis.replay
     figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
     figure.suptitle(
-        f"Left free for {replay.length:g} s under the logged torques", x=0.01, ha="left", fontsize=11, fontweight="bold"
+        f"Unconstrained replay, {replay.length:g} s under the logged torques",
+        x=0.01,
+        ha="left",
+        fontsize=11,
+        fontweight="bold",
     )
     columns = max(1, len(replay.traces))
     grid = figure.add_gridspec(2, columns, height_ratios=(1.1, 1))

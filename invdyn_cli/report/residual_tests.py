@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from invdyn_cli.diagnosis.decide.wording import test_words
 from invdyn_cli.report.canvas import INK, RESIDUAL, WIDTH, plain
 from invdyn_cli.report.html import picture, table
 from invdyn_cli.report.tables import significant
@@ -20,11 +21,11 @@ SHOWN = 9
 """Tests that are drawn, the largest torques."""
 
 NOTE = (
-    "RMS torque in what the extended model leaves that goes with each of these; bold where noise would show as much "
-    "once in a hundred logs at most and it is worth more than 0.2 % of the joint's torque. A test in bold forbids "
-    "“explained”, unless it is small beside what was found."
+    "RMS torque of the part of the residual that each quantity explains. Bold: the test failed, because noise reaches "
+    "this value in at most one of a hundred logs, and the value is more than 0.2 % of the joint's torque. A failed "
+    "test rules out the verdict “explained”, unless its torque is small compared with the effects that were found."
 )
-CAPTION = "Mean of what is left over what it goes with, with two standard errors (autocorrelation counted)."
+CAPTION = "Mean residual over the quantity of each failed test, with two standard errors (autocorrelation included)."
 
 
 def failing(diagnosis: Diagnosis) -> list[ResidualTest]:
@@ -41,17 +42,17 @@ def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
         own = {x.against: x for x in diagnosis.tests if x.joint == joint}
         cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in heads)
         body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
-    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *map(words, heads)), body, "tests")
+    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *map(test_words, heads)), body, "tests")
     out += f'<p class="note">{escape(NOTE)}</p>'
     rows = "".join(
-        f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(words(x.against))}</td>'
-        f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of what is left</td>"
+        f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(test_words(x.against))}</td>'
+        f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of the residual</td>"
         f"<td>{escape(', '.join(map(words, x.points_at)) or '-')}</td></tr>"
         for x in failing(diagnosis)
     )
     if not rows:
         return out + "<p>All tests passed.</p>"
-    out += table(("joint", "what is left goes with", "how much", "looks so where it is missing"), rows)
+    out += table(("joint", "failed test", "torque", "possible causes"), rows)
     return out + (picture(drawn, CAPTION) if drawn else "")
 
 
@@ -67,15 +68,15 @@ def tests_figure(diagnosis: Diagnosis) -> Figure:
     columns = min(3, len(shown))
     rows, units = math.ceil(len(shown) / columns), units_of(diagnosis)
     figure = Figure(figsize=(WIDTH, 2.3 * rows + 0.7), layout="constrained")
-    figure.suptitle("What is left is no noise: it goes with", x=0.01, ha="left", fontsize=11, fontweight="bold")
+    figure.suptitle("The residual is not noise: failed tests", x=0.01, ha="left", fontsize=11, fontweight="bold")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, x in zip(panels, shown, strict=False):
         over, mean, error = np.asarray(x.curve)
         axes.axhline(0, color=INK, lw=0.8)
         axes.errorbar(over, mean, 2 * error, color=RESIDUAL, marker="o", ms=3, lw=1.2, elinewidth=0.8)
-        axes.set_title(plain(f"{x.joint}: {words(x.against)}"))
+        axes.set_title(plain(f"{x.joint}: {test_words(x.against)}"))
         axes.set_xlabel(plain(x.quantity))
-        axes.set_ylabel(f"left [{units.get(x.joint, 'N m')}]")
+        axes.set_ylabel(f"residual [{units.get(x.joint, 'N m')}]")
     for axes in panels[len(shown) :]:
         axes.remove()
     return figure

@@ -122,7 +122,7 @@ def score_table(record: RunRecord, *, most: int = 3) -> Table:
     return table
 
 
-LOAD_HEADS = ("recording", "came [s]", "went [s]", "mass [kg]", "centre of mass [m], last joint's frame")
+LOAD_HEADS = ("recording", "picked up [s]", "released [s]", "mass [kg]", "centre of mass [m], last joint's frame")
 
 
 def load_rows(record: RunRecord) -> list[tuple[str, ...]]:

@@ -100,7 +100,7 @@ def _put(made: _Numbers, part: Part, i: int) -> None:
     """Put an effect into the numbers, and a sentence for what is not held of it, in place."""
     terms, lost = part.terms, [part.terms.lost]
     if terms.joint.get("lag") and made.joint["lag"][i]:
-        lost.append("is held with another one in series as one lag of the sum of their time constants")
+        lost.append("is combined with another one in series into one lag with the sum of their time constants")
     for name, value in terms.joint.items():
         row = made.joint[name]
         row[i] = row[i] * value if name == "gain" else min(row[i], value) if name == "limit" else row[i] + value
@@ -119,7 +119,9 @@ def _mend(made: _Numbers) -> None:
         row = realisable(made.inertial[i])
         if not np.allclose(row, made.inertial[i], rtol=1e-9, atol=0):
             row[[4, 6, 9]] += 1e-9 * row[4:].max()  # the compiler refuses what lies on the edge
-            made.said.append(f"{name}: its inertials are not of a real body; the nearest ones of one are written")
+            made.said.append(
+                f"{name}: its inertials are not physically consistent; the nearest consistent ones are written"
+            )
             made.inertial[i] = row
     arm = build(made.robot, inertial=made.inertial, armature=made.joint["armature"])
     made.said += arm.notes

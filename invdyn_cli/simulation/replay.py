@@ -157,7 +157,7 @@ def replay(
         where += [(stretch, int(row)) for row in starts]
         for name, text in (("before", before), ("after", after)):
             found[name] += list(free(text, stretch, starts, length))
-        progress(0.7 * (k + 1) / len(stretches), "free for a moment")
+        progress(0.7 * (k + 1) / len(stretches), "unconstrained replay")
     off = {name: np.concatenate([x[1:] for x in parts]) for name, parts in found.items()}
     ends = {name: np.array([x[-1] for x in parts]) for name, parts in found.items()}
     used = list(_shortened(stretches, longest))

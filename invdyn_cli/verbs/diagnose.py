@@ -108,8 +108,10 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
         console.note(f"data: {note}")
     show(diagnosis, console)
     if design is not None:
-        said = f"What stays ambiguous, {next_motion.FILE} would settle: {design.t[-1]:.3g} s to play and to log."
-        console.print(said)
+        console.print(
+            f"Some causes remain ambiguous. To distinguish them, play and log {next_motion.FILE} "
+            f"({design.t[-1]:.3g} s), then diagnose both logs together."
+        )
     console.whole(check.relative(folder))
     return diagnosis
 

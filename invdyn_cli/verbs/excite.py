@@ -90,9 +90,9 @@ def questions_of(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ...
     if config.diagnosis is not None:
         return _of_diagnosis(config, robot)
     if config.finding is not None:
-        raise UsageError(f"finding={config.finding} of no diagnosis", advice="diagnosis=FOLDER/diagnosis.json")
+        raise UsageError(f"finding={config.finding} without a diagnosis", advice="diagnosis=FOLDER/diagnosis.json")
     if len(effects) < 2:
-        got = f"effects: {len(effects)} to tell apart; allowed: two or more"
+        got = f"effects: {len(effects)} to distinguish; allowed: two or more"
         raise UsageError(got, advice="'effects=[{effect: viscous_friction, joint: …}, {effect: torque_delay, …}]'")
     made = [_cause(x, robot, "effects") for x in effects]
     sides = tuple((x,) for x in made if isinstance(x, Cause))
@@ -113,7 +113,7 @@ def _of_diagnosis(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ..
     if not asked:
         told = [f"{k + 1} {f.effect} ({f.status})" for k, f in enumerate(findings)]
         raise UsageError(
-            f"{config.diagnosis}: nothing to tell apart among {listed(told)}; allowed: an ambiguous finding"
+            f"{config.diagnosis}: nothing to distinguish among {listed(told)}; allowed: an ambiguous finding"
         )
     return [x.sides for x in asked if x.playable], [line for x in asked for line in (*x.said, *x.notes)]
 
@@ -209,11 +209,11 @@ def as_dict(made: Design) -> dict[str, Any]:
 
 def shown(made: Design) -> Table:
     """A row for every pair."""
-    title = f"{made.robot.name}, {made.t[-1]:.4g} s; {APART:g} standard errors or more tell two causes apart"
-    table = Table("if this is true", "and this is thought", title=title, title_justify="left")
+    title = f"{made.robot.name}, {made.t[-1]:.4g} s; two causes are distinguishable from {APART:g} standard errors"
+    table = Table("true cause", "assumed cause", title=title, title_justify="left")
     table.add_column("distance [standard errors]", justify="right")
     for p in made.pairs:
-        distance = f"{p.distance:.3g}" if p.possible else "no motion tells"
+        distance = f"{p.distance:.3g}" if p.possible else "not distinguishable"
         table.add_row(*(_said(side, made.robot) for side in (p.true, p.rival)), distance)
     return table
 
@@ -222,11 +222,11 @@ def advice(made: Design) -> list[str]:
     """A line for every two that no motion tells apart, or not this one."""
     lines = []
     for p in made.pairs:
-        what = f"{words(p.true)} taken for {words(p.rival)}"
+        what = f"{words(p.true)} (true) and {words(p.rival)} (assumed)"
         if not p.possible:
-            lines.append(f"{what}: no motion tells. What would: {_else(p)}")
+            lines.append(f"{what}: no motion distinguishes them. Try: {_else(p)}")
         elif not p.apart:
-            lines.append(f"{what}: {p.distance:.2g} standard errors are few. Try: a longer duration")
+            lines.append(f"{what}: {p.distance:.2g} standard errors are too few. Try: a longer duration")
     return lines
 
 

@@ -58,7 +58,7 @@ class Recorded:
 
     def material(self, robot: Robot, progress: Progress) -> Material:
         """Columns in the robot's order; the reference parted from the rest."""
-        notes = [f"data.{name} plays no part in a diagnosis" for name in _set_in_vain(self.source)]
+        notes = [f"data.{name} is ignored in a diagnosis" for name in _set_in_vain(self.source)]
         log = raw.merged(self.logs, robot, notes, currents=True)
         reference = raw.merged(self.earlier, robot, [], currents=True) if self.earlier else None
         blocks = self.asked.get("reference")
@@ -68,7 +68,9 @@ class Recorded:
             kept |= {x.name for x in log.trajectories} - {block.key for block in blocks}
             log = replace(log, trajectories=tuple(x for x in log.trajectories if x.name in kept))
             if not log.trajectories:
-                raise UsageError("data.reference names all trajectories", advice="some to find what has changed in")
+                raise UsageError(
+                    "data.reference names all trajectories", advice="leave some trajectories for the diagnosis"
+                )
         return Material(log, reference, windows(self.asked, log, self.source.train_share), tuple(notes))
 
 

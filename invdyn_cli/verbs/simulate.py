@@ -52,7 +52,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Log:
     for note in dict.fromkeys(raw.notes for raw in log.trajectories if raw.notes):
         console.warn(note)
     if untold := [f"robot.{name}" for name in UNTOLD if config.robot.get(name) is not None]:
-        said = f"{URDF} does not know of {', '.join(untold)}: say so again where the log is read"
+        said = f"{URDF} does not contain {', '.join(untold)}: set the same options again when you read the log"
         console.warn(said)
     console.whole(_shown(folder))
     return log

@@ -290,9 +290,9 @@ def test_a_short_trajectory_is_left_out_of_the_default_split_and_noted(log):
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({"train": ["run[0:5"]}, UsageError, [r"data.train: 'run\[0:5' is no selection", "name.t0:t1."]),
-        ({"test": ["run[5]"]}, UsageError, [r"data.test: 'run\[5\]' is no selection"]),
-        ({"train": ["run[a:b]"]}, UsageError, ["no selection"]),
+        ({"train": ["run[0:5"]}, UsageError, [r"data.train: 'run\[0:5' is not a selection", "name.t0:t1."]),
+        ({"test": ["run[5]"]}, UsageError, [r"data.test: 'run\[5\]' is not a selection"]),
+        ({"train": ["run[a:b]"]}, UsageError, ["not a selection"]),
         ({"train": ["run[5:2]"]}, UsageError, [r"'run\[5:2\]' is empty", "t0 < t1"]),
         ({"train": ["run[20:]"], "test": ["x"]}, LogError, [r"no samples in run\[20:\]", "from 0 s to 9.99 s"]),
         ({"train": ["rum"]}, LogError, ["data.train: no trajectory 'rum', did you mean 'run'", "run, x"]),

@@ -85,7 +85,9 @@ def test_a_finding_that_no_motion_settles_says_so(arm):
     """There is nothing to record, and the advice is what else would tell."""
     advised, made = after(diagnosis(arm, SAME), arm, duration=8.0)
     assert made is None
-    assert "no motion tells" in advised.findings[0].advice and "a posture without torque" in advised.findings[0].advice
+    assert (
+        "no motion separates" in advised.findings[0].advice and "a posture without torque" in advised.findings[0].advice
+    )
 
 
 def test_nothing_open_nothing_done(arm):
@@ -100,7 +102,7 @@ def test_what_comes_and_goes_is_left_to_its_advice(arm):
     advised, made = after(diagnosis(arm, PASSING), arm, duration=8.0)
     assert made is None
     said = advised.findings[0].advice
-    assert "no motion makes it come again" in said and said.count(EFFECTS["payload_change"].advice) == 1
+    assert "no motion reproduces it" in said and said.count(EFFECTS["payload_change"].advice) == 1
 
 
 @pytest.mark.parametrize("name", ["made_up", "external_contact"])
@@ -152,4 +154,4 @@ def test_a_bare_arm_gets_a_motion(arm, monkeypatch, lacks):
     with np.errstate(all="raise", under="ignore"):
         advised, made = after(diagnosis(arm, one), replace(arm, **bare), duration=8.0)
     assert made is not None and np.isfinite([p.distance for p in made.pairs]).all()
-    assert ("nothing pulls" in advised.findings[0].advice) == (lacks == "gravity")
+    assert ("no gravity acts on" in advised.findings[0].advice) == (lacks == "gravity")

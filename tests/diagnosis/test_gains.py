@@ -79,7 +79,7 @@ def test_without_gravity_and_inertia_only_ratios_are_known():
     told = diagnosis.model.provenance["drive_gains"]
     assert [x["known"] for x in told.values()] == [False, True, True]
     np.testing.assert_allclose([x["value"] for x in told.values()][1:], gain[1:], rtol=0.05)
-    assert sum(f"of {first} gravity and inertia do not show, so only ratios" in x for x in diagnosis.notes) == 1
+    assert sum(f"Gravity and inertia hardly act on {first}: only ratios" in x for x in diagnosis.notes) == 1
     assert diagnosis.details["torque_in_A"] == [first]
     size = diagnosis.standard[first]["coulomb"]
     assert size["unit"] == "A" and diagnosis.standard[first]["viscous"]["unit"] == "A s/rad"

@@ -131,8 +131,8 @@ def test_other_joints_are_refused(path, data):
 
 
 BROKEN = {
-    "no file": (None, "is not there"),
-    "no JSON": ("{", "is no JSON"),
+    "no file": (None, "does not exist"),
+    "no JSON": ("{", "is not JSON"),
     "a list": ("[]", "schema is 'list'"),
     "another file": (json.dumps({"schema": "invdyn-metrics/1"}), "allowed: invdyn-model/1"),
     "half a model": (json.dumps({"schema": "invdyn-model/1"}), "lacks"),

@@ -96,7 +96,7 @@ def test_what_diverged_is_drawn_as_far_as_it_goes(record, rows, tmp_path):
     figure = adaptation(made)
     figure.savefig(tmp_path / "adaptation.png")
     lines = {str(line.get_label()): np.asarray(line.get_ydata()) for line in figure.axes[0].lines}
-    assert np.isfinite(lines["as it was learned"]).all() and not np.isfinite(lines["adapted"]).all()
+    assert np.isfinite(lines["not adapted"]).all() and not np.isfinite(lines["adapted"]).all()
 
 
 def test_the_figure_shows_both_and_the_stages(record):
@@ -106,6 +106,6 @@ def test_the_figure_shows_both_and_the_stages(record):
     assert figure is not None
     (axes,) = figure.axes
     lines = {str(line.get_label()): line for line in axes.lines}
-    assert len(lines["adapted"].get_xdata()) == len(lines["as it was learned"].get_xdata()) == 400 // BLOCK
+    assert len(lines["adapted"].get_xdata()) == len(lines["not adapted"].get_xdata()) == 400 // BLOCK
     assert {text.get_text() for text in axes.texts} == {"still", "moving"}
     assert adaptation(make_record(2)) is None

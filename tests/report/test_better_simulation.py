@@ -39,14 +39,14 @@ def replayed(before: float = 0.4, after: float = 0.02) -> Diagnosis:
 
 def test_the_line_has_the_numbers():
     """Both errors in rad, and by how much the one is less than the other, or more."""
-    assert "off by 0.0200 rad, the nominal one by 0.400 rad: 95 % less" in replay_line(replayed())
+    assert "deviates by 0.0200 rad, the nominal arm by 0.400 rad: 95 % less" in replay_line(replayed())
     assert "50 % more" in replay_line(replayed(0.4, 0.6))
 
 
 def test_the_section_tells_what_the_files_lack():
     """Sentences stand under the file they are of, a file that lacks nothing says so, and names are escaped."""
     html = better_simulation(replayed(), None, {"a.urdf": ("<b>: left out",), "a.mjcf.xml": ()})
-    assert "<li>&lt;b&gt;: left out</li>" in html and "holds all that was found" in html
+    assert "<li>&lt;b&gt;: left out</li>" in html and "contains all effects found" in html
     assert html.count("<li>") == 1 and MUJOCO.splitlines()[0] in html
     assert "12 s" in html and "2.00 N m" in html
 

@@ -134,13 +134,13 @@ def test_what_never_comes_never_holds():
 
 
 def test_a_row_per_method_and_stage():
-    """Seeds share a row, with their median and range; as learned and adapted stand below each other."""
+    """Seeds share a row, with their median and range; not adapted and adapted stand below each other."""
     grid = comparison.by_stages(FOLLOWED)
     rows = {row[:3]: row[3:] for row in grid.rows}
     assert list(rows) == [
         (name, kind, stage)
         for name in ("NN", "PEST")
-        for kind in ("as learned", "adapted")
+        for kind in ("not adapted", "adapted")
         for stage in ("grasp", "whole")
     ]
     assert rows["NN", "adapted", "grasp"][:2] == ("0.200 (0.100 to 0.600)", "0.400 (0.200 to 1.20)")

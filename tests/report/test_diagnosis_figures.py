@@ -143,7 +143,7 @@ def test_windows_are_shaded(effect):
 def test_misfit_is_least_at_the_delay():
     """Shifting the logged torque by the delay leaves least."""
     figure = draw(exhibits(one("torque_delay", column=1))[0])
-    ((shift, _),) = lines(figure, "least misfit")
+    ((shift, _),) = lines(figure, "smallest misfit")
     assert shift[0] == pytest.approx(1000 * DELAY, abs=3.0)
 
 

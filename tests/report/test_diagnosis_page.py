@@ -70,7 +70,7 @@ def test_what_is_left_is_told(written):
     """Every test of every joint has its cell; the one that failed says how much goes with what, and what looks so."""
     _, path = written
     text = path.read_text("utf-8")
-    said = text.partition("<h2>What is left</h2>")[2].partition("<h2>")[0]
+    said = text.partition("<h2>Residual</h2>")[2].partition("<h2>")[0]
     assert said.count("<b>") == 1 and "<b>0.210</b>" in said
     (row,) = re.findall(r"<tr><td class=.whole.>(.*?)</tr>", said)
     assert "joint7" in row and "angle" in row and "joint spring" in row
@@ -79,22 +79,22 @@ def test_what_is_left_is_told(written):
 
 
 def test_the_first_screen_says_what_to_do(written):
-    """After the verdict come what to do next, the causes, what every arm has and what is left; the trajectory to record
+    """After the verdict come what to do next, the causes, the standard terms and the residual; the trajectory to record
     is a link, and what stays open, what is left and what is wrong with the log are each a line."""
     diagnosis, path = written
     heads = re.findall(r"<h2>(.*?)</h2>", path.read_text("utf-8"))
-    assert heads[:4] == ["What to do next", "Causes", "What every arm has", "What is left"]
+    assert heads[:4] == ["What to do next", "Causes", "Standard terms", "Residual"]
     text = page(diagnosis, "lbr", [], {}, "record_next.csv")
     said = text.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
     assert '<a href="record_next.csv">' in said and "ten postures" in said
-    assert any(joint in said for joint in ("joint7: something is left",)) and "joint spring" in said
+    assert any(joint in said for joint in ("joint7: the residual is not noise",)) and "joint spring" in said
 
 
 def test_a_term_that_every_arm_has_stands_in_its_table(written):
-    """A named Coulomb friction is bold in the table of what every arm has, with a link to its evidence, and is no row
+    """A named Coulomb friction is bold in the table of standard terms, with a link to its evidence, and is no row
     among the causes."""
     text = written[1].read_text("utf-8")
-    causes, _, rest = text.partition("<h2>What every arm has</h2>")
+    causes, _, rest = text.partition("<h2>Standard terms</h2>")
     assert "coulomb_friction" not in causes.partition("<h2>Causes</h2>")[2]
     assert re.search(r'<a href="#finding-\d"><b>1.50 ± ', rest.partition("<h2>")[0])
 
@@ -125,7 +125,7 @@ def test_report_says_everything(written):
 def test_long_lists_of_rivals_are_folded(written):
     """Five rivals are folded, two are shown."""
     text = written[1].read_text("utf-8")
-    assert "<details><summary>5 rivals" in text and "<details open><summary>2 rivals" in text
+    assert "<details><summary>5 alternatives" in text and "<details open><summary>2 alternatives" in text
 
 
 @pytest.mark.parametrize("effect", EVERY_EFFECT)
@@ -206,7 +206,7 @@ def test_an_unusable_log_says_what_to_do(tmp_path):
     text = Reader(path.read_text("utf-8")).text
     assert "The log of lbr cannot be diagnosed" in text and "Divide qd by 57.2958" in text and "invdyn check" in text
     assert text.index("unit error") < text.index("clock jitter")
-    assert not any(x in text for x in ("Causes", "What is gained", "extended_model.json"))
+    assert not any(x in text for x in ("Causes", "Improvement", "extended_model.json"))
 
 
 def test_nothing_found_is_said(tmp_path):

@@ -91,7 +91,7 @@ def test_a_single_block_has_no_interval():
 def test_blind_spots_are_below_the_table():
     """What the log could not have shown is named below the table, all joints in two words."""
     text = " ".join(printed(finding_table(make_diagnosis())).split())
-    assert "Not to be seen in this log: Stribeck friction (joint3" in text and "rotor inertia (all joints)" in text
+    assert "This log cannot show: Stribeck friction (joint3" in text and "rotor inertia (all joints)" in text
 
 
 def test_error_table_has_every_number():
@@ -187,4 +187,4 @@ def test_the_summary_names_every_cause_that_is_a_row():
     link = Finding("link_inertia_error", "joint3", "named", group="standard")
     titles = {name: effect.title for name, effect in CATALOGUE.items()}
     said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), titles)
-    assert "link inertia error on joint3" in said and "what every arm has (friction and the like) on 1 joint" in said
+    assert "link inertia error on joint3" in said and "standard terms (friction and the like) on 1 joint" in said

@@ -136,7 +136,7 @@ def test_write_is_all_or_nothing(tmp_path):
         (1e-27, 3e-26, "exact here"),
         (0.0, 0.2, "inf times"),
         (0.1, 1.5, "no better than a constant torque"),
-        (0.1, np.nan, "cannot be given"),
+        (0.1, np.nan, "no NMSE can be given"),
         (np.nan, 0.1, "no training error"),
     ],
 )
@@ -166,7 +166,7 @@ def test_predictions_that_are_no_numbers_are_told():
     never changed; a joint whose torque never changes still leaves a mean."""
     made = make_record(2)
     for nmse, rmse, words in (
-        ([np.nan, 0.25], [np.nan, 1.0], "not finite, so that"),
+        ([np.nan, 0.25], [np.nan, 1.0], "not finite, so no"),
         ([np.nan, 0.25], [1.0, 1.0], "mean NMSE on the test set is 0.250"),
     ):
         scores = {"test": Score(made.fit.joints, np.array(nmse), np.array(rmse))}

@@ -33,7 +33,7 @@ def test_leaves_its_files(command):
     assert [float(x["error_deg"]) for x in rows] == [x["error_deg"]["rms"] for x in made["cases"]]
     text = "\n".join(said.out)
     assert all(
-        word in text for word in ("[deg]", "feedback alone", "as learned", "adapted", "With the object, gain 20")
+        word in text for word in ("[deg]", "feedback alone", "not adapted", "adapted", "With the object, gain 20")
     )
 
 

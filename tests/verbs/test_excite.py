@@ -78,7 +78,7 @@ def test_takes_rivals_from_a_diagnosis(command):
         ((RIVALS, "rate=.nan"), "from 20"),
         ((RIVALS, "noise=loud"), "or null"),
         ((RIVALS, "noise=[1,2,3]"), "2 of them"),
-        ((RIVALS, "finding=1"), "no diagnosis"),
+        ((RIVALS, "finding=1"), "without a diagnosis"),
         ((RIVALS, "seed=-1"), "from 0"),
     ],
 )
@@ -95,7 +95,7 @@ def test_what_comes_and_goes_is_told_not_refused(command):
     told apart, alone nothing is designed; neither is misuse."""
     contact = "{effect: external_contact, joint: arm_joint_2}"
     said = command("excite", *SMALL, RIVALS.replace("]", f", {contact}]"), "hydra.run.dir=out")
-    assert said.code == 0 and "no motion makes it come again" in " ".join(said.out)
+    assert said.code == 0 and "no motion reproduces it" in " ".join(said.out)
     assert len(json.loads(Path("out/design.json").read_text())["questions"][0]) == 2
     said = command("excite", *SMALL, f"effects=[{contact}, {{effect: payload_change}}]", "hydra.run.dir=none")
     assert (said.code, said.err) == (0, []) and said.out[-1] == "No motion was designed."
@@ -115,7 +115,7 @@ BENT = {"effect": "torque_delay", "joint": "arm_joint_2", "status": "ambiguous",
         ({"evidence": 7}, "not iterable"),
         ({"parameters": {"delay": 1}}, "subscriptable"),
         ({"joint": "elbow"}, "'elbow'"),
-        ({"alternatives": [["unknown"]]}, "nothing to tell apart"),
+        ({"alternatives": [["unknown"]]}, "nothing to distinguish"),
     ],
 )
 def test_a_bent_diagnosis_is_one_line(command, finding, word):

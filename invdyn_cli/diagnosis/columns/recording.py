@@ -201,8 +201,8 @@ def prepare(
     if total > options.longest:
         cut = list(_thinned(cut, options.longest / total, options.stretch))
         notes.append(
-            f"The log is {total:.0f} s long; stretches of {options.stretch:g} s spread evenly over it, "
-            f"{options.longest:g} s in all, are looked at."
+            f"The log is {total:.0f} s long. Only stretches of {options.stretch:g} s, spread evenly over it, are used: "
+            f"{options.longest:g} s in total."
         )
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
     if not cut:

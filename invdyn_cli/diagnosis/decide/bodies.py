@@ -69,7 +69,7 @@ def told(finding: Finding, acting: Acting, robot: Robot, ends: Mapping[str, tupl
             finding = replace(
                 finding,
                 alternatives=(*finding.alternatives, (RotorInertia.name,), (TorqueGainError.name,)),
-                advice="a body of this mass is no body: look for what else acts on this joint and those before it",
+                advice="this mass is not plausible: look for other effects on this joint and the joints before it",
             )
     return finding
 
@@ -79,7 +79,7 @@ def other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
     links = [f for f in claims if f.effect == LINK]
     if len(links) < MANY_LINKS:
         return claims, ()
-    said = f"The inertials of {len(links)} links seem wrong at once: this URDF may be of another robot or another tool."
+    said = f"The inertials of {len(links)} links seem wrong: this URDF may describe another robot or another tool."
     unsure = [
         replace(f, status="ambiguous", alternatives=(*f.alternatives, (LINK,))) if f in links else f for f in claims
     ]

@@ -137,11 +137,11 @@ def report(
     claims, doubt = bodies.other_robot(claims)
     dropped += doubt
     if not held_out(evidence):
-        dropped += ("No stretch is long enough to be held out: all errors are of the data that chose.",)
+        dropped += ("No stretch of the log is long enough to be held out: all errors are those on the training data.",)
     if evidence.reference_rows is not None:
-        dropped += ("Gains are those beside what both logs show alike, which is part of the extended model, too.",)
+        dropped += ("Gains are given in addition to what both logs share. The extended model includes that, too.",)
     elif len(inquiry.always) > len(inquiry.wear):
-        dropped += ("All errors are those beside what is allowed for, which is not part of the extended model.",)
+        dropped += ("All errors include the known effects. The extended model does not include them.",)
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -_worth(claims[k])))
     ordered = tuple(claims[k] for k in order)
     by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
@@ -191,7 +191,7 @@ def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
     """A delay's lag, or a lag's delay, judged by their exact formulas."""
     if rival.candidate.joint != own.joint or not rival.candidate.effect.late_by:
         return rival
-    why = "does as well" if close else "does worse on the same rows, both taken exactly"
+    why = "fits as well" if close else "fits worse on the same samples, both by their exact formulas"
     return replace(rival, equal=close, why=why)
 
 
@@ -386,7 +386,7 @@ def in_doubt(
         mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
         least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
         if one.status == "named" and saved < least * unknown:
-            advice = "what else may act on this joint: most of what the model misses there is still unknown"
+            advice = "look for another effect on this joint: most of what the model misses there is still unknown"
             one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
         out.append(one)
     return tuple(out)
@@ -406,8 +406,8 @@ def unseen(
             name,
             None,
             "not_observable",
-            advice=f"a torque from the {' or '.join(s for s in e.sides if s != 'unknown')} side",
-            evidence={"why": f"a torque taken at the {side} does not contain it"},
+            advice=f"a torque measured at the {' or '.join(s for s in e.sides if s != 'unknown')} side",
+            evidence={"why": f"a torque measured at the {side} does not contain it"},
         )
         for name, e in effects.items()
         if side not in e.sides
@@ -417,8 +417,8 @@ def unseen(
             name,
             None,
             "not_observable",
-            advice="angles of the motor, or of both sides of the gear",
-            evidence={"why": f"angles taken at the {position_side} do not contain it"},
+            advice="angles of the motor, or on both sides of the gear",
+            evidence={"why": f"angles measured at the {position_side} do not contain it"},
         )
         for name, e in effects.items()
         if position_side not in e.position_sides and side in e.sides

@@ -79,7 +79,7 @@ def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
             break
         out = hypothesis[worst[0]]
         where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
-        said.append(f"{out.effect.title.capitalize()}{where} was tried and is not claimed: {worst[1][1]}.")
+        said.append(f"{out.effect.title.capitalize()}{where} was tried, but it is not claimed: {worst[1][1]}.")
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
@@ -98,7 +98,7 @@ def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, tuple[float, 
         if foreign:
             best = min(foreign, key=lambda r: r.excess)
             found.append(
-                (i, (best.excess, f"{best.candidate.effect.title} would explain as much, and is another thing"))
+                (i, (best.excess, f"{best.candidate.effect.title}, a different effect, explains the data as well"))
             )
     return min(found, key=lambda x: x[1][0], default=None)
 
@@ -118,24 +118,25 @@ def _fails(
     unknown = naming.structure(evidence, after, valid)
     gain = float(np.sum(weights * squares)) + _strain(inquiry, others) - _strain(inquiry, hypothesis)
     if gain <= 0:
-        return gain, "it does not hold on data that did not choose it"
+        return gain, "it does not improve the fit on held-out data"
     everywhere = np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0) @ own  # rows at rest count too
     if everywhere <= 0 and _acts_at_rest(inquiry, hypothesis, i):
-        return gain, "with it its joints are predicted worse, rests among it, on data that did not choose it"
+        return gain, "with it, the torques of its joints in held-out data, rests included, are predicted worse"
     rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
     if 0 < gain < needed * rest:
-        return gain, "most of what it would explain is something else that this catalogue does not know"
+        return gain, "most of what it would explain comes from an effect that is not in the catalogue"
     late_by = hypothesis[i].effect.late_by
     if late_by:
         value = acting_of(inquiry.judge, inquiry.always, hypothesis)[i].parameters[late_by]
         if value < evidence.recording.period:
-            return gain, f"{1e3 * value:.2g} ms are less than a sample of the log, which its own clock may have taken"
+            return gain, f"{1e3 * value:.2g} ms is less than one sampling period and may come from the clock of the log"
     sure, share = _exactly(inquiry, hypothesis, chosen, i)
     if not sure:
-        return gain, "its formula, taken exactly, gains nothing on data that did not choose it"
+        return gain, "its exact formula does not improve the fit on held-out data"
     if share < FEIGNED:
-        return gain, "it is small beside what is left, and a controller that answers to its encoders' noise feigns it"
+        why = "it is small compared with the residual, and may be an artefact of encoder noise in the feedback loop"
+        return gain, why
     return None
 
 

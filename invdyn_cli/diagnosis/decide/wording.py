@@ -12,6 +12,17 @@ PREDICTABLE, SMALL = 0.15, 0.15
 than this share of the nominal model's error, in N m."""
 
 
+TEST_WORDS = {
+    "level": "constant offset",
+    "ripple": "periodic in the angle",
+    "load": "load torque",
+    "load_zeros": "load sign changes",
+    "torque_slope": "torque rate",
+    "neighbours": "neighbouring joints",
+}
+"""What tables and sentences call residual tests, where their names alone do not say it."""
+
+
 def verdict(
     made: Made,
     learned: np.ndarray,
@@ -46,7 +57,7 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     """
     still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
     said = _summary(diagnosis, titles)
-    return f"{said} Not judged, as hardly moving in this log: {', '.join(still)}." if still else said
+    return f"{said} Not assessed, because they hardly move in this log: {', '.join(still)}." if still else said
 
 
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
@@ -56,27 +67,27 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
         for table in (diagnosis.baseline, diagnosis.extended)
     )
-    over = "all joints" if not apart else f"the joints but {_listed(sorted(apart))}"
+    over = "all joints" if not apart else f"all joints except {_listed(sorted(apart))}"
     rest = _rest(diagnosis)
     if not claims:
-        first = f"No cause was found: the nominal model leaves {before:.3g} N m RMS over {over}."
-        return f"{first} {rest or 'What is left looks like noise.'}"
+        first = f"No cause was found: the held-out RMS error of the nominal model is {before:.3g} N m over {over}."
+        return f"{first} {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     shown = [f for f in claims if not any(f is x for x in usual)]
     said = [
-        f"{titles[f.effect]}{' or its rivals' if f.status == 'ambiguous' else ''}"
+        f"{titles[f.effect]}{' (or an alternative)' if f.status == 'ambiguous' else ''}"
         + (f" on {f.joint}" if f.joint else "")
         for f in shown[:4]
     ]
     said += [f"{len(shown) - 4} more"] if len(shown) > 4 else []
     if usual:
         joints = len({f.joint for f in usual})
-        said.append(f"what every arm has (friction and the like) on {joints} joint{'s' * (joints > 1)}")
-    first = f"The simulation lacks {_listed(said)}; with that its held-out error falls from {before:.3g} to "
-    first += f"{after:.3g} N m RMS over {over}."
+        said.append(f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}")
+    first = f"The simulation lacks {_listed(said)}. With these effects, its held-out RMS error falls from "
+    first += f"{before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
-        return f"{first} What is left is small beside that."
-    return f"{first} {rest or 'What is left looks like noise.'}"
+        return f"{first} The residual is not pure noise, but it is small compared with these effects."
+    return f"{first} {rest or 'The residual looks like noise.'}"
 
 
 def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
@@ -88,24 +99,31 @@ def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 
 def _rest(diagnosis: Diagnosis) -> str:
-    """What is left and is no noise, "" if there is none."""
+    """What remains in the residual and is not noise, "" if there is nothing."""
     shares = {j: share for j, share in diagnosis.unexplained.items() if share > PREDICTABLE}
     swings = [j for j in diagnosis.details.get("beyond_noise", ()) if j not in shares]
     said = []
     if shares:
         most = f"a learner still predicts up to {100 * max(shares.values()):.0f} % of the residual"
-        said.append(f"Something unknown remains on {', '.join(shares)}: {most}.")
+        said.append(f"An unknown effect remains on {', '.join(shares)}: {most}.")
     if swings:
-        said.append(f"What is left on {', '.join(swings)} is no noise, though no learner predicts it from the motion.")
+        where = ", ".join(swings)
+        said.append(f"The residual on {where} is not noise, although no learner predicts it from the motion.")
     goes: dict[str, list[str]] = {}
     for x in diagnosis.tests:
         if not x.passed:
-            goes.setdefault(x.joint, []).append(x.against.replace("_", " "))
+            goes.setdefault(x.joint, []).append(test_words(x.against))
     if goes and not said:
         said += [
-            f"What is left on {joint} is no noise by the tests of {_listed(names)}." for joint, names in goes.items()
+            f"The residual on {joint} is not noise according to these tests: {_listed(names)}."
+            for joint, names in goes.items()
         ]
     return " ".join(said)
+
+
+def test_words(against: str) -> str:
+    """What a residual test looks at, in words."""
+    return TEST_WORDS.get(against, against.replace("_", " "))
 
 
 def _listed(words: Sequence[str]) -> str:

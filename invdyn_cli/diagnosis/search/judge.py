@@ -270,9 +270,9 @@ class Judge:
             if candidate.effect.point in ("channel", "gear"):
                 continue
             if self.worn and candidate.effect.point not in LOCAL and self._worth(candidate, own) < self.least[None]:
-                return f"{candidate.effect.title}: smaller than what clocks and filters leave"
+                return f"{candidate.effect.title}: smaller than the errors of clocks and filters"
             if any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
-                return f"{candidate.effect.title}: so large that other effects would have to take most of it back"
+                return f"{candidate.effect.title}: so large that other effects would have to cancel most of it"
         return ""
 
     def impossible(self, candidate: Candidate, own: np.ndarray) -> str:
@@ -282,7 +282,7 @@ class Judge:
         if why:
             return f"{candidate.effect.title}: {why}"
         if candidate.effect.point in ("channel", "gear") and np.any(own**2 * candidate.precision > FARTHEST**2):
-            return f"{candidate.effect.title}: {parameters} is far from the trial at {candidate.shape}"
+            return f"{candidate.effect.title}: {parameters} is far from the trial value {candidate.shape}"
         return ""
 
     def _worth(self, candidate: Candidate, own: np.ndarray) -> float:

@@ -104,14 +104,14 @@ def rivals(
         refused = judge.refused((*always, *others, c), other.theta)
         equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
         share = 1 - float(step.sum()) / whole if whole > 0 else 0.0
-        why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} does on held-out data"
+        why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
         if refused:
             why, equal = f"{refused} (it {why})", False
         elif equal and clash(c, own):
-            why, equal = f"is the general case, and the data ask for no more than {own.effect.title}", False
+            why, equal = f"is the more general effect, but {own.effect.title} is enough for these data", False
         elif equal and own.effect.group == "standard" and c.effect.point == "torque" and len(c.columns) > 1:
             why, equal = (
-                f"is of a gear that two joints share, and the data ask for no more than {own.effect.title}",
+                f"is for a gear that two joints share, but {own.effect.title} is enough for these data",
                 False,
             )
         elif not equal:

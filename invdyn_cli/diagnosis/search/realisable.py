@@ -166,8 +166,8 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
         base = pseudo_inertia.realisable(own)
         if not pseudo_inertia.is_realisable(own):
             notes.append(
-                f"The URDF's own inertials of {name} are those of no body; what was found is taken for a change of the "
-                "nearest ones that a body can have, and the link stays as far from these as it is."
+                f"The inertials of {name} in the URDF are not physically consistent. The change that was found refers "
+                "to the nearest consistent inertials; the difference between these and the URDF remains in the model."
             )
         like = own if own[0] > LIGHT * nominal[:, 0].sum() else base + refined.theta[places]
         bodies.append(Body(name, places, base, pseudo_inertia.realisable(like, pseudo_inertia.ROUND)))
@@ -205,8 +205,8 @@ def _sentence(
         if mass < -SURE * error:
             why = f" (a mass of {mass:.3g} ± {SURE * error:.1g} kg)"
     return (
-        f"The data want inertials of {' and '.join(b.name for b in bodies)} that no body has{why}; the nearest that "
-        f"one can have cost {cost:.3g} noise variances, chance at most {chance:.3g}: RMSE {bound[worst] ** 0.5:.3g} "
-        f"instead of {free[worst] ** 0.5:.3g} N m on {evidence.robot.joints[worst]}. Something else may be at work "
-        "that looks like it."
+        f"The best-fit inertials of {' and '.join(b.name for b in bodies)} are not physically consistent{why}. The "
+        f"nearest consistent ones fit significantly worse: they cost {cost:.3g} noise variances (by chance at most "
+        f"{chance:.3g}), and the RMSE on {evidence.robot.joints[worst]} is {bound[worst] ** 0.5:.3g} instead of "
+        f"{free[worst] ** 0.5:.3g} N m. Suspect another cause with a similar effect."
     )

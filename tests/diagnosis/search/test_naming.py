@@ -66,7 +66,7 @@ def test_rivals_of_what_is_there_are_rejected(dry):
     made = naming.rivals(judge, (), (candidate(evidence, "coulomb_friction", 1),), 0, evidence.candidates)
     assert not any(r.equal for r in made)
     why = {r.candidate.key: r.why for r in made}
-    assert "general case" in why["stribeck_friction", 1]
+    assert "more general" in why["stribeck_friction", 1]
     assert "standard errors" in why["viscous_friction", 1]
     assert ("coulomb_friction", 1) not in why
 

@@ -122,7 +122,7 @@ def test_what_others_would_have_to_take_back_is_refused(evidence, judge):
     """An offset ten times what the nominal model leaves on its joint is no physics on this log; one as large may be."""
     offset = candidate(evidence, "torque_offset", 1)
     left = np.sqrt(np.mean(evidence.tables[1][evidence.role == 0, 0] ** 2))
-    assert "take most of it back" in judge.refused((offset,), np.array([10 * left]))
+    assert "cancel most of it" in judge.refused((offset,), np.array([10 * left]))
     assert judge.refused((offset,), np.array([left])) == ""
 
 
