@@ -413,6 +413,8 @@ class AbstractCheck(abc.ABC):
 
     name: ClassVar[str] = ""
     """What its lines in check.json are called."""
+    again: bool = False
+    """Whether it is asked a second time, and says only what it finds then."""
 
     @abc.abstractmethod
     def examine(self, log: Any, robot: Robot | None) -> list[Check]:

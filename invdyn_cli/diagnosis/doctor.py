@@ -77,7 +77,7 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
     with np.errstate(all="ignore"):
         for check in checks:
             seen = _asked(check, patient, robot)
-            found += seen or [Check(check.name, "ok", seen="nothing seen")]
+            found += seen if seen or check.again else [Check(check.name, "ok", seen="nothing seen")]
             patient, notes = check.mend(patient, _mendable(seen), robot)
             corrections += [{"check": check.name, "done": note} for note in notes]
             if any(one.severity == "fail" for one in seen):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from invdyn_cli.effects import actuator, coupling, friction, gear, load, passing, transmission
+from invdyn_cli.effects import actuator, coupling, friction, gear, load, passing, presliding, transmission
 from invdyn_cli.interfaces import AbstractEffect
 
 EFFECTS: Mapping[str, AbstractEffect] = {
@@ -14,7 +14,7 @@ EFFECTS: Mapping[str, AbstractEffect] = {
         friction.StribeckFriction(),
         friction.LoadDependentFriction(),
         friction.QuadraticFriction(),
-        friction.PreslidingHysteresis(),
+        presliding.PreslidingHysteresis(),
         friction.ThermalFrictionDrift(),
         coupling.CoupledFriction(),
         actuator.TorqueOffsetDrift(),

@@ -12,7 +12,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.decide import bodies
+from invdyn_cli.diagnosis.decide import bodies, sums
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, that_hold
 from invdyn_cli.diagnosis.search import naming, resting
@@ -90,7 +90,7 @@ def report(
     ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
     claims, acting, shown = [], [], []
-    sums = {k: (place, one) for one in _sums(effects, hypothesis, ends) for place, k in enumerate(one.places)}
+    parts = {k: (place, one) for one in sums.standing(effects, hypothesis, ends) for place, k in enumerate(one.places)}
     for i, candidate in enumerate(hypothesis):
         rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
         if candidate.key in inquiry.close:
@@ -112,7 +112,7 @@ def report(
         )
         if candidate.when is not None:
             finding = _timed(finding, whole.acting[i], ends[i])
-        place, one = sums.get(i, (0, None))
+        place, one = parts.get(i, (0, None))
         if one is not None and place == 0:
             finding, both = _summed(inquiry, hypothesis, whole, finding, one, after), one.places
             terms[i] = np.sum([terms[k] for k in both], axis=0)
@@ -121,7 +121,7 @@ def report(
             continue
         else:
             acting.append(whole.acting[i])
-        others = [*_hidden_sums(effects, hypothesis, i)]
+        others = [*sums.hidden(effects, hypothesis, i)]
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             others.append(StribeckFriction.name)
         finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
@@ -285,56 +285,16 @@ def _rejected(robot: Robot, key: tuple[str, int | None], rivals: Sequence[naming
     return tuple(out[:6])
 
 
-@dataclass(frozen=True)
-class _Sum:
-    """An effect that is the sum of others (`AbstractEffect.sum_of`), and where those stand in the hypothesis."""
-
-    effect: AbstractEffect
-    places: tuple[int, ...]
-
-
-def _sums(
-    effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, ends: Sequence[Mapping[str, tuple]]
-) -> list[_Sum]:
-    """The sums of effects that stand beside each other on a joint, where the sum's parameters are possible."""
-    keys = [c.key for c in hypothesis]
-    made = []
-    for effect in effects.values():
-        for joint in {c.joint for c in hypothesis} if effect.sum_of else ():
-            if not all((name, joint) in keys for name in effect.sum_of):
-                continue
-            places = tuple(keys.index((name, joint)) for name in effect.sum_of)
-            sizes = [next(iter(ends[k].values()))[0] for k in places]
-            if not effect.refuse(_summed_sizes(effect, sizes)):
-                made.append(_Sum(effect, places))
-    return made
-
-
-def _summed_sizes(effect: AbstractEffect, sizes: Sequence[Any]) -> dict[str, Any]:
-    """Parameters of a sum from those of its parts, one each."""
-    parts = list(zip(effect.sum_of.values(), sizes, strict=True))
-    return {name: sum(share[name] * x for share, x in parts) for name in effect.parameters}
-
-
-def _hidden_sums(effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, i: int) -> list[str]:
-    """Sums of the first part of which this is one, and the others of which another effect of the joint contains: a
-    spring's rest holds what makes friction differ by direction."""
-    own = hypothesis[i]
-    beside = {name for c in hypothesis if c.joint == own.joint and c is not own for name in c.effect.contains}
-    sums = [(name, list(e.sum_of)) for name, e in effects.items() if e.sum_of]
-    return [name for name, parts in sums if own.effect.name == parts[0] and set(parts[1:]) <= beside]
-
-
-def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: _Sum, after) -> Finding:
+def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: sums.Sum, after) -> Finding:
     """The finding of an effect's parts as that effect, the same torque: Coulomb friction beside an offset is friction
     that differs by direction."""
     effect, parts = one.effect, [whole.acting[k].effect for k in one.places]
     at = {(number, name): k for k, (number, name, _) in enumerate(whole.labels)}
     names = [next(iter(part.parameters)) for part in parts]
     columns = [at[k, name] for k, name in zip(one.places, names, strict=True)]
-    values = _summed_sizes(effect, [whole.theta[k] for k in columns])
-    each = [_summed_sizes(effect, [x[:, k] for k in columns]) for x in whole.replicas]
-    unknown = _summed_sizes(effect, [whole.unknown[:, k] for k in columns])
+    values = sums.sizes_of(effect, [whole.theta[k] for k in columns])
+    each = [sums.sizes_of(effect, [x[:, k] for k in columns]) for x in whole.replicas]
+    unknown = sums.sizes_of(effect, [whole.unknown[:, k] for k in columns])
     errors = {name: float(reach([x[name] for x in each], unknown[name])) for name in values}
     level = {name: (x, x - errors[name], x + errors[name]) for name, x in values.items()}
     return replace(
