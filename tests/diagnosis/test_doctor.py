@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.description import Description
 from invdyn_cli.diagnosis.checks.evidence import nominal_torque
 from invdyn_cli.errors import RobotError
 from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
@@ -213,6 +214,14 @@ def test_gravity_that_is_removed_is_declared(log, arm):
     mended, _ = doctor.mend(bad, examination, arm)
     assert mended.compensated == ("gravity",)
     assert alarms(doctor.examine(mended, arm)) == {}
+
+
+def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
+    """Of torques with a fifth of their gravity the check of the URDF says that it is subtracted, and no angle."""
+    raw = log.trajectories[0]
+    weak = changed(log, tau=0.2 * raw.tau + 0.8 * without_gravity(log, arm))
+    found = [c for c in Description().examine(weak, arm) if "gravity" in c.seen]
+    assert len(found) == 1 and "subtracted" in found[0].meaning and "degrees" not in found[0].seen
 
 
 @pytest.mark.parametrize("seconds", [0.03, -0.012])

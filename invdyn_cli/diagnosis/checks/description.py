@@ -28,6 +28,7 @@ class Description(AbstractCheck):
         sure: standard deviations, of blocks of the log, that it takes (ours).
         tilt: [degrees] of fitted gravity from the URDF's (ours: mounting errors, and what inertials that are off look
             like, stay below); `better`: ratio of what stays of the torque before and after.
+        gone: of the URDF's gravity, below which there is hardly any, and no direction (ours).
     """
 
     name: ClassVar[str] = "urdf"
@@ -36,6 +37,7 @@ class Description(AbstractCheck):
     sure: float = 5.0
     tilt: float = 8.0
     better: float = 1.5
+    gone: float = 0.3
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Of the file first, then of what the log says of it."""
@@ -128,7 +130,23 @@ class Description(AbstractCheck):
         after = float(np.sum((wanted - columns @ fitted) ** 2))
         cosine = fitted @ known / max(np.linalg.norm(fitted) * np.linalg.norm(known), 1e-300)
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-        if angle < self.tilt or before < self.better * after:
+        if before < self.better * after:
+            return []
+        share = float(np.linalg.norm(fitted) / np.linalg.norm(known))
+        if share < self.gone:
+            return [
+                Check(
+                    self.name,
+                    "warn",
+                    value=share,
+                    threshold=self.gone,
+                    seen=f"the gravity that fits best is {share:.2g} times the URDF's",
+                    meaning="gravity is already subtracted from the torque, or the links' masses are far too large",
+                    advice="the attribute compensated=gravity of the log, if a controller subtracts it",
+                    source="ours: masses that are off make less",
+                )
+            ]
+        if angle < self.tilt:
             return []
         return [
             Check(
