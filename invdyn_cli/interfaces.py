@@ -373,15 +373,15 @@ class AbstractGearEffect(AbstractEffect):
             rate: [Hz].
         """
 
-    def softness(self, parameters: Parameters) -> float:
+    def compliance(self, parameters: Parameters) -> float:
         """The one number that the deflection grows with, nearly in proportion."""
         (value,) = parameters.values()
         return value
 
-    def of_softness(self, softness: float) -> dict[str, float]:
+    def from_compliance(self, compliance: float) -> dict[str, float]:
         """The parameters of that number."""
         (name,) = self.parameters
-        return {name: softness}
+        return {name: compliance}
 
 
 class AbstractForceEffect(AbstractEffect):

@@ -15,7 +15,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.candidates import body_columns, gravity_columns
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
-    Acting,
+    EffectInstance,
     changed,
     chunked,
     inertia_column,
@@ -134,7 +134,7 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
         assert joint is not None
         return _behind_gear(effect, parameters, joint, scenes, _answers(robot, joint, scenes))
     flat, shape = _flat(scenes), scenes.shape
-    moved = rigid_torque(*changed(robot, (Acting(effect, joint, parameters),), flat)).reshape(shape)
+    moved = rigid_torque(*changed(robot, (EffectInstance(effect, joint, parameters),), flat)).reshape(shape)
     return dict(enumerate(moved - scenes.torque))
 
 
@@ -212,7 +212,7 @@ def _shapes(cause: Cause, state: JointState, exact: bool) -> Sequence[Parameters
 
 
 def _gear_columns(robot: Robot, cause: Cause, scenes: Scenes, exact: bool) -> list[Trial]:
-    """A column for every softness to try; a factor makes up for what lies between them."""
+    """A column for every compliance to try; a factor makes up for what lies between them."""
     effect, joint = cause.effect, cause.joint
     assert isinstance(effect, AbstractGearEffect) and joint is not None
     answers = _answers(robot, joint, scenes)

@@ -118,7 +118,7 @@ def factors(contest: Contest, evaluation: Evaluation) -> dict[tuple[int, int], f
     return out
 
 
-def watches_the_clock(contest: Contest, scenes: Scenes) -> bool:
+def is_time_varying(contest: Contest, scenes: Scenes) -> bool:
     """Whether any of the causes is another one later in the recording."""
     later = replace(scenes, t=scenes.t + 10.0)
     causes = [c for sides in contest.questions for side in sides for c in side]

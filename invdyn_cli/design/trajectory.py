@@ -160,7 +160,7 @@ def design(
     progress(0.4, "choosing")
     count = max(1, int((duration / _rounds(duration) - 0.6) / (GESTURE + 0.8)))
     chosen = _greedy(made, evaluation, possible, count, library)
-    search = _Search(made, allowed, start, duration, possible, contest.watches_the_clock(made, scenes))
+    search = _Search(made, allowed, start, duration, possible, contest.is_time_varying(made, scenes))
     best = search.values([chosen])[0]
     for step in range(0, tries if possible.any() else 0, AT_ONCE):
         if best > ENOUGH:

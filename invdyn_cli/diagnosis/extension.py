@@ -12,7 +12,7 @@ from invdyn_cli import urdf
 from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.recording import Recording
-from invdyn_cli.effects.composition import Acting, changed
+from invdyn_cli.effects.composition import EffectInstance, changed
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractBodyEffect, Progress, silent
@@ -52,11 +52,11 @@ def _mjcf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     return mjcf.written(_bare(_changed(model.robot, bodies)), parts)
 
 
-def _is_lasting_body(one: Acting) -> bool:
+def _is_lasting_body(one: EffectInstance) -> bool:
     return isinstance(one.effect, AbstractBodyEffect) and not one.effect.passing
 
 
-def _changed(robot: Robot, acting: Sequence[Acting]) -> Robot:
+def _changed(robot: Robot, acting: Sequence[EffectInstance]) -> Robot:
     """The robot with other inertials and gravity."""
     return changed(robot, acting, Motion(*np.zeros((3, robot.dofs, 1))))[0]
 

@@ -13,7 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import (
-    Acting,
+    EffectInstance,
     changed,
     has_driver,
     in_chain,
@@ -43,7 +43,7 @@ def is_common(candidate: Candidate) -> bool:
 
 def read(
     declared: Sequence[Any], effects: Mapping[str, AbstractEffect], robot: Robot
-) -> tuple[tuple[Acting, ...], list[tuple[str, int | None]]]:
+) -> tuple[tuple[EffectInstance, ...], list[tuple[str, int | None]]]:
     """Declared causes with parameters, and those that are only allowed for.
 
     Raises:
@@ -83,7 +83,7 @@ def read(
             if joint not in can:
                 got = f"diagnosis.known: {name} on {joint!r}, which has no joint before it to share a gear with"
                 raise UsageError(f"{got}; allowed: {listed(can)}")
-        facts.append(Acting(effect, None if whole else robot.joints.index(joint), parameters))
+        facts.append(EffectInstance(effect, None if whole else robot.joints.index(joint), parameters))
     return tuple(facts), allowed
 
 
@@ -115,7 +115,9 @@ def is_allowed(candidate: Candidate, allowed: Sequence[tuple[str, int | None]]) 
     return any(candidate.effect.name == name and joint in (None, candidate.joint) for name, joint in allowed)
 
 
-def taken_out(recording: Recording, robot: Robot, facts: Sequence[Acting], gravity: bool) -> tuple[Recording, Robot]:
+def taken_out(
+    recording: Recording, robot: Robot, facts: Sequence[EffectInstance], gravity: bool
+) -> tuple[Recording, Robot]:
     """The recording without declared causes, with gravity put back where the torque has it taken out already; and the
     robot with the declared bodies and mounting."""
     pieces, actual = [], robot

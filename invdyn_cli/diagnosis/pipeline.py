@@ -96,7 +96,7 @@ def diagnose(
     facts, allowed = known.read(options.known, effects, robot)
     nominal, measured = robot, recording
     recording, robot = known.taken_out(recording, nominal, facts, gravity="gravity" in log.compensated)
-    recording, common = hold.taken_out(robot, recording, side)
+    recording, common = hold.remove_common_delay(robot, recording, side)
     progress(0.25, "columns")
     evidence = gather(robot, recording, list(pool.values()), side, log.position_side)
     progress(0.5, "search")
@@ -122,7 +122,7 @@ def diagnose(
     left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
-    restless = unexplained.beyond_noise(evidence, left, judged(evidence))
+    structured_joints = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=findings.in_doubt(made.findings, effects, shares))
     progress(0.9, "model")
@@ -147,7 +147,7 @@ def diagnose(
     floor = repeats.noise_floor(recording)
     diagnosis = Diagnosis(
         verdict=wording.verdict(
-            made, learned, restless, structured(tests, robot.joints), floor, _scores(evidence, rest)
+            made, learned, structured_joints, structured(tests, robot.joints), floor, _scores(evidence, rest)
         ),
         examination=examination,
         findings=made.findings,
@@ -170,7 +170,7 @@ def diagnose(
             "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,
-            "beyond_noise": [j for j, x in zip(robot.joints, restless, strict=True) if x],
+            "beyond_noise": [j for j, x in zip(robot.joints, structured_joints, strict=True) if x],
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
         },
     )

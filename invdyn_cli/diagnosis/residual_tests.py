@@ -13,7 +13,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.judge import RELEVANT
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time, coherence
@@ -50,7 +50,10 @@ class Basis(NamedTuple):
 
 
 def residual_tests(
-    evidence: Evidence, residual: np.ndarray, effects: Iterable[AbstractEffect] = (), acting: Sequence[Acting] = ()
+    evidence: Evidence,
+    residual: np.ndarray,
+    effects: Iterable[AbstractEffect] = (),
+    acting: Sequence[EffectInstance] = (),
 ) -> tuple[ResidualTest, ...]:
     """Every test of every joint that moves, of what is left (R, n) of its torque.
 

@@ -19,10 +19,10 @@ from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
-from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, HypothesisScorer
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, chunked, kinematics_of
+from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of
 from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
 from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.maths import standard, statistics
@@ -65,7 +65,7 @@ class Columns:
     links: np.ndarray
     own: np.ndarray
 
-    def behind(self, acting: Sequence[Acting]) -> "Columns":
+    def behind(self, acting: Sequence[EffectInstance]) -> "Columns":
         """The same as they are logged behind the channels among these effects."""
         links, own = (self.evidence.logged(acting, x.swapaxes(1, 2)).swapaxes(1, 2) for x in (self.links, self.own))
         return replace(self, links=links, own=own)
@@ -141,7 +141,7 @@ class Beside:
     """
 
     columns: Columns
-    acting: tuple[Acting, ...]
+    acting: tuple[EffectInstance, ...]
     asked: bool
     intervals: tuple[Mapping[str, tuple], ...]
     residual: np.ndarray
@@ -230,7 +230,7 @@ def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
     return loss(inquiry.always, inquiry.hypothesis, inquiry.wear) < loss(apart, other, found) + spared
 
 
-def _volume(judge: Judge, hypothesis: Hypothesis) -> float:
+def _volume(judge: HypothesisScorer, hypothesis: Hypothesis) -> float:
     """Logarithm of the volume of coefficients beforehand, less that of those that the log allows; doubled, as losses
     are."""
     if not hypothesis:
@@ -265,7 +265,7 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
     before, chosen, whole, acting, intervals = made.before, made.residual, made.whole, made.acting, made.intervals
     choosing = evidence.role == ROLES.index("train")
     if evidence.reference_rows is not None:  # beside which what was found is a change
-        before, chosen, choosing = evidence.left((), np.zeros(0)), made.alone, choosing | evidence.reference_rows
+        before, chosen, choosing = evidence.residual((), np.zeros(0)), made.alone, choosing | evidence.reference_rows
     least = _least(columns, acting)
     alone, friction = columns.of(columns.fit(before, choosing).theta), columns.of(columns.line(before, choosing))
     columns = columns.behind(acting)
@@ -326,7 +326,7 @@ def claims(
     return tuple(x for x, _ in made), tuple(own for _, own in made)
 
 
-def _least(columns: Columns, acting: Sequence[Acting]) -> np.ndarray:
+def _least(columns: Columns, acting: Sequence[EffectInstance]) -> np.ndarray:
     """(terms, n) how far below zero a term may go: as far as one that was found goes above it."""
     least = np.zeros(columns.own.shape[:2])
     for t, term in enumerate(columns.terms):
@@ -336,7 +336,7 @@ def _least(columns: Columns, acting: Sequence[Acting]) -> np.ndarray:
     return least
 
 
-def _place(acting: Sequence[Acting], term: str, joint: int) -> int | None:
+def _place(acting: Sequence[EffectInstance], term: str, joint: int) -> int | None:
     """Where a joint's term stands among effects that always act."""
     effect = TERMS[term][0]
     return next((k for k, a in enumerate(acting) if a.key == (effect, joint)), None)
@@ -346,13 +346,13 @@ def _merged(
     evidence: Evidence,
     terms: Sequence[str],
     found: Standard,
-    acting: Sequence[Acting],
+    acting: Sequence[EffectInstance],
     intervals: Sequence[Mapping[str, tuple]],
-) -> tuple[Sequence[Acting], Sequence[Mapping[str, tuple]]]:
+) -> tuple[Sequence[EffectInstance], Sequence[Mapping[str, tuple]]]:
     """All effects and their intervals."""
     n = evidence.dofs
     theta, std = found.theta, np.sqrt(np.diag(found.covariance))
-    together: list[Acting] = list(acting)
+    together: list[EffectInstance] = list(acting)
     ends: list[dict[str, tuple]] = [dict(x) for x in intervals]
     for t, term in enumerate(terms):
         effect, name = TERMS[term]
@@ -360,7 +360,7 @@ def _merged(
             value, reach = (float(x[10 * n + t * n + j]) for x in (theta, 1.96 * std))
             place = _place(acting, term, j)
             if place is None:
-                together.append(Acting(EFFECTS[effect], j, {name: value}))
+                together.append(EffectInstance(EFFECTS[effect], j, {name: value}))
                 ends.append({name: (value, value - reach, value + reach)})
                 continue
             old = together[place]
@@ -373,6 +373,6 @@ def _merged(
         spread = 1.96 * std[10 * j : 10 * j + 10]
         split = {"mass": 0, "moment": slice(1, 4), "inertia": slice(4, 10)}
         plain = {k: float(row[at]) if k == "mass" else row[at] for k, at in split.items()}
-        together.append(Acting(LINK, j, plain))
+        together.append(EffectInstance(LINK, j, plain))
         ends.append({k: (plain[k], row[at] - spread[at], row[at] + spread[at]) for k, at in split.items()})
     return together, ends

@@ -31,7 +31,7 @@ LEAST_INERTIA = 1e-6
 """[kg m^2; kg] that a joint is taken to carry at least: behind a gear a link without mass would be nowhere."""
 
 
-class When(NamedTuple):
+class TimeWindow(NamedTuple):
     """The window of what comes and goes: trajectory, start and end [s] from its first sample; `number` tells several
     such effects of a log apart."""
 
@@ -46,13 +46,13 @@ LEAST = 1e-3
 
 
 @dataclass(frozen=True)
-class Acting:
+class EffectInstance:
     """An effect at work: on a joint (None: the whole arm), with these parameters, in a window (None: always)."""
 
     effect: AbstractEffect
     joint: int | None
     parameters: Parameters
-    when: When | None = None
+    when: TimeWindow | None = None
 
     @property
     def key(self) -> tuple:
@@ -60,7 +60,7 @@ class Acting:
         return self.effect.name, self.joint, *(() if self.when is None else (self.when.number,))
 
 
-def identity(acting: Sequence[Acting]) -> tuple:
+def identity(acting: Sequence[EffectInstance]) -> tuple:
     """What is the same for the same effects with the same parameters, to keep results by."""
     return tuple(
         (a.effect.name, a.joint, a.when, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items()))
@@ -77,7 +77,7 @@ class Stretch:
     rate: float
 
 
-def weight(when: When | None, stretch: Stretch) -> np.ndarray | float:
+def weight(when: TimeWindow | None, stretch: Stretch) -> np.ndarray | float:
     """How much (T,) of an effect is there: 1 in its window, 0 elsewhere, straight lines of a sample between."""
     if when is None:
         return 1.0
@@ -87,7 +87,7 @@ def weight(when: When | None, stretch: Stretch) -> np.ndarray | float:
     return np.clip(begun, 0, 1) - np.clip(over, 0, 1)
 
 
-def changed(robot: Robot, acting: Sequence[Acting], motion: Motion) -> tuple[Robot, Motion]:
+def changed(robot: Robot, acting: Sequence[EffectInstance], motion: Motion) -> tuple[Robot, Motion]:
     """The robot with the lasting body effects among `acting`, and the true motion (n, *batch) of a logged one, up to
     the gear; numpy or jax."""
     for one in acting:
@@ -101,14 +101,18 @@ def changed(robot: Robot, acting: Sequence[Acting], motion: Motion) -> tuple[Rob
     return robot, motion
 
 
-def body_torque(robot: Robot, acting: Sequence[Acting], motion: Motion) -> Array:
+def body_torque(robot: Robot, acting: Sequence[EffectInstance], motion: Motion) -> Array:
     """Inverse dynamics (n, *batch) [N m; N] with the motion and body effects among `acting`; pure jax."""
     robot, motion = changed(robot, acting, motion)
     return rigid_body.inverse_dynamics(robot, robot.inertial, motion.q, motion.qd, motion.qdd)
 
 
 def link_torque(
-    robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch, kept: dict[tuple, Any] | None = None
+    robot: Robot,
+    acting: Sequence[EffectInstance],
+    motion: Motion,
+    stretch: Stretch,
+    kept: dict[tuple, Any] | None = None,
 ) -> np.ndarray:
     """Torque (n, T) [N m; N] that moves the links along a logged motion (n, T), with the motion, body, gear and force
     effects among `acting`; numpy in and out.
@@ -133,7 +137,7 @@ def link_torque(
     return _moving(robot, acting, motion, stretch)
 
 
-def _moving(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Stretch) -> np.ndarray:
+def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stretch: Stretch) -> np.ndarray:
     """Torque (n, T) that moves the links of a robot along their motion, with what comes and goes among `acting`."""
     torque = bare = rigid_torque(robot, motion)
     for one in acting:
@@ -147,7 +151,7 @@ def _moving(robot: Robot, acting: Sequence[Acting], motion: Motion, stretch: Str
     return torque
 
 
-def _behind(one: Acting, motion: Motion, torque: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
+def _behind(one: EffectInstance, motion: Motion, torque: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
     """The motion (n, T) of the links behind a gear that yields to all that they carry, torque (n, T), inertia (T,)."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
     inertia = np.maximum(
@@ -167,7 +171,7 @@ def inertia_column(robot: Robot, q: Array, joint: int) -> np.ndarray:
 
 
 def joint_terms(
-    acting: Sequence[Acting], joint: int, states: Sequence[JointState], parents: Sequence[int]
+    acting: Sequence[EffectInstance], joint: int, states: Sequence[JointState], parents: Sequence[int]
 ) -> list[Array]:
     """What each torque effect that a joint feels adds, shape of the arrays of the joints' `states`; those of coupled
     effects are of `in_chain`."""
@@ -180,7 +184,7 @@ def joint_terms(
     return made
 
 
-def felt_by(one: Acting, parents: Sequence[int]) -> tuple[int | None, ...]:
+def felt_by(one: EffectInstance, parents: Sequence[int]) -> tuple[int | None, ...]:
     """The joint of a torque or channel effect, and the one before it where their gear is coupled."""
     if not getattr(one.effect, "coupled", False):
         return (one.joint,)
@@ -199,7 +203,7 @@ def in_chain(states: Sequence[JointState], parents: Sequence[int]) -> list[Joint
     return [s._replace(driver=states[p]) if p >= 0 else s for s, p in zip(states, parents, strict=True)]
 
 
-def channel(acting: Sequence[Acting], joint: int, tau: Array, stretch: Stretch) -> Array:
+def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: Stretch) -> Array:
     """What is logged where tau (T, …) reaches a joint."""
     for one in acting:
         if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:

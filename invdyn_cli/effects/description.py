@@ -10,9 +10,9 @@ import numpy as np
 from invdyn_cli import untrusted
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import (
-    Acting,
+    EffectInstance,
     Stretch,
-    When,
+    TimeWindow,
     body_torque,
     channel,
     felt_by,
@@ -43,7 +43,7 @@ class ExtendedModel:
     """
 
     robot: Robot
-    acting: tuple[Acting, ...]
+    acting: tuple[EffectInstance, ...]
     intervals: tuple[Mapping[str, tuple], ...] = ()
     filter: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -159,8 +159,8 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
             when = None
             if effects[name].passing:
                 start, end = row["window"]
-                when = When(row["trajectory"], float(start), float(end), number)
-            acting.append(Acting(effects[name], joint, parameters, when))
+                when = TimeWindow(row["trajectory"], float(start), float(end), number)
+            acting.append(EffectInstance(effects[name], joint, parameters, when))
             ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
             intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})
     except KeyError as error:
@@ -171,7 +171,7 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
     return ExtendedModel(robot, tuple(acting), tuple(intervals), stored.get("filter", {}), stored.get("provenance", {}))
 
 
-def driver_name(one: Acting, robot: Robot) -> dict[str, str]:
+def driver_name(one: EffectInstance, robot: Robot) -> dict[str, str]:
     """Which joint drives the gear of a coupled effect, by its name; nothing of any other."""
     joints = [robot.joints[j] for j in felt_by(one, robot.parents)[1:] if j is not None]
     return {"driver": joints[0]} if joints else {}

@@ -98,11 +98,11 @@ class JointElasticity(AbstractGearEffect):
     def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
         return _on_spring(np.asarray(load), np.asarray(inertia), parameters["stiffness"], self.damping_ratio, rate)
 
-    def softness(self, parameters: Parameters) -> float:
+    def compliance(self, parameters: Parameters) -> float:
         return 1 / parameters["stiffness"]
 
-    def of_softness(self, softness: float) -> dict[str, float]:
-        return {"stiffness": float(1 / max(softness, 1e-9))}
+    def from_compliance(self, compliance: float) -> dict[str, float]:
+        return {"stiffness": float(1 / max(compliance, 1e-9))}
 
 
 def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) -> tuple[np.ndarray, np.ndarray]:

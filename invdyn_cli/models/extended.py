@@ -15,7 +15,7 @@ import numpy as np
 
 from invdyn_cli import untrusted
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import ExtendedModel, from_dict
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
@@ -117,7 +117,7 @@ def _parsed(text: str, where: str, effects: tuple[AbstractEffect, ...]) -> Exten
     return from_dict(untrusted.parsed(text, where, UsageError, HINT), where, known)
 
 
-def _name(index: int, one: Acting) -> str:
+def _name(index: int, one: EffectInstance) -> str:
     return f"{index}_{one.effect.name}"
 
 

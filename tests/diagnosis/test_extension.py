@@ -9,7 +9,7 @@ import pytest
 from experiments.arms import random_arm
 from invdyn_cli.diagnosis.extension import exported, urdf_of, why_not
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.logfile import Log
 from invdyn_cli.robots import load_urdf
@@ -32,7 +32,7 @@ def arm(folder) -> Robot:
 
 
 def model(robot: Robot, *effects: tuple[str, int | None, dict]) -> ExtendedModel:
-    return ExtendedModel(robot, tuple(Acting(EFFECTS[name], joint, p) for name, joint, p in effects))
+    return ExtendedModel(robot, tuple(EffectInstance(EFFECTS[name], joint, p) for name, joint, p in effects))
 
 
 def test_the_urdf_holds_what_it_can(arm, tmp_path):

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 LOUD = 0.05
@@ -79,7 +79,7 @@ def test_what_goes_with_something_fails_its_test(evidence, against, seed):
 def test_what_is_in_the_model_is_not_pointed_at(evidence):
     """A test points at effects that show so, but for those that the model has on this joint."""
     residual = noise(evidence, 0)
-    there = [Acting(EFFECTS["viscous_friction"], 0, {"damping": 1.0})]
+    there = [EffectInstance(EFFECTS["viscous_friction"], 0, {"damping": 1.0})]
     tests = residual_tests(evidence, residual, EFFECTS.values(), there)
     first, second = (x.points_at for x in tests if x.against == "velocity" and x.joint in evidence.robot.joints[:2])
     assert set(second) - set(first) == {"viscous_friction"}

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import SIZES, draw_effect, draw_scene, inverse_dynamics
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When, rigid_torque
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow, rigid_torque
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import simulate
@@ -84,14 +84,14 @@ def told(hidden: Hidden, robot: Robot) -> dict:
     return {k: v for k, v in p.items() if k in EFFECTS[hidden.effect].parameters}
 
 
-def acting_of(hidden: Hidden, robot: Robot) -> tuple[Acting, ...]:
+def acting_of(hidden: Hidden, robot: Robot) -> tuple[EffectInstance, ...]:
     """The same effect of the catalogue, and the rotor that the plant puts before a gear that yields."""
     joint = None if hidden.joint is None else robot.joints.index(hidden.joint)
-    when = When("run", *hidden.parameters["window"]) if "window" in hidden.parameters else None
-    one = Acting(EFFECTS[hidden.effect], joint, told(hidden, robot), when)
+    when = TimeWindow("run", *hidden.parameters["window"]) if "window" in hidden.parameters else None
+    one = EffectInstance(EFFECTS[hidden.effect], joint, told(hidden, robot), when)
     if "rotor" not in hidden.parameters:
         return (one,)
-    return one, Acting(EFFECTS["rotor_inertia"], joint, {"armature": float(hidden.parameters["rotor"])})
+    return one, EffectInstance(EFFECTS["rotor_inertia"], joint, {"armature": float(hidden.parameters["rotor"])})
 
 
 @pytest.mark.parametrize("name", [n for n in SIZES if n != "torque_saturation"])
@@ -136,10 +136,12 @@ def test_effects_are_composed_in_their_order(scene):
     robot, draw = scene.robot, np.random.default_rng(0)
     q, qd, qdd = draw.normal(size=(3, 50, 3))
     acting = (
-        Acting(EFFECTS["torque_gain_error"], 2, {"gain": 0.8}),
-        Acting(EFFECTS["load_dependent_friction"], 2, {"mu": 0.1}),
-        Acting(EFFECTS["payload"], None, {"mass": 1.0, "com": np.array([0.0, 0.02, 0.1]), "inertia": np.zeros(6)}),
-        Acting(EFFECTS["encoder_offset"], 1, {"offset": 0.1}),
+        EffectInstance(EFFECTS["torque_gain_error"], 2, {"gain": 0.8}),
+        EffectInstance(EFFECTS["load_dependent_friction"], 2, {"mu": 0.1}),
+        EffectInstance(
+            EFFECTS["payload"], None, {"mass": 1.0, "com": np.array([0.0, 0.02, 0.1]), "inertia": np.zeros(6)}
+        ),
+        EffectInstance(EFFECTS["encoder_offset"], 1, {"offset": 0.1}),
     )
     inertial = np.array(robot.inertial)
     inertial[-1] += pin.Inertia(1.0, np.array([0.0, 0.02, 0.1]), np.zeros((3, 3))).toDynamicParameters()

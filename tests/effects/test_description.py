@@ -10,7 +10,7 @@ import pytest
 
 from experiments.arms import random_arm
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.description import ExtendedModel, as_dict, from_dict, period_of
 from invdyn_cli.errors import UsageError
 from invdyn_cli.robots import load_urdf
@@ -46,8 +46,8 @@ WEIGHTS = np.random.default_rng(1).normal(size=(30, 2))
 def model_of(name: str, robot, given=None) -> ExtendedModel:
     """The robot with one effect on its second joint."""
     given = parameters(name, np.random.default_rng(5)) if given is None else given
-    when = When("run", 1.0, 2.0) if EFFECTS[name].passing else None
-    return ExtendedModel(robot, (Acting(EFFECTS[name], joint_of(name, 1), given, when),))
+    when = TimeWindow("run", 1.0, 2.0) if EFFECTS[name].passing else None
+    return ExtendedModel(robot, (EffectInstance(EFFECTS[name], joint_of(name, 1), given, when),))
 
 
 SHOWN = [n for n in EFFECTS if n not in (*MEMORY, *PASSING, "presliding_hysteresis")]
@@ -169,7 +169,7 @@ def test_json_and_back(name, robot, motion):
 def test_windows_stand_in_the_file(robot):
     """What comes and goes has its trajectory and its window there, what lasts has neither; two on one joint stay two,
     and one without a window is refused in a line."""
-    both = tuple(replace(model_of("torque_gain_change", robot).acting[0], when=When("run", *w)) for w in WINDOWS)
+    both = tuple(replace(model_of("torque_gain_change", robot).acting[0], when=TimeWindow("run", *w)) for w in WINDOWS)
     model = ExtendedModel(robot, (*both, *model_of("payload", robot).acting))
     stored = json.loads(json.dumps(as_dict(model)))
     assert [x.get("window") for x in stored["effects"]] == [[0.5, 1.0], [1.5, 2.5], None]

@@ -112,13 +112,13 @@ def test_what_does_not_yield():
 
 @pytest.mark.parametrize("name", named(AbstractGearEffect))
 def test_softness_is_one_number(name):
-    """Parameters come back from their softness, and twice as soft yields more."""
+    """Parameters come back from their compliance, and twice as soft yields more."""
     effect = EFFECTS[name]
     load, inertia = (x(T) for x in drawn(2))
     for seed in range(3):
         given = parameters(name, np.random.default_rng(seed))
-        assert effect.of_softness(effect.softness(given)) == pytest.approx(given)
-        softer = effect.of_softness(2 * effect.softness(given))
+        assert effect.from_compliance(effect.compliance(given)) == pytest.approx(given)
+        softer = effect.from_compliance(2 * effect.compliance(given))
         a, b = (np.ptp(effect.deflection(x, load, inertia, RATE)[0]) for x in (given, softer))
         assert b > 1.5 * a
     for shape in effect.shapes(load, inertia, RATE):

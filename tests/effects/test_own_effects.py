@@ -16,7 +16,7 @@ from invdyn_cli.diagnosis.extension import exported
 from invdyn_cli.diagnosis.search.events import places
 from invdyn_cli.diagnosis.search.judge import parameters_of
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.effects.gear import JointElasticity
 from invdyn_cli.effects.load import EncoderOffset, Payload
@@ -131,8 +131,8 @@ SIZES = {
 
 def model(*names: str) -> ExtendedModel:
     """An arm with these of the user's effects, on its second joint."""
-    when = When("one", 1.0, 2.0, 0)
-    acting = [Acting(x, 1 if x.of_joint else None, SIZES[x.name], when if x.passing else None) for x in OWN]
+    when = TimeWindow("one", 1.0, 2.0, 0)
+    acting = [EffectInstance(x, 1 if x.of_joint else None, SIZES[x.name], when if x.passing else None) for x in OWN]
     return ExtendedModel(arm(), tuple(a for a in acting if a.effect.name in names))
 
 

@@ -8,14 +8,22 @@ import pytest
 
 from experiments.arms import random_arm
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, Stretch, When, channel, link_torque, rigid_torque, weight
+from invdyn_cli.effects.composition import (
+    EffectInstance,
+    Stretch,
+    TimeWindow,
+    channel,
+    link_torque,
+    rigid_torque,
+    weight,
+)
 from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.types import Motion
 from tests.effects.drawn import parameters
 
 RATE = 100.0
 T = np.arange(300) / RATE
-WINDOW = When("run", 0.5, 1.5)
+WINDOW = TimeWindow("run", 0.5, 1.5)
 HERE = Stretch("run", T, RATE)
 
 
@@ -48,7 +56,7 @@ def test_a_contact_is_the_jacobians(joint, robot, motion):
     columns = effect.basis(robot, joint, motion)
     np.testing.assert_allclose(np.tensordot(effect.coefficients(given), columns, 1), wanted, atol=1e-9)
     np.testing.assert_array_equal(effect.read(effect.coefficients(given))["force"], given["force"])
-    always = link_torque(robot, [Acting(effect, joint, given)], motion, HERE)
+    always = link_torque(robot, [EffectInstance(effect, joint, given)], motion, HERE)
     np.testing.assert_allclose(always - rigid_torque(robot, motion), wanted, atol=1e-9)
 
 
@@ -68,7 +76,7 @@ def test_a_load_taken_up_is_a_payload(seed, robot, motion):
     """Inside the window the torque is that of the arm with the payload, outside that of the bare arm."""
     given = parameters("payload", np.random.default_rng(seed))
     laden = rigid_torque(EFFECTS["payload"].changed(given, robot, None), motion)
-    got = link_torque(robot, [Acting(EFFECTS["payload_change"], None, given, WINDOW)], motion, HERE)
+    got = link_torque(robot, [EffectInstance(EFFECTS["payload_change"], None, given, WINDOW)], motion, HERE)
     share = np.asarray(weight(WINDOW, HERE))
     np.testing.assert_allclose(got[:, share == 1], laden[:, share == 1], atol=1e-9)
     np.testing.assert_array_equal(got[:, share == 0], rigid_torque(robot, motion)[:, share == 0])
@@ -76,8 +84,8 @@ def test_a_load_taken_up_is_a_payload(seed, robot, motion):
 
 def test_a_load_is_taken_up_by_the_arm_as_it_is(robot, motion):
     """What is taken up adds to what lasts: with a wrong link beside it, the step in torque is the payload's alone."""
-    error = Acting(EFFECTS["link_inertia_error"], 1, parameters("link_inertia_error", np.random.default_rng(0)))
-    load = Acting(EFFECTS["payload_change"], None, parameters("payload", np.random.default_rng(1)), WINDOW)
+    error = EffectInstance(EFFECTS["link_inertia_error"], 1, parameters("link_inertia_error", np.random.default_rng(0)))
+    load = EffectInstance(EFFECTS["payload_change"], None, parameters("payload", np.random.default_rng(1)), WINDOW)
     steps = [link_torque(robot, (*x, load), motion, HERE) - link_torque(robot, x, motion, HERE) for x in ((), (error,))]
     np.testing.assert_allclose(*steps, atol=1e-9)
 
@@ -85,7 +93,7 @@ def test_a_load_is_taken_up_by_the_arm_as_it_is(robot, motion):
 def test_a_drive_weakens_for_a_time():
     """Logged torque is what reaches the joint divided by the gain inside the window, what reaches it outside."""
     tau = np.random.default_rng(0).normal(size=len(T))
-    one = Acting(EFFECTS["torque_gain_change"], 2, {"gain": 0.8}, WINDOW)
+    one = EffectInstance(EFFECTS["torque_gain_change"], 2, {"gain": 0.8}, WINDOW)
     share = np.asarray(weight(WINDOW, HERE))
     np.testing.assert_allclose(channel([one], 2, tau, HERE), tau + share * (tau / 0.8 - tau), atol=1e-12)
     np.testing.assert_array_equal(channel([one], 1, tau, HERE), tau)

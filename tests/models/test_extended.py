@@ -12,7 +12,7 @@ from invdyn_cli import experiment, load_model, store
 from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.data.sim import SineTasks
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import UsageError
 from invdyn_cli.models.extended import read
@@ -48,7 +48,7 @@ def data(robot):
 @pytest.fixture(scope="module")
 def extended(robot):
     """The robot with an effect of every kind."""
-    return ExtendedModel(robot, tuple(Acting(EFFECTS[name], joint, p) for name, joint, p in FOUND))
+    return ExtendedModel(robot, tuple(EffectInstance(EFFECTS[name], joint, p) for name, joint, p in FOUND))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_needs_no_robot(path, data):
 
 def test_a_delay_is_told_over_a_recording(robot, data, tmp_path):
     """predict finds the clock in q and qd: a delay of 20 ms shifts the torque by so much; a single sample has none."""
-    delayed = ExtendedModel(robot, (Acting(EFFECTS["torque_delay"], 1, {"delay": 0.02}),))
+    delayed = ExtendedModel(robot, (EffectInstance(EFFECTS["torque_delay"], 1, {"delay": 0.02}),))
     store.write_model(delayed, tmp_path / "m.json")
     model = read(str(tmp_path / "m.json"))
     fit = model.fit(data, jax.random.key(0))

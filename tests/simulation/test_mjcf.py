@@ -11,7 +11,7 @@ from experiments.arms import random_arm
 from experiments.truth import mjcf_of
 from invdyn_cli.diagnosis.extension import exported
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import UsageError
 from invdyn_cli.joints import SimulatorTerms
@@ -69,7 +69,7 @@ def mjcf_with(robot: Robot, *effects: tuple[str, str | None, dict]) -> tuple[str
     for name, joint, parameters in effects:
         p = {k: np.asarray(v, float) if np.ndim(v) else v for k, v in parameters.items()}
         p |= {"inertia": np.zeros(6)} if name.startswith("payload") and "inertia" not in p else {}
-        made.append(Acting(EFFECTS[name], None if joint is None else robot.joints.index(joint), p))
+        made.append(EffectInstance(EFFECTS[name], None if joint is None else robot.joints.index(joint), p))
     out = exported(ExtendedModel(robot, tuple(made)))
     return out.mjcf, out.mjcf_lacks
 

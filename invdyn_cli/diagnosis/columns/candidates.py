@@ -14,8 +14,8 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered,
 from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
-    Acting,
-    When,
+    EffectInstance,
+    TimeWindow,
     chunked,
     has_driver,
     identity,
@@ -113,7 +113,7 @@ def _channel_shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: in
     return [shape for shape in shapes if shape["limit"] > 6 * recording.torque_noise[joint]]
 
 
-def trial_at(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> Candidate:
+def trial_at(evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()) -> Candidate:
     """The candidate of an effect at parameters that were found, beside others: its nonlinear ones tried there and
     nowhere else."""
     effect, joint = acting.effect, acting.joint
@@ -203,7 +203,7 @@ def body_candidate(
 ) -> Candidate:
     """A body or motion effect linearised at parameters that were found already: the change so far is fixed."""
     base = next(c for c in evidence.candidates if c.key == (effect.name, joint) and not c.shape)
-    change = _change(evidence, Acting(effect, joint, at))
+    change = _change(evidence, EffectInstance(effect, joint, at))
     columns = {j: (evidence.append(j, [change[j]]), free) for j, (_, free) in base.columns.items()}
     return replace(base, shape=at, columns=columns)
 
@@ -213,7 +213,7 @@ def nominal(states: Sequence[JointState]) -> np.ndarray:
     return np.stack([np.asarray(s.transmitted) for s in states])
 
 
-def _change(evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()) -> np.ndarray:
+def _change(evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()) -> np.ndarray:
     """(n, R) what a body, motion or gear effect changes of the torque with others."""
     robot, recording = evidence.robot, evidence.recording
     changes = []
@@ -229,32 +229,32 @@ def gear_candidate(
     effect: AbstractGearEffect,
     joint: int,
     shape: Parameters,
-    beside: Sequence[Acting] = (),
+    beside: Sequence[EffectInstance] = (),
     exact: bool = False,
 ) -> Candidate:
     """A gear that yields so far to what it carries with others: what that changes (fixed), and the change with its
-    softness (free); `exact`: the fixed one as it is, however small."""
-    fixed, slope, far = gear_columns(evidence, Acting(effect, joint, shape), beside)
+    compliance (free); `exact`: the fixed one as it is, however small."""
+    fixed, slope, far = gear_columns(evidence, EffectInstance(effect, joint, shape), beside)
     if exact or far > STRAIGHT:
-        fixed = _change(evidence, Acting(effect, joint, shape), beside)
+        fixed = _change(evidence, EffectInstance(effect, joint, shape), beside)
     columns = {}
     for j in range(evidence.dofs):
         numbers = evidence.append(j, [fixed[j], slope[j]])
         columns[j] = numbers[:1], numbers[1:]
-    return Candidate(effect, joint, shape, columns, np.array([1 / (0.3 * effect.softness(shape)) ** 2]))
+    return Candidate(effect, joint, shape, columns, np.array([1 / (0.3 * effect.compliance(shape)) ** 2]))
 
 
 def gear_columns(
-    evidence: Evidence, acting: Acting, beside: Sequence[Acting] = ()
+    evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """(n, R) what a gear that yields changes of the torque with others, and the change with its softness, to first
+    """(n, R) what a gear that yields changes of the torque with others, and the change with its compliance, to first
     order: it goes with the link's acceleration against the motor's, and with its angle; how far it yields [rad; m]."""
     effect, joint, recording = acting.effect, acting.joint, evidence.recording
     assert isinstance(effect, AbstractGearEffect) and joint is not None
-    softness, carried = effect.softness(acting.parameters), _carried(evidence, joint, beside)
+    compliance, carried = effect.compliance(acting.parameters), _carried(evidence, joint, beside)
 
     def change(factor: float) -> list[tuple[np.ndarray, float]]:
-        own, made = effect.of_softness(factor * softness), []
+        own, made = effect.from_compliance(factor * compliance), []
         for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
             b, b2 = effect.deflection(own, load, inertia, recording.filter.rate)
             made.append((mass * b2 + slope * b, float(np.abs(b).max())))
@@ -262,10 +262,10 @@ def gear_columns(
 
     softer = [more - less for (more, _), (less, _) in zip(change(1 + YIELD), change(1 - YIELD), strict=True)]
     parts, far = zip(*change(1.0), strict=True)
-    return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * softness), max(far)
+    return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * compliance), max(far)
 
 
-def _carried(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> list[tuple[Array, Array]]:
+def _carried(evidence: Evidence, joint: int, beside: Sequence[EffectInstance] = ()) -> list[tuple[Array, Array]]:
     """Of every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
     kept."""
     key = ("carried", joint, identity(beside))
@@ -277,7 +277,7 @@ def _carried(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> l
     return evidence.kept[key]
 
 
-def load_on(evidence: Evidence, joint: int, beside: Sequence[Acting] = ()) -> np.ndarray:
+def load_on(evidence: Evidence, joint: int, beside: Sequence[EffectInstance] = ()) -> np.ndarray:
     """(T,) of all pieces: the torque that a joint transmits with other effects."""
     return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
 
@@ -296,7 +296,7 @@ def _answers(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarra
     return evidence.kept["answers", joint]
 
 
-def passing_candidate(evidence: Evidence, effect: AbstractEffect, joint: int | None, when: When) -> Candidate:
+def passing_candidate(evidence: Evidence, effect: AbstractEffect, joint: int | None, when: TimeWindow) -> Candidate:
     """What comes and goes, in a window."""
     columns = passing_columns(evidence, effect, joint, when)
     own = isinstance(effect, AbstractChannelEffect)
@@ -312,7 +312,9 @@ def beforehand(robot: Robot, effect: AbstractEffect, joint: int | None, count: i
     return np.full(count, 1 / effect.scale**2 if isinstance(effect, AbstractForceEffect) else 0.0)
 
 
-def passing_columns(evidence: Evidence, effect: AbstractEffect, joint: int | None, when: When | None) -> np.ndarray:
+def passing_columns(
+    evidence: Evidence, effect: AbstractEffect, joint: int | None, when: TimeWindow | None
+) -> np.ndarray:
     """Columns (k, n, R) of what comes and goes, in a window; None: of what it would be always."""
     recording = evidence.recording
     shares = [weight(when, recording.stretch(piece)) for piece in recording.pieces]
@@ -320,7 +322,7 @@ def passing_columns(evidence: Evidence, effect: AbstractEffect, joint: int | Non
     return filtered(recording, [x * share for x, share in zip(parts, shares, strict=True)])
 
 
-def passing_torque(evidence: Evidence, acting: Acting, factors: np.ndarray) -> list[np.ndarray]:
+def passing_torque(evidence: Evidence, acting: EffectInstance, factors: np.ndarray) -> list[np.ndarray]:
     """(n, T) of every piece: what comes and goes, of its columns' factors (k,)."""
     recording = evidence.recording
     parts = _passing(evidence, acting.effect, acting.joint)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from invdyn_cli.diagnosis.columns.recording import ROLES, Piece, Recording
-from invdyn_cli.effects.composition import Acting, Stretch, When, channel, in_chain, rigid_torque, sign_of
+from invdyn_cli.effects.composition import EffectInstance, Stretch, TimeWindow, channel, in_chain, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractEffect,
@@ -48,8 +48,8 @@ class Candidate:
 
     `columns[j]` = (fixed columns, free columns) of row j; free columns are in the order of the coefficients, one for
     each; behind those that the effect reads there may be one that only mends the timing of its reversals. `precision`
-    (k,) is what is known of the coefficients beforehand: 1 / scale^2. `quiet` is the share of a white noise's variance
-    that a channel effect takes away, which is no merit of it. `when` is the window of what comes and goes.
+    (k,) is what is known of the coefficients beforehand: 1 / scale^2. `noise_reduction` is the share of a white noise's
+    variance that a channel effect takes away, which is no merit of it. `when` is the window of what comes and goes.
     """
 
     effect: AbstractEffect
@@ -57,13 +57,13 @@ class Candidate:
     shape: Parameters
     columns: dict[int, tuple[tuple[int, ...], tuple[int, ...]]]
     precision: np.ndarray
-    quiet: float = 0.0
-    when: When | None = None
+    noise_reduction: float = 0.0
+    when: TimeWindow | None = None
 
     @cached_property
     def key(self) -> tuple:
         """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
-        return Acting(self.effect, self.joint, {}, self.when).key
+        return EffectInstance(self.effect, self.joint, {}, self.when).key
 
     @property
     def is_trial(self) -> bool:
@@ -98,7 +98,7 @@ class Evidence:
     kept: dict[tuple, list] = field(default_factory=dict)
     base: list[np.ndarray] | None = None
 
-    def left(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
+    def residual(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
         out = np.column_stack([table[:, 0] for table in self.tables])
         for c, own in shared_out(candidates, theta):
@@ -106,7 +106,7 @@ class Evidence:
                 out[:, j] -= self.tables[j][:, list(fixed)].sum(1) + self.tables[j][:, list(free)] @ own
         return out
 
-    def logged(self, acting: Sequence[Acting], columns: np.ndarray) -> np.ndarray:
+    def logged(self, acting: Sequence[EffectInstance], columns: np.ndarray) -> np.ndarray:
         """Torque (m, R, n) that reaches the joints as it is logged, behind the channels among `acting`: at the full
         rate again, since rows are so few that a slope between them is none."""
         out, filter = columns, self.recording.filter

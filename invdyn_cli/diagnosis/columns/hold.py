@@ -61,7 +61,7 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
     return lead, error
 
 
-def taken_out(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
+def remove_common_delay(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
     """The recording with the common time between torque and motion taken out, and that time [s].
 
     It is the weighted median of the joints' own, as long as it stays within MOST samples; otherwise every joint has a

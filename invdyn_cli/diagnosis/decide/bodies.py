@@ -8,7 +8,7 @@ import numpy as np
 
 from invdyn_cli.effects.actuator import RotorInertia, TorqueGainError
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.interfaces import AbstractBodyEffect
 from invdyn_cli.types import Finding, Quantity, Robot
@@ -28,7 +28,7 @@ MANY_LINKS = 3
 """Links with wrong inertials from which the model as a whole is in doubt."""
 
 
-def as_link(robot: Robot, acting: Acting) -> Acting:
+def as_link(robot: Robot, acting: EffectInstance) -> EffectInstance:
     """A payload that is no body, or farther than any tool, as the error of the last link's inertials that it is."""
     if not acting.effect.load or acting.effect.passing:  # links are not wrong for a time
         return acting
@@ -37,7 +37,9 @@ def as_link(robot: Robot, acting: Acting) -> Acting:
         return acting
     link, last = EFFECTS[LINK], robot.dofs - 1
     assert isinstance(link, AbstractBodyEffect) and isinstance(acting.effect, AbstractBodyEffect)
-    return Acting(link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last))
+    return EffectInstance(
+        link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last)
+    )
 
 
 def may_be_payload(ends: Mapping[str, tuple]) -> bool:
@@ -45,7 +47,7 @@ def may_be_payload(ends: Mapping[str, tuple]) -> bool:
     return float(np.linalg.norm(ends["moment"][0])) <= FARTHEST_TOOL * float(ends["mass"][2])
 
 
-def told(finding: Finding, acting: Acting, robot: Robot, ends: Mapping[str, tuple]) -> Finding:
+def told(finding: Finding, acting: EffectInstance, robot: Robot, ends: Mapping[str, tuple]) -> Finding:
     """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
     effect, joint = acting.effect, acting.joint
     if effect.load:

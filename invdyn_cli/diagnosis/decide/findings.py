@@ -14,14 +14,14 @@ from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.decide import bodies, sums
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
-from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, that_hold
+from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.realisable import realisable
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import driver_name
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import AbstractEffect
@@ -59,7 +59,7 @@ class Made:
     `alone` and `whole` of the effects without that, fitted on the data that chose them and on all."""
 
     findings: tuple[Finding, ...]
-    acting: tuple[Acting, ...]
+    acting: tuple[EffectInstance, ...]
     intervals: tuple[Mapping[str, tuple], ...]
     terms: tuple[np.ndarray, ...]
     before: np.ndarray
@@ -78,7 +78,7 @@ def report(
 ) -> Made:
     """Everything that can be claimed of a log."""
     evidence, judge = inquiry.evidence, inquiry.judge
-    hypothesis, chosen, dropped = that_hold(inquiry)
+    hypothesis, chosen, dropped = supported(inquiry)
     whole = inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
@@ -209,7 +209,7 @@ def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _term(inquiry: Inquiry, acting: Sequence[Acting], i: int) -> np.ndarray:
+def _term(inquiry: Inquiry, acting: Sequence[EffectInstance], i: int) -> np.ndarray:
     """(R, n) what one effect adds to the torque, the others staying as they are."""
     others = [a for k, a in enumerate(acting) if k != i]
     return inquiry.model.without(inquiry.whole, others) - inquiry.model.without(inquiry.whole, acting)
@@ -223,7 +223,7 @@ def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool)
     }
 
 
-def _chosen(robot: Robot, acting: Acting) -> dict[str, Quantity]:
+def _chosen(robot: Robot, acting: EffectInstance) -> dict[str, Quantity]:
     """What a search chose and nothing refined: parameters that are one of a few values, and the joint that drives the
     gear of a coupled effect, by its name."""
     units = {name: acting.effect.parameters[name].unit for name in acting.effect.chosen}
@@ -231,7 +231,7 @@ def _chosen(robot: Robot, acting: Acting) -> dict[str, Quantity]:
     return chosen | {name: Quantity(joint, "") for name, joint in driver_name(acting, robot).items()}
 
 
-def _timed(finding: Finding, acting: Acting, ends: Mapping[str, tuple]) -> Finding:
+def _timed(finding: Finding, acting: EffectInstance, ends: Mapping[str, tuple]) -> Finding:
     """A finding with its window, seconds from the trajectory's first sample."""
     assert acting.when is not None
     edges = [[_plain(x) for x in ends[name][1:]] for name in EDGES]

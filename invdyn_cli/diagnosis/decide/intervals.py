@@ -9,7 +9,7 @@ from scipy import stats
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.coordinates import EDGES, with_parameters
 from invdyn_cli.diagnosis.search.exact import Refined
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 
 BOUNDLESS = 1e100
 """Beyond it nothing is known of a parameter (the place of no mass), and squares overflow."""
@@ -47,7 +47,7 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
     return out
 
 
-def _told(acting: Acting) -> dict[str, Any]:
+def _told(acting: EffectInstance) -> dict[str, Any]:
     """Parameters of an effect, and the edges of its window."""
     edges = {} if acting.when is None else {name: getattr(acting.when, name) for name in EDGES}
     refined = {name: x for name, x in acting.parameters.items() if name not in acting.effect.chosen}
@@ -65,7 +65,7 @@ def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray, share: float = 0.
     return widest
 
 
-def _systematic(evidence: Evidence, acting: Acting, name: str, value) -> np.ndarray | float:
+def _systematic(evidence: Evidence, acting: EffectInstance, name: str, value) -> np.ndarray | float:
     """Standard error that no spread of blocks shows: what clocks, holding and filters leave of every column."""
     if name == acting.effect.late_by:
         return OWN_TIME * evidence.recording.period

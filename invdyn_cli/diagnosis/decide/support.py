@@ -11,7 +11,7 @@ from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 
 OUTWEIGHED = 1.0
 """Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
@@ -21,7 +21,7 @@ to it goes with, more."""
 PICKED_UP = 0.2
 """And so much more for every further coefficient, each of which picks up as much."""
 
-FEIGNED = 0.5
+MIN_SHARE_OF_RESIDUAL = 0.5
 """Of the squares that are left on its joints, what an effect must save: a controller answers to the noise and the
 rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
 
@@ -50,7 +50,7 @@ def held_out(evidence: Evidence) -> bool:
     return bool(np.any(evidence.role == ROLES.index("test")))
 
 
-def refitted(inquiry: Inquiry, acting: Sequence[Acting], rows: np.ndarray) -> Refined:
+def refitted(inquiry: Inquiry, acting: Sequence[EffectInstance], rows: np.ndarray) -> Refined:
     return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.beside(acting))
 
 
@@ -61,7 +61,7 @@ def exactly(inquiry: Inquiry, hypothesis: Hypothesis, before: Refined) -> Refine
     return refitted(inquiry, [known.get(a.key, a) for a in start], inquiry.judge.rows)
 
 
-def that_hold(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
+def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     """The candidates that gain on data that did not choose them, and explain more than what stays unknown, their
     parameters, refined anew whenever one is dropped; and a sentence for each of the others."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
@@ -134,7 +134,7 @@ def _fails(
     sure, share = _exactly(inquiry, hypothesis, chosen, i)
     if not sure:
         return gain, "its exact formula does not improve the fit on held-out data"
-    if share < FEIGNED:
+    if share < MIN_SHARE_OF_RESIDUAL:
         why = "it is small compared with the residual, and may be an artefact of encoder noise in the feedback loop"
         return gain, why
     return None
@@ -144,7 +144,7 @@ def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
     """Whether an effect is there while joints rest: of one that is not they say nothing, but of what friction bears."""
     evidence, every = inquiry.evidence, (*inquiry.always, *hypothesis)
     own = [theta for _, theta in shared_out(every, inquiry.judge.verdict(every).theta)][len(inquiry.always) + i]
-    term = (evidence.left((), own) - evidence.left((hypothesis[i],), own)) ** 2 * inquiry.noise.weights
+    term = (evidence.residual((), own) - evidence.residual((hypothesis[i],), own)) ** 2 * inquiry.noise.weights
     at_rest = ~evidence.valid
     return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
@@ -174,7 +174,7 @@ def _exactly(inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int) 
 def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
     """Residual (R, n) of a hypothesis fitted on the data that chose."""
     every = (*inquiry.always, *hypothesis)
-    return inquiry.evidence.left(every, inquiry.judge.verdict(every).theta)
+    return inquiry.evidence.residual(every, inquiry.judge.verdict(every).theta)
 
 
 def _strain(inquiry: Inquiry, hypothesis: Hypothesis) -> float:

@@ -26,7 +26,7 @@ TEST_WORDS = {
 def verdict(
     made: Made,
     learned: np.ndarray,
-    restless: np.ndarray,
+    structured_joints: np.ndarray,
     structured: np.ndarray,
     floor: np.ndarray | None,
     extended: Mapping[str, Mapping[str, float]],
@@ -35,15 +35,15 @@ def verdict(
 
     Args:
         learned: share of the residual (n,) that a learner predicts.
-        restless: whether (n,) it is no noise.
+        structured_joints: whether (n,) it is no noise.
         structured: RMS torque (n,) of what residual tests find in it.
     """
     if not any(f.status in ("named", "ambiguous") for f in made.findings):
         return "nothing_found"
     before = np.sqrt(np.mean(made.before**2, axis=0))
     after = np.array([x["rmse"] for x in extended.values()])
-    left = np.maximum(np.where(restless, 1.0, np.sqrt(np.nan_to_num(learned))) * after, structured)
-    fine = ~(restless | (learned > PREDICTABLE) | (structured > 0)) | (left < SMALL * before)
+    left = np.maximum(np.where(structured_joints, 1.0, np.sqrt(np.nan_to_num(learned))) * after, structured)
+    fine = ~(structured_joints | (learned > PREDICTABLE) | (structured > 0)) | (left < SMALL * before)
     if floor is not None:
         fine |= after < 1.2 * np.sqrt(2) * floor
     return "explained" if np.all(fine) else "partly_explained"

@@ -7,14 +7,14 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import beforehand
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractForceEffect
 
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
 
 
-def flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
+def flat(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
     """All coordinates in one row, and what each is: (effect number, parameter or "" for what torque is linear in,
     index)."""
     values, labels = [], []
@@ -33,7 +33,7 @@ def flat(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, tupl
     return np.array(values), tuple(labels)
 
 
-def coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
+def coordinates(evidence: Evidence, acting: EffectInstance) -> list[float] | None:
     """What the torque is linear in, of bodies and forces."""
     if isinstance(acting.effect, AbstractBodyEffect):
         return acting.effect.coefficients(acting.parameters, evidence.robot, acting.joint)
@@ -42,7 +42,9 @@ def coordinates(evidence: Evidence, acting: Acting) -> list[float] | None:
     return None
 
 
-def with_parameters(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> tuple[Acting, ...]:
+def with_parameters(
+    evidence: Evidence, acting: Sequence[EffectInstance], labels, theta: np.ndarray
+) -> tuple[EffectInstance, ...]:
     """The effects with parameters from one row of coordinates."""
     made = []
     for number, a in enumerate(acting):
@@ -60,7 +62,7 @@ def with_parameters(evidence: Evidence, acting: Sequence[Acting], labels, theta:
     return tuple(made)
 
 
-def inside(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarray) -> np.ndarray:
+def inside(evidence: Evidence, acting: Sequence[EffectInstance], labels, theta: np.ndarray) -> np.ndarray:
     """Parameters moved back to where they are physics at all, and windows to their trajectory."""
     lower, upper = np.full(len(theta), -np.inf), np.full(len(theta), np.inf)
     for i, (number, name, _) in enumerate(labels):
@@ -73,7 +75,7 @@ def inside(evidence: Evidence, acting: Sequence[Acting], labels, theta: np.ndarr
     return np.clip(theta, lower, upper)
 
 
-def precision_of(evidence: Evidence, acting: Sequence[Acting], labels) -> np.ndarray:
+def precision_of(evidence: Evidence, acting: Sequence[EffectInstance], labels) -> np.ndarray:
     """What is known of coordinates beforehand: what the data do not show of a body or a force stays near zero."""
     out = np.zeros(len(labels))
     for number, a in enumerate(acting):

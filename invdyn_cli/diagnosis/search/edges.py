@@ -12,15 +12,15 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.coordinates import EDGES
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 
 REACH = 0.25
 """Share of a window's length by which its edges are moved at once."""
 
 
 def summed(
-    evidence: Evidence, acting: Sequence[Acting], squares: Callable[[Sequence[Acting]], np.ndarray]
-) -> tuple[Acting, ...]:
+    evidence: Evidence, acting: Sequence[EffectInstance], squares: Callable[[Sequence[EffectInstance]], np.ndarray]
+) -> tuple[EffectInstance, ...]:
     """Effects with the edges of their windows where the sums say, one window after the other.
 
     Args:
@@ -47,7 +47,7 @@ def summed(
     return tuple(acting)
 
 
-def within(acting: Sequence[Acting], labels, move: np.ndarray) -> np.ndarray:
+def within(acting: Sequence[EffectInstance], labels, move: np.ndarray) -> np.ndarray:
     """A move (k,) of the parameters that takes no edge farther than REACH: beyond, its slope says nothing."""
     farthest = np.full(len(move), np.inf)
     for i, (number, name, _) in enumerate(labels):

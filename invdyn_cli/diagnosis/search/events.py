@@ -14,7 +14,7 @@ from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
 from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT
 from invdyn_cli.diagnosis.search.noise import Noise
-from invdyn_cli.effects.composition import When
+from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
 
 GRID, CELL = 120, 0.1
@@ -55,7 +55,7 @@ TURN = 3
 """Every so many blocks one judges."""
 
 
-Windows = Mapping[When, Sequence[Candidate]]
+Windows = Mapping[TimeWindow, Sequence[Candidate]]
 """Windows of time, with every effect that may come and go in each."""
 
 
@@ -94,7 +94,7 @@ def proposed(
     everywhere: Sequence[Place],
     residuals: Sequence[np.ndarray],
     measured: Noise,
-    known: Sequence[When] = (),
+    known: Sequence[TimeWindow] = (),
     share: float = SHARE,
 ) -> Windows:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
@@ -105,7 +105,7 @@ def proposed(
         known: windows that need not be proposed.
         share: of a residual's squares that a window must explain.
     """
-    made: list[When] = []
+    made: list[TimeWindow] = []
     first = 1 + max((when.number for when in known), default=-1)
     weights = measured.weights
     for residual in residuals:
@@ -123,13 +123,13 @@ def proposed(
     return {when: [passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made}
 
 
-def _alike(one: When, other: When) -> bool:
+def _alike(one: TimeWindow, other: TimeWindow) -> bool:
     """Whether two windows are the same but for their edges' last row or two."""
     apart = abs(one.start - other.start) + abs(one.end - other.end)
     return one.trajectory == other.trajectory and apart < SAME
 
 
-def _other_end(evidence: Evidence, when: When) -> list[When]:
+def _other_end(evidence: Evidence, when: TimeWindow) -> list[TimeWindow]:
     """What is left of the trajectory, if the window is at one of its ends: a change until then is one from then on."""
     t = np.concatenate([p.t for p in evidence.recording.pieces if p.trajectory == when.trajectory])
     if when.start - t[0] < EDGE < t[-1] - when.end:
@@ -139,7 +139,7 @@ def _other_end(evidence: Evidence, when: When) -> list[When]:
     return []
 
 
-def interleaved(evidence: Evidence, windows: Iterable[When]) -> Evidence:
+def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
     """The evidence with blocks that choose and judge in turn, in every window and outside: what comes once must be in
     both."""
     block, role = evidence.block.copy(), evidence.role.copy()
@@ -171,12 +171,12 @@ def interleaved(evidence: Evidence, windows: Iterable[When]) -> Evidence:
 
 def _window(
     evidence: Evidence, place: Place, left: np.ndarray, measured: Noise
-) -> tuple[float, When | None, np.ndarray]:
+) -> tuple[float, TimeWindow | None, np.ndarray]:
     """What an effect explains in its best window, less its price; the window, and its torque (R, n)."""
     t, k = evidence.on_rows("t"), len(place.columns)
     names = evidence.trajectory
     used = evidence.valid * measured.weights
-    best: tuple[float, When | None, np.ndarray] = -np.inf, None, left
+    best: tuple[float, TimeWindow | None, np.ndarray] = -np.inf, None, left
     for name in dict.fromkeys(names):
         rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
         if len(rows) < 2 * k:
@@ -214,7 +214,7 @@ def _window(
         if value > WITHIN * excess and _spread(gained) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
             end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
-            best = value, When(str(name), float(start), float(end)), explained
+            best = value, TimeWindow(str(name), float(start), float(end)), explained
     return best
 
 

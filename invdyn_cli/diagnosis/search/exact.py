@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis.search.edges import summed, within
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.steps import WHOLE
-from invdyn_cli.effects.composition import Acting, channel, felt_by, identity, joint_terms, link_torque
+from invdyn_cli.effects.composition import EffectInstance, channel, felt_by, identity, joint_terms, link_torque
 from invdyn_cli.effects.friction import STICK_TIME
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
@@ -57,7 +57,7 @@ class Refined:
         allowed: (m,) coefficients of what is allowed for, `always`.
     """
 
-    acting: tuple[Acting, ...]
+    acting: tuple[EffectInstance, ...]
     theta: np.ndarray
     labels: tuple[tuple[int, str, int], ...]
     replicas: tuple[np.ndarray, ...]
@@ -80,7 +80,7 @@ class Model:
         self.scanned: dict[tuple, float] = {}
         """What each gear, by its key and the number of rows, was last refined to, from sizes far and near."""
 
-    def residual(self, acting: Sequence[Acting]) -> np.ndarray:
+    def residual(self, acting: Sequence[EffectInstance]) -> np.ndarray:
         """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
         bodies = self._moved(acting)
         out = np.column_stack([self._row(acting, bodies, j) for j in range(self.evidence.dofs)])
@@ -89,11 +89,11 @@ class Model:
             out[compared] = self.residual(())[compared]
         return out
 
-    def without(self, refined: Refined, acting: Sequence[Acting]) -> np.ndarray:
+    def without(self, refined: Refined, acting: Sequence[EffectInstance]) -> np.ndarray:
         """(R, n) what effects leave in place of those that were refined, what is allowed for staying as it is."""
         return self.residual(acting) - self.allowed(refined, acting)
 
-    def allowed(self, refined: Refined, acting: Sequence[Acting], count: int | None = None) -> np.ndarray:
+    def allowed(self, refined: Refined, acting: Sequence[EffectInstance], count: int | None = None) -> np.ndarray:
         """(R, n) logged torque of what is allowed for, or of the last `count` coefficients of it, where these effects
         act."""
         theta = refined.allowed.copy()
@@ -101,7 +101,7 @@ class Model:
         torque = np.tensordot(theta, _allowed(self.evidence, refined.always)[0], 1)
         return self.evidence.logged(acting, torque[None])[0]
 
-    def _moved(self, acting: Sequence[Acting]) -> tuple:
+    def _moved(self, acting: Sequence[EffectInstance]) -> tuple:
         """The key of the inverse dynamics (n, T) of every piece with the effects that reach more than one joint, which
         are there. What comes and goes adds to that of the nominal motion, its columns being at hand; but a gear yields
         to it."""
@@ -127,7 +127,7 @@ class Model:
             self._bodies[key] = made
         return key
 
-    def _row(self, acting: Sequence[Acting], bodies: tuple, j: int) -> np.ndarray:
+    def _row(self, acting: Sequence[EffectInstance], bodies: tuple, j: int) -> np.ndarray:
         own = self._own(acting, j)
         key = (bodies, j, identity(own))
         if key not in self._rows:
@@ -136,16 +136,16 @@ class Model:
             self._rows[key] = filtered(self.evidence.recording, self._parts(own, bodies, j), j)
         return self._rows[key]
 
-    def unfiltered(self, acting: Sequence[Acting], j: int) -> list[np.ndarray]:
+    def unfiltered(self, acting: Sequence[EffectInstance], j: int) -> list[np.ndarray]:
         """A joint's residual (T,) in every piece, as it is before the filter."""
         return self._parts(self._own(acting, j), self._moved(acting), j)
 
-    def _own(self, acting: Sequence[Acting], joint: int) -> list[Acting]:
+    def _own(self, acting: Sequence[EffectInstance], joint: int) -> list[EffectInstance]:
         """The torque and channel effects that a joint feels."""
         parents = self.evidence.robot.parents
         return [a for a in acting if a.effect.point in ("torque", "channel") and joint in felt_by(a, parents)]
 
-    def _parts(self, own: Sequence[Acting], bodies: tuple, j: int) -> list[np.ndarray]:
+    def _parts(self, own: Sequence[EffectInstance], bodies: tuple, j: int) -> list[np.ndarray]:
         parts = []
         pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
         for piece, states, body, base in zip(pieces, self.evidence.states, moved, self._base, strict=True):
@@ -166,7 +166,7 @@ class Model:
 def refine(
     evidence: Evidence,
     model: Model,
-    acting: Sequence[Acting],
+    acting: Sequence[EffectInstance],
     rows: np.ndarray,
     weights: np.ndarray,
     always: Sequence[Candidate] = (),
@@ -188,7 +188,7 @@ def refine(
     precision = np.concatenate([precision_of(evidence, acting, labels), timing_precision])
     extra = _fitted(model.residual(acting), evidence.logged(acting, timing), scale, timing_precision)
 
-    def left_by(extra: np.ndarray, there: Sequence[Acting]) -> np.ndarray:
+    def left_by(extra: np.ndarray, there: Sequence[EffectInstance]) -> np.ndarray:
         return model.residual(there) - evidence.logged(there, np.tensordot(extra, timing, 1)[None])[0]
 
     def weighed(theta: np.ndarray, extra: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -196,7 +196,7 @@ def refine(
         y = (left * scale).ravel()
         return float(y @ y + precision @ np.concatenate([theta, extra]) ** 2), left, y
 
-    def squares(extra: np.ndarray, there: Sequence[Acting]) -> np.ndarray:
+    def squares(extra: np.ndarray, there: Sequence[EffectInstance]) -> np.ndarray:
         return np.sum((left_by(extra, there) * scale) ** 2, axis=1)
 
     gears = np.array([acting[n].effect.point == "gear" for n, *_ in labels] + [False] * len(extra))
@@ -252,7 +252,7 @@ def _scanned(evidence: Evidence, model: Model, acting, theta, labels, scale, row
     x = (columns[: len(columns) if new else 0] * scale).reshape(-1, scale.size)
     normal = x @ x.T
 
-    def left(there: Sequence[Acting]) -> float:
+    def left(there: Sequence[EffectInstance]) -> float:
         y = (model.residual(there) * scale).ravel()
         return float(np.sum((y - solved(normal, x @ y, precision[: len(x)]) @ x) ** 2))
 
@@ -330,7 +330,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, timing, e
         there = with_parameters(evidence, acting, labels, moved)
         if isinstance(a.effect, AbstractGearEffect):
             others = [x for x in acting if x is not a and x.effect.point in WHOLE]
-            softer = a.effect.softness(there[number].parameters) - a.effect.softness(a.parameters)
+            softer = a.effect.compliance(there[number].parameters) - a.effect.compliance(a.parameters)
             out[i] = (gear_columns(evidence, a, others)[1] * softer / step).T
             unlogged.append(i)
         elif name in EDGES and a.effect.point in WHOLE:
@@ -347,7 +347,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, timing, e
     return np.concatenate([out, evidence.logged(acting, timing)])
 
 
-def _step(acting: Acting, name: str, value: float, rate: float) -> float:
+def _step(acting: EffectInstance, name: str, value: float, rate: float) -> float:
     if name in EDGES:
         return 1 / rate
     if acting.effect.point == "gear":
@@ -372,7 +372,7 @@ def _allowed(evidence: Evidence, always: Sequence[Candidate]) -> tuple[np.ndarra
     return columns, np.concatenate([c.precision for c in always]) if always else np.zeros(0)
 
 
-def _timing(evidence: Evidence, acting: Sequence[Acting]) -> tuple[np.ndarray, np.ndarray]:
+def _timing(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.ndarray, np.ndarray]:
     """Columns (m, R, n) that shift the jump of each dry friction, and their precision (m,)."""
     columns, precision = [], []
     for a in acting:

@@ -11,13 +11,13 @@ from invdyn_cli.diagnosis.columns.candidates import gear_candidate, load_on, tri
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search import events, naming, noise, resting
+from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
-from invdyn_cli.diagnosis.search.judge import Hypothesis, Judge, parameters_of, read_all
-from invdyn_cli.diagnosis.search.late import told_apart
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer, parameters_of, read_all
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.steps import WHOLE, search
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 
@@ -43,7 +43,7 @@ class Inquiry:
     percent off, if it is part of every hypothesis."""
 
     evidence: Evidence
-    judge: Judge
+    judge: HypothesisScorer
     model: Model
     noise: noise.Noise
     always: Hypothesis
@@ -54,7 +54,7 @@ class Inquiry:
     close: Mapping[tuple[str, int | None], bool]
     wear: Hypothesis
 
-    def beside(self, found: Sequence[Candidate | Acting]) -> Hypothesis:
+    def beside(self, found: Sequence[Candidate | EffectInstance]) -> Hypothesis:
         """`always` as it is refined beside these."""
         return _beside(self.always, self.wear, found)
 
@@ -64,12 +64,12 @@ class Inquiry:
         return self.model.allowed(refined, refined.acting, sum(len(c.precision) for c in wear))
 
 
-def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
+def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | EffectInstance]) -> Hypothesis:
     """What is always there, the standard model (the last of it) only as far as it is no part of what was found."""
     return (*always[: len(always) - len(wear)], *_apart(wear, found))
 
 
-def _apart(wear: Hypothesis, found: Sequence[Candidate | Acting]) -> Hypothesis:
+def _apart(wear: Hypothesis, found: Sequence[Candidate | EffectInstance]) -> Hypothesis:
     """The standard model but for special cases of what was found: a Stribeck friction has its own Coulomb level."""
     return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in found))
 
@@ -100,7 +100,7 @@ def inquire(
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.point == "gear"]
-    nominal = evidence.left((), np.zeros(0))
+    nominal = evidence.residual((), np.zeros(0))
 
     def looked(
         evidence: Evidence, windows: Windows, gears: Sequence[Candidate], starts: Sequence[Hypothesis], rounds: int
@@ -157,7 +157,7 @@ def _left(inquiry: Inquiry, other: Inquiry) -> float:
 def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int) -> Windows:
     """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
     measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
-    judge = Judge(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
+    judge = HypothesisScorer(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
     lasting = [c for c in evidence.candidates if c.effect.invertible]  # a limit explains much of what comes and goes
     found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
@@ -167,11 +167,11 @@ def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: n
     crowd = search(judge, lasting, most=most)
     if len(crowd) <= CROWDED * evidence.dofs:
         return {}
-    left = evidence.left(crowd, judge.quick(crowd)[1])
+    left = evidence.residual(crowd, judge.quick(crowd)[1])
     return events.proposed(evidence, everywhere, [left, nominal], measured)
 
 
-def _outdoes(judge: Judge, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
+def _outdoes(judge: HypothesisScorer, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
     """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
     lasts."""
     nothing = judge.quick(())[0]
@@ -227,7 +227,7 @@ def _searched(
     if any(c.effect.load for c in pool):
         pool = [c for c in pool if c.effect.point != "body" or c.joint != last]
     pool += [c for start in starts for c in start if not any(c is p for p in pool)]
-    judge = Judge(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
+    judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
     model = Model(evidence)
     hypothesis = _begun(judge, pool, always, starts, most)
@@ -258,7 +258,7 @@ def _searched(
         acting = acting_of(judge, around, hypothesis)
         model.scanned.clear()  # gears once more from far and near, now that all of their load is known
         chosen = refine(evidence, model, acting, choosing, measured.weights, around)
-        hypothesis, chosen, close = told_apart(judge, model, effects, around, hypothesis, chosen)
+        hypothesis, chosen, close = distinguish(judge, model, effects, around, hypothesis, chosen)
         chosen, timed = resting.edges(evidence, model, chosen)
         hypothesis = tuple(
             trial_at(evidence, a) if edges else c for c, a, edges in zip(hypothesis, chosen.acting, timed, strict=True)
@@ -274,7 +274,7 @@ def _searched(
 
 
 def _begun(
-    judge: Judge, pool: Sequence[Candidate], always: Hypothesis, starts: Sequence[Hypothesis], most: int
+    judge: HypothesisScorer, pool: Sequence[Candidate], always: Hypothesis, starts: Sequence[Hypothesis], most: int
 ) -> Hypothesis:
     """The best of what a search comes to from each of `starts`. A drive that two joints share takes up half of all that
     is still missing: with it from the first step on a search must come to PLAINLY more than with it beside the rest."""
@@ -290,7 +290,7 @@ def _begun(
     return early if judge.loss((*always, *early)) < PLAINLY * judge.loss((*always, *late)) else late
 
 
-def others_of(acting: Sequence[Acting], one: Acting) -> list[Acting]:
+def others_of(acting: Sequence[EffectInstance], one: EffectInstance) -> list[EffectInstance]:
     """The other effects that reach more than a joint of their own."""
     return [a for a in acting if a is not one and a.effect.point in WHOLE]
 
@@ -299,7 +299,9 @@ ALIKE = 0.02
 """Of the load that a gear carries, what must have changed for it to be tried anew."""
 
 
-def _geared(evidence: Evidence, acting: Sequence[Acting], tried: dict[int, list[np.ndarray]]) -> list[Candidate]:
+def _geared(
+    evidence: Evidence, acting: Sequence[EffectInstance], tried: dict[int, list[np.ndarray]]
+) -> list[Candidate]:
     """The trials of every gear that might be on a joint where one was found, with what else it was found to carry, if
     that is another load than it was tried with."""
     made = []
@@ -319,17 +321,19 @@ def _geared(evidence: Evidence, acting: Sequence[Acting], tried: dict[int, list[
     return made
 
 
-def acting_of(judge: Judge, always: Hypothesis, hypothesis: Hypothesis) -> list[Acting]:
+def acting_of(judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis) -> list[EffectInstance]:
     """The effects of a hypothesis with the parameters that its columns have on the data that chose it."""
     theta = judge.verdict((*hypothesis, *always)).theta
-    return [Acting(c.effect, c.joint, p, c.when) for c, p in read_all(judge.evidence, hypothesis, theta)]
+    return [EffectInstance(c.effect, c.joint, p, c.when) for c, p in read_all(judge.evidence, hypothesis, theta)]
 
 
 NEARLY = 0.9
 """Of what a body effect explains, what an encoder offset must explain to be tried at its own size."""
 
 
-def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
+def _sharpened(
+    judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]
+) -> list[Candidate]:
     """Encoder offsets and base tilts, taken anew at their own sizes, that nearly do what a body or motion effect of the
     hypothesis does: others bend where their straight line does not."""
     made: list[Candidate] = []
@@ -345,12 +349,12 @@ def _sharpened(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: S
                 continue
             others = (*always, *(e for e in hypothesis if e is not found and e.key != key))
             without = judge.quick(others)[0]
-            tried: list[tuple[float, Acting]] = []
+            tried: list[tuple[float, EffectInstance]] = []
             for c in trials:
                 value, theta = judge.quick((*others, c))
                 parameters = parameters_of(judge.evidence, c, theta[-len(c.precision) :])
                 if not c.effect.refuse(parameters) and without - value > NEARLY * (without - now):
-                    tried.append((value, Acting(c.effect, c.joint, parameters)))
+                    tried.append((value, EffectInstance(c.effect, c.joint, parameters)))
             if tried:
                 made.append(trial_at(judge.evidence, min(tried, key=lambda x: x[0])[1]))
     return made

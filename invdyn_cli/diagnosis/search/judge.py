@@ -64,7 +64,7 @@ class _Alike:
         return tuple(np.array(getattr(self, f.name)) for f in fields(self))
 
 
-class Judge:
+class HypothesisScorer:
     """Gram matrices of the chosen rows, and what they say of hypotheses.
 
     Args:
@@ -255,7 +255,11 @@ class Judge:
             if id(c) not in self._prices:
                 local = c.joint if c.effect.point in LOCAL else None
                 least = 0.0 if self.worn and c.effect.point not in LOCAL else self.least[local]
-                quiet = c.quiet * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2 if c.quiet else 0.0
+                quiet = (
+                    c.noise_reduction * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2
+                    if c.noise_reduction
+                    else 0.0
+                )
                 value = PRICE_OF_EFFECT + PRICE_OF_COEFFICIENT * self.freedom(c) + least + float(quiet)
                 self._prices[id(c)] = value, c
         return sum(self._prices[id(c)][0] for c in hypothesis)
@@ -320,7 +324,7 @@ def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.nda
     """Parameters of one candidate from its coefficients."""
     effect, shape = candidate.effect, candidate.shape
     if isinstance(effect, AbstractGearEffect):
-        return effect.of_softness(effect.softness(shape) + float(coefficients[0]))
+        return effect.from_compliance(effect.compliance(shape) + float(coefficients[0]))
     if isinstance(effect, AbstractForceEffect):
         return effect.read([float(c) for c in coefficients])
     if isinstance(effect, AbstractChannelEffect) and effect.factor:  # its column is the model's torque

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, Judge, parameters_of, strain
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, HypothesisScorer, parameters_of, strain
 from invdyn_cli.diagnosis.search.steps import clash, free_beside
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
@@ -24,7 +24,7 @@ SURE = 4.0
 LEAST_DIFFERENCE = 10.0
 """And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
 
-UNDENIED, CONTRADICTED = 100.0, 0.03
+MIN_CLEAR_DIFFERENCE, MAX_OPPOSED_SHARE = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
 
 MEMORY, LAGS = 0.8, 6
@@ -46,7 +46,11 @@ class Rival:
 
 
 def simplified(
-    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate], usual: Hypothesis = ()
+    judge: HypothesisScorer,
+    always: Hypothesis,
+    hypothesis: Hypothesis,
+    pool: Sequence[Candidate],
+    usual: Hypothesis = (),
 ) -> Hypothesis:
     """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
     simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
@@ -55,7 +59,9 @@ def simplified(
     return tuple(c for c in simpler if not any(c is u for u in usual))
 
 
-def _simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+def _simplified(
+    judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, pool: Sequence[Candidate]
+) -> Hypothesis:
     for i, general in enumerate(hypothesis):
         for c in pool:
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
@@ -75,7 +81,7 @@ def _simplified(judge: Judge, always: Hypothesis, hypothesis: Hypothesis, pool: 
 
 
 def rivals(
-    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
+    judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
 ) -> list[Rival]:
     """The best trial of every other effect in the place of one, by effect and joint, the strongest first."""
     now = judge.verdict(always + hypothesis)
@@ -132,11 +138,11 @@ def chance(step: np.ndarray, extra: float) -> float:
 def undenied(step: np.ndarray, extra: float) -> bool:
     """Whether what comes up in few blocks is contradicted by none: many draws would miss it, and it is sure."""
     against = -np.minimum(step, 0).sum()
-    return bool(step.sum() + extra > UNDENIED and against < CONTRADICTED * np.maximum(step, 0).sum())
+    return bool(step.sum() + extra > MIN_CLEAR_DIFFERENCE and against < MAX_OPPOSED_SHARE * np.maximum(step, 0).sum())
 
 
 def blind_to_stribeck(
-    judge: Judge, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
+    judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
 ) -> bool:
     """Whether an ordinary drop of friction with speed could hide behind a Coulomb friction on this log."""
     own = hypothesis[place]

@@ -65,7 +65,7 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
             np.arange(len(trials) + 1) > 0
         )
         theta, spread = _fitted(x[used], targets[used], used.sum() * evidence.recording.filter.independent(j))
-        loud = np.array([1.0, *(max(1 - c.quiet, 0.05) for c in trials)])
+        loud = np.array([1.0, *(max(1 - c.noise_reduction, 0.05) for c in trials)])
         best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread / loud))
         residual[:, j] = targets[:, best] - x @ theta[:, best]
         variance = spread[best] / loud[best]

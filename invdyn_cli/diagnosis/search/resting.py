@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.columns.candidates import passing_columns, passing_tor
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates
 from invdyn_cli.diagnosis.search.exact import Model, Refined
-from invdyn_cli.effects.composition import Acting, joint_terms
+from invdyn_cli.effects.composition import EffectInstance, joint_terms
 from invdyn_cli.interfaces import AbstractChannelEffect, JointState
 
 SHORTEST = 0.05
@@ -59,7 +59,7 @@ def _left(evidence: Evidence, refined: Refined) -> np.ndarray:
 
 
 def _rest(
-    evidence: Evidence, one: Acting, edge: float, telling: np.ndarray
+    evidence: Evidence, one: EffectInstance, edge: float, telling: np.ndarray
 ) -> tuple[tuple[float, float] | None, tuple[float, float]]:
     """From when to when [s] no row of a trajectory tells of what comes or goes, around an edge; None: they do. And the
     trajectory's ends."""
@@ -107,7 +107,7 @@ def _bearable(
 
 
 def _levels(
-    acting: Sequence[Acting], joint: int, states: Sequence[JointState], parents: Sequence[int]
+    acting: Sequence[EffectInstance], joint: int, states: Sequence[JointState], parents: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(T,) each: the least and the most of a joint's friction, springs and offsets, whichever way it is pushed; of a
     gear that it shares, what its motion makes."""
@@ -117,6 +117,6 @@ def _levels(
     return levels.min(axis=0), levels.max(axis=0)
 
 
-def _factors(evidence: Evidence, one: Acting) -> np.ndarray:
+def _factors(evidence: Evidence, one: EffectInstance) -> np.ndarray:
     """What its columns are multiplied by."""
     return np.array(coordinates(evidence, one))

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate
-from invdyn_cli.diagnosis.search.judge import Hypothesis, Judge
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 
 SHORTLIST = 10
 """Candidates of a step whose held-out loss is computed; the others gain less on the data that fits them."""
@@ -24,7 +24,7 @@ Move = tuple[Hypothesis, list[Candidate]]
 
 
 def search(
-    judge: Judge, pool: Sequence[Candidate], always: Hypothesis = (), start: Hypothesis = (), most: int = 12
+    judge: HypothesisScorer, pool: Sequence[Candidate], always: Hypothesis = (), start: Hypothesis = (), most: int = 12
 ) -> Hypothesis:
     """The hypothesis of least loss that steps from `start` lead to; `always` is part of it and not counted."""
     hypothesis, loss = start, judge.loss(always + start)
@@ -38,7 +38,9 @@ def search(
     return hypothesis
 
 
-def _best(judge: Judge, always: Hypothesis, moves: Iterable[Move], loss: float) -> tuple[Hypothesis, float] | None:
+def _best(
+    judge: HypothesisScorer, always: Hypothesis, moves: Iterable[Move], loss: float
+) -> tuple[Hypothesis, float] | None:
     """The best hypothesis that one of these moves makes, with its loss, if it is better than `loss`."""
     quick: list[tuple[float, Hypothesis, np.ndarray]] = []
     for base, candidates in moves:

@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.columns.candidates import YIELD, gather, gear_candidat
 from invdyn_cli.diagnosis.columns.evidence import BLOCK
 from invdyn_cli.diagnosis.search.exact import Model
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.simulation.references import PickPlace
 from invdyn_cli.types import Motion
@@ -85,7 +85,7 @@ def test_columns_of_what_comes_and_goes():
     evidence = evidence_of(log_of(raw(*moved(seconds=10.0), hanging)), [], cutoffs=(10.0,))
     y, share = (evidence.tau - evidence.nominal).T, []
     for end in (6.0, 4.5):
-        made = passing_candidate(evidence, EFFECTS["external_contact"], 2, When("run", 3.0, end))
+        made = passing_candidate(evidence, EFFECTS["external_contact"], 2, TimeWindow("run", 3.0, end))
         x = np.stack([evidence.tables[j][:, list(made.columns[j][1])] for j in range(3)]).reshape(y.size, -1)
         share.append(np.sum((y.ravel() - x @ np.linalg.lstsq(x, y.ravel())[0]) ** 2) / np.sum(y**2))
     assert share[0] < 0.01**2 and share[1] > 0.25
@@ -96,16 +96,16 @@ def test_columns_of_what_comes_and_goes():
 )
 def test_columns_of_a_gear(name, parameter, value):
     """What a gear that yields changes of the torque is the fixed column of its trial, to 5 %, and its free one is the
-    slope of that over a tenth more and less softness, likewise: they leave out what the link's other speed makes."""
+    slope of that over a tenth more and less compliance, likewise: they leave out what the link's other speed makes."""
     evidence = evidence_of(log_of(raw(*moved(seconds=10.0))), [], cutoffs=(10.0,))
     effect = EFFECTS[name]
     made, model, change = gear_candidate(evidence, effect, 1, {parameter: value}), Model(evidence), {}
-    softness = effect.softness({parameter: value})
+    compliance = effect.compliance({parameter: value})
     for factor in (1 - YIELD, 1.0, 1 + YIELD):
-        gear = Acting(effect, 1, effect.of_softness(factor * softness))
+        gear = EffectInstance(effect, 1, effect.from_compliance(factor * compliance))
         change[factor] = model.residual(()) - model.residual([gear])
     fixed, free = (np.stack([evidence.tables[j][:, made.columns[j][k][0]] for j in range(3)], axis=1) for k in (0, 1))
-    step = (change[1 + YIELD] - change[1 - YIELD]) / (2 * YIELD * softness)
+    step = (change[1 + YIELD] - change[1 - YIELD]) / (2 * YIELD * compliance)
     for got, wanted in ((fixed, change[1.0]), (free, step)):
         assert np.linalg.norm(got - wanted) < 0.05 * np.linalg.norm(wanted)
 
@@ -114,7 +114,7 @@ def test_what_a_hypothesis_leaves():
     """`left` is the logged torque less the nominal one less columns times coefficients, table by table."""
     evidence = evidence_of(log_of(raw(*moved(seconds=20), torque=0.1)), ["viscous_friction"])
     one, tilt = candidate(evidence, "viscous_friction", 1), candidate(evidence, "base_tilt", None)
-    left = evidence.left((one, tilt), np.array([0.3, 0.1, -0.2]))
+    left = evidence.residual((one, tilt), np.array([0.3, 0.1, -0.2]))
     for j, table in enumerate(evidence.tables):
         wanted = table[:, 0] - table[:, list(tilt.columns[j][1])] @ [0.1, -0.2]
         np.testing.assert_allclose(left[:, j], wanted - (j == 1) * 0.3 * column(evidence, "viscous_friction", 1))

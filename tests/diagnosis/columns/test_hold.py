@@ -31,7 +31,7 @@ def test_a_common_time_is_found_and_taken_out(lead, friction):
     """Half a sample of hold, or up to one of reading in turn, comes out within 3 % of a sample, friction or not, and
     the torques then stand over their motion."""
     recording = led(lead * PERIOD, friction)
-    after, common = hold.taken_out(arm(), recording, "command")
+    after, common = hold.remove_common_delay(arm(), recording, "command")
     assert common == pytest.approx(lead * PERIOD, abs=0.03 * PERIOD)
     if friction:
         return
@@ -45,14 +45,14 @@ def test_a_common_time_is_found_and_taken_out(lead, friction):
 
 def test_one_joint_s_delay_stays_its_own():
     """A joint that lags 15 ms behind the others does not move the common time by more than 5 % of a sample."""
-    _, common = hold.taken_out(arm(), led([0.5 * PERIOD, 0.5 * PERIOD - 0.015, 0.5 * PERIOD]), "command")
+    _, common = hold.remove_common_delay(arm(), led([0.5 * PERIOD, 0.5 * PERIOD - 0.015, 0.5 * PERIOD]), "command")
     assert common == pytest.approx(0.5 * PERIOD, abs=0.05 * PERIOD)
 
 
 @pytest.mark.parametrize(("side", "taken"), [("link", 0.0), ("command", 0.5)])
 def test_delays_of_all_joints_are_no_hold(side, taken):
     """Where all joints lag by 20 ms, that is not the log's own: half a sample is taken, none behind the gear."""
-    _, common = hold.taken_out(arm(), led(-0.02), side)
+    _, common = hold.remove_common_delay(arm(), led(-0.02), side)
     assert common == pytest.approx(taken * PERIOD)
 
 

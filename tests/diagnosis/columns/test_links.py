@@ -9,7 +9,7 @@ from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.search.exact import Model
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import link_scales
 from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, raw
 
@@ -46,11 +46,11 @@ def test_what_is_logged_beside_the_nominal_torque_stays(both):
     """Without effects the residual is that of the nominal model; an effect changes it as it does with these links."""
     made, truth = both
     acting = (
-        Acting(EFFECTS["backlash"], 1, {"gap": 0.004}),
-        Acting(EFFECTS["load_dependent_friction"], 0, {"mu": 0.1}),
+        EffectInstance(EFFECTS["backlash"], 1, {"gap": 0.004}),
+        EffectInstance(EFFECTS["load_dependent_friction"], 0, {"mu": 0.1}),
     )
     models = Model(made), Model(truth)
-    np.testing.assert_allclose(models[0].residual(()), made.left((), np.zeros(0)), atol=1e-9)
+    np.testing.assert_allclose(models[0].residual(()), made.residual((), np.zeros(0)), atol=1e-9)
     change = [m.residual(acting) - m.residual(()) for m in models]
     assert np.abs(change[1]).max() > 0.01
     np.testing.assert_allclose(*change, atol=1e-9)

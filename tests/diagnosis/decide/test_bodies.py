@@ -7,7 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.decide import bodies
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.types import Finding, Quantity
 from tests.diagnosis.analytic import arm
 
@@ -21,7 +21,7 @@ def found(effect: str, share: float) -> Finding:
         "inertia": Quantity([0.0] * 6, "kg m²", None),
     }
     finding = Finding(effect, None, "named", parameters=quantities)
-    return bodies.told(finding, Acting(EFFECTS[effect], None, {}), arm(), {"mass": (mass, mass, mass)})
+    return bodies.told(finding, EffectInstance(EFFECTS[effect], None, {}), arm(), {"mass": (mass, mass, mass)})
 
 
 @pytest.mark.parametrize("effect", ["payload", "payload_change"])
@@ -40,7 +40,7 @@ def test_no_body_is_a_wrong_link():
     """A payload of negative mass, or a metre and more away, is the last link's error with the same torque; one that
     comes and goes stays what it is."""
     heavier = {"mass": 1.0, "com": np.array([0.0, 0.0, 0.1]), "inertia": np.zeros(6)}
-    body = Acting(EFFECTS["payload"], None, heavier)
+    body = EffectInstance(EFFECTS["payload"], None, heavier)
     assert bodies.as_link(arm(), body) is body
     for wrong in ({"mass": -1.0}, {"com": np.array([0.0, 0.0, 2.0])}):
         none = replace(body, parameters={**heavier, **wrong})
@@ -48,5 +48,5 @@ def test_no_body_is_a_wrong_link():
         assert (link.effect.name, link.joint) == ("link_inertia_error", arm().dofs - 1)
         changed = [a.effect.changed(a.parameters, arm(), a.joint).inertial for a in (none, link)]
         np.testing.assert_allclose(*changed, atol=1e-12)
-        passing = replace(none, effect=EFFECTS["payload_change"], when=When("run", 1.0, 2.0))
+        passing = replace(none, effect=EFFECTS["payload_change"], when=TimeWindow("run", 1.0, 2.0))
         assert bodies.as_link(arm(), passing) is passing

@@ -12,7 +12,7 @@ from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search import events
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import When
+from invdyn_cli.effects.composition import TimeWindow
 from tests.diagnosis.analytic import Term, arm, evidence_of, log_of, moved, nothing, raw
 
 NOISE = 0.02
@@ -121,7 +121,7 @@ WINDOWS = {
 def test_some_rows_of_a_window_judge(name):
     """In every window, and outside of all, some rows choose and others judge; no block of rows does both, or lies on
     both sides of an edge."""
-    windows = [When("run", *edges, number) for number, edges in enumerate(WINDOWS[name])]
+    windows = [TimeWindow("run", *edges, number) for number, edges in enumerate(WINDOWS[name])]
     evidence = events.interleaved(seen(seconds=20.0), windows)
     t, train, test = evidence.on_rows("t"), ROLES.index("train"), ROLES.index("test")
     inside = np.zeros(len(t), bool)
@@ -139,5 +139,5 @@ def test_some_rows_of_a_window_judge(name):
 
 def test_other_trajectories_keep_to_their_blocks():
     """A window of another trajectory parts nothing here: blocks of two seconds take turns."""
-    evidence = events.interleaved(seen(), [When("another", 1.0, 2.0)])
+    evidence = events.interleaved(seen(), [TimeWindow("another", 1.0, 2.0)])
     assert {np.ptp(evidence.on_rows("t")[evidence.block == b]) > 1.9 for b in np.unique(evidence.block)} == {True}

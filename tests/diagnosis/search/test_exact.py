@@ -11,14 +11,14 @@ from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search.exact import Model, refine
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.load import MASS
 from invdyn_cli.interfaces import JointState
 from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw, recording_of
 
 
-def acting(*given) -> list[Acting]:
-    return [Acting(EFFECTS[name], joint, parameters) for name, joint, parameters in given]
+def acting(*given) -> list[EffectInstance]:
+    return [EffectInstance(EFFECTS[name], joint, parameters) for name, joint, parameters in given]
 
 
 @pytest.fixture(scope="module")
@@ -172,8 +172,8 @@ def test_an_edge_stays_near_its_window():
     evidence = evidence_of(log, ["coulomb_friction"], {"train": [("run", -np.inf, np.inf)]}, cutoffs=(20.0,))
     allowed, rows = (candidate(evidence, "coulomb_friction", 1),), np.ones(len(evidence.role), bool)
     for early, late in ((-0.4, -0.4), (0.4, 0.4), (-0.4, 0.4)):
-        when = When("run", 14.0 + early, 22.0 + late, 0)
-        start = [Acting(EFFECTS["torque_gain_change"], 1, {"gain": 0.8}, when)]
+        when = TimeWindow("run", 14.0 + early, 22.0 + late, 0)
+        start = [EffectInstance(EFFECTS["torque_gain_change"], 1, {"gain": 0.8}, when)]
         refined = refine(evidence, Model(evidence), start, rows, np.full(3, 1e4), allowed, steps=8)
         assert refined.acting[0].parameters["gain"] == pytest.approx(0.7, rel=0.01)
         assert refined.acting[0].when is not None

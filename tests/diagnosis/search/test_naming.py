@@ -9,7 +9,7 @@ import pytest
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.columns.recording import Filter
 from invdyn_cli.diagnosis.search import naming, noise
-from invdyn_cli.diagnosis.search.judge import Judge
+from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw
 from tests.diagnosis.sick import motion
 
@@ -24,7 +24,7 @@ def judged(term, speed: float = 1.0, torque: float = 0.05):
     evidence = evidence_of(log_of(raw(t, m, on(1, term), torque=torque)), NAMES, cutoffs=(20.0,))
     rows = evidence.role == 0
     measured = noise.measure(evidence, rows)
-    judge = Judge(evidence, rows, measured.weights, measured.deviation)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
     judge.refresh()
     return evidence, judge
 
@@ -83,7 +83,7 @@ def test_a_rival_that_does_as_well_is_equal():
     evidence = evidence_of(log, NAMES, cutoffs=(20.0,))
     choosing = evidence.role == 0
     measured = noise.measure(evidence, choosing)
-    judge = Judge(evidence, choosing, measured.weights, measured.deviation)
+    judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation)
     judge.refresh()
     made = naming.rivals(judge, (), (candidate(evidence, "viscous_friction", 1),), 0, evidence.candidates)
     assert {"quadratic_friction", "coulomb_friction"} <= {r.candidate.effect.name for r in made if r.equal}

@@ -13,7 +13,7 @@ from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search.realisable import realisable
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.types import Motion, Robot
 from tests.diagnosis.analytic import arm, log_of, moved, raw, recording_of
@@ -64,7 +64,7 @@ def refined(case: str) -> tuple[Evidence, Model, Refined]:
     noise = NOISE * np.random.default_rng(0).normal(size=m.q.shape)
     evidence = _evidence(arm(), replace(raw(t, m), tau=torque(hidden(arm(), *made), m) + noise))
     light = {"mass": 0.1, "com": np.zeros(3), "inertia": np.zeros(6)}
-    return evidence, *_fit(evidence, [Acting(EFFECTS[x], j, light if j is None else ZERO) for x, j, _ in made])
+    return evidence, *_fit(evidence, [EffectInstance(EFFECTS[x], j, light if j is None else ZERO) for x, j, _ in made])
 
 
 def _evidence(robot: Robot, trajectory) -> Evidence:
@@ -165,7 +165,7 @@ def test_a_urdf_that_has_no_body_is_not_the_logs_fault():
     true = hidden(wrong, ("link_inertia_error", 1, link_change(0.1)))
     tau = torque(true, m) + NOISE * np.random.default_rng(0).normal(size=m.q.shape)
     evidence = _evidence(wrong, replace(raw(t, m), tau=tau))
-    model, found = _fit(evidence, [Acting(EFFECTS["link_inertia_error"], 1, ZERO)])
+    model, found = _fit(evidence, [EffectInstance(EFFECTS["link_inertia_error"], 1, ZERO)])
     after, said = realisable(evidence, model, found, NAMES)
     assert len(said) == 1 and "URDF" in said[0] and "second" in said[0]
     assert np.all(rms(after.residual - found.residual) < 0.01 * NOISE)

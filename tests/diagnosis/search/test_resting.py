@@ -10,7 +10,7 @@ from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.search.exact import Model, Refined
 from invdyn_cli.diagnosis.search.resting import edges
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import Acting, When
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.types import Motion
 from tests.diagnosis.analytic import arm, evidence_of, log_of, raw
 
@@ -54,10 +54,10 @@ def taken(seed: int, level: float, stays: bool, gap: float = 0.0) -> tuple[float
     whole, kept = raw(t, m, lambda *_: torque, torque=0.02, seed=seed), np.abs(t - came) >= gap / 2
     log = log_of(replace(whole, t=t[kept], q=whole.q[kept], tau=whole.tau[kept]))
     evidence = evidence_of(log, ["coulomb_friction"], cutoffs=(20.0,))
-    when = When(evidence.recording.pieces[0].trajectory, 2 * (MOVE + REST) + MOVE + 0.1, over, 0)
+    when = TimeWindow(evidence.recording.pieces[0].trajectory, 2 * (MOVE + REST) + MOVE + 0.1, over, 0)
     acting = (
-        *(Acting(EFFECTS["coulomb_friction"], j, {"coulomb": float(x)}) for j, x in enumerate(friction)),
-        Acting(EFFECTS["payload_change"], None, BODY, when),
+        *(EffectInstance(EFFECTS["coulomb_friction"], j, {"coulomb": float(x)}) for j, x in enumerate(friction)),
+        EffectInstance(EFFECTS["payload_change"], None, BODY, when),
     )
     none = np.zeros((2, 0))
     refined = Refined(acting, none[0], (), (), none, Model(evidence).residual(acting))

@@ -5,7 +5,7 @@ import pytest
 
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.grams import FOLDS
-from invdyn_cli.diagnosis.search.judge import Judge
+from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.diagnosis.search.steps import free_beside, search
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 
@@ -29,7 +29,7 @@ def evidence():
 
 @pytest.fixture(scope="module")
 def judge(evidence):
-    made = Judge(evidence, evidence.role == 0, WEIGHTS, 0.03 * np.ones(3))
+    made = HypothesisScorer(evidence, evidence.role == 0, WEIGHTS, 0.03 * np.ones(3))
     made.refresh()
     return made
 
@@ -99,7 +99,7 @@ def test_the_search_finds_what_was_put_in(evidence):
     """Of all candidates just the two that were put in, on their joints, with their sizes within 5 %."""
     rows = evidence.role == 0
     measured = noise.measure(evidence, rows)
-    judge = Judge(evidence, rows, measured.weights, measured.deviation)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
     judge.refresh()
     found = search(judge, evidence.candidates)
     assert {c.key for c in found} == {("viscous_friction", 0), ("torque_offset", 2)}
@@ -114,7 +114,7 @@ def test_negative_friction_is_refused(evidence, judge):
     one = candidate(evidence, "viscous_friction", 0)
     assert "damping would be -1.0" in judge.refused((one,), np.array([-1.0]))
     assert judge.refused((one,), np.array([1.0])) == ""
-    allowing = Judge(evidence, judge.rows, WEIGHTS, 0.03 * np.ones(3), always=(one,))
+    allowing = HypothesisScorer(evidence, judge.rows, WEIGHTS, 0.03 * np.ones(3), always=(one,))
     assert allowing.refused((one,), np.array([-1.0])) == ""
 
 

@@ -14,7 +14,7 @@ from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
-from invdyn_cli.diagnosis.search.judge import Hypothesis, Judge
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.maths.statistics import autocorrelation_time
@@ -23,8 +23,8 @@ SLOW = 0.25
 """Part of a joint's band in which delay and lag are told apart."""
 
 
-def told_apart(
-    judge: Judge,
+def distinguish(
+    judge: HypothesisScorer,
     model: Model,
     effects: Mapping[str, AbstractEffect],
     always: Hypothesis,
