@@ -177,7 +177,7 @@ def test_it_is_said_where_the_data_want_no_bodies(apollo4):
     tau = -0.5 * rigid_torque(apollo4, train) + 0.1 * np.random.default_rng(3).normal(size=(3000, 4))
     fit = Pest(consistent=True).fit(dataset(apollo4, train, tau), KEY)
     assert are_bodies(fit.params["psi"])
-    assert any("no bodies" in x for x in fit.warnings)
+    assert any("not physically consistent" in x for x in fit.warnings)
     assert fit.details["consistent"]["cost"] > 100 * fit.details["consistent"]["chance"]
 
 
