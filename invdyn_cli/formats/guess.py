@@ -55,7 +55,7 @@ class _Guess:
         if self.questions:
             options = " ".join(self.advice)
             raise LogError(
-                f"{self.where}: its columns leave open: {'; '.join(self.questions)}",
+                f"{self.where}: the file does not say: {'; '.join(self.questions)}",
                 advice=f"invdyn convert {self.where} OUT.h5 {options} (OUT.columns.yaml keeps it for data.columns=)",
             )
         said = {"joints": tuple(self.joints), "channels": self.channels, "torque_side": side}
