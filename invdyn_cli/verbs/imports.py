@@ -37,10 +37,10 @@ def show(log: Log, columns: ColumnMap, console: Screen) -> None:
     rows = sum(len(one.t) for one in log.trajectories)
     torque = "no torque" if columns.channel("tau").columns in ((), (NONE,)) else f"torque in {log.torque_unit}"
     side = columns.known.get("torque_side", "not said")
-    count = len(log.trajectories)
+    count = f"{len(log.trajectories)} {'trajectory' if len(log.trajectories) == 1 else 'trajectories'}"
     console.print(
-        f"{count} {'trajectory' if count == 1 else 'trajectories'}, {rows} rows, {log.rate:g} Hz, {torque}, torque side {log.torque_side}"
-        f" ({side}), joints: {', '.join(log.joints)}"
+        f"{count}, {rows} rows, {log.rate:g} Hz, {torque}, torque side {log.torque_side} ({side}), "
+        f"joints: {', '.join(log.joints)}"
     )
     for note in columns.notes:
         console.warn(note)

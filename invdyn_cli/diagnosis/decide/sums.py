@@ -1,0 +1,51 @@
+"""Effects that are the sum of others (`AbstractEffect.sum_of`): nothing in the motion tells the sum from its parts.
+
+Coulomb friction beside a torque offset is friction that differs by direction.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.interfaces import AbstractEffect
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Such an effect, and where its parts stand in the hypothesis."""
+
+    effect: AbstractEffect
+    places: tuple[int, ...]
+
+
+def standing(
+    effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, ends: Sequence[Mapping[str, tuple]]
+) -> list[Sum]:
+    """The sums of effects that stand beside each other on a joint, where the sum's parameters are possible."""
+    keys = [c.key for c in hypothesis]
+    made = []
+    for effect in effects.values():
+        for joint in {c.joint for c in hypothesis} if effect.sum_of else ():
+            if not all((name, joint) in keys for name in effect.sum_of):
+                continue
+            places = tuple(keys.index((name, joint)) for name in effect.sum_of)
+            sizes = [next(iter(ends[k].values()))[0] for k in places]
+            if not effect.refuse(sizes_of(effect, sizes)):
+                made.append(Sum(effect, places))
+    return made
+
+
+def sizes_of(effect: AbstractEffect, sizes: Sequence[Any]) -> dict[str, Any]:
+    """Parameters of a sum from those of its parts, one each."""
+    parts = list(zip(effect.sum_of.values(), sizes, strict=True))
+    return {name: sum(share[name] * x for share, x in parts) for name in effect.parameters}
+
+
+def hidden(effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, i: int) -> list[str]:
+    """Sums of the first part of which this is one, and the others of which another effect of the joint contains: a
+    spring's rest holds what makes friction differ by direction."""
+    own = hypothesis[i]
+    beside = {name for c in hypothesis if c.joint == own.joint and c is not own for name in c.effect.contains}
+    sums = [(name, list(e.sum_of)) for name, e in effects.items() if e.sum_of]
+    return [name for name, parts in sums if own.effect.name == parts[0] and set(parts[1:]) <= beside]
