@@ -7,7 +7,6 @@ given back; randomness comes from a key. `invdyn_cli.testing` checks whether an 
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -428,34 +427,6 @@ class AbstractCheck(abc.ABC):
     def mend(self, log: Any, found: Sequence[Check], robot: Robot | None) -> tuple[Any, list[str]]:
         """The log with this check's own findings put right where that is certain, and a sentence for each mending."""
         return log, []
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """A model with what it has learned: three lines from run.h5 to torques."""
-
-    model: AbstractModel
-    fit: Fit
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the columns, in order."""
-        return self.fit.joints
-
-    def predict(self, q: Array, qd: Array, qdd: Array) -> np.ndarray:
-        """Torques (T, n) [N m; N] of a motion given as (T, n), or (n,) for one sample.
-
-        Raises:
-            ValueError: if the arrays are not of one shape with n columns.
-        """
-        arrays = [np.asarray(x, float) for x in (q, qd, qdd)]
-        shapes = [x.shape for x in arrays]
-        if len(set(shapes)) > 1 or not shapes[0] or shapes[0][-1] != len(self.joints) or len(shapes[0]) > 2:
-            raise ValueError(
-                f"q, qd, qdd have shapes {shapes}; allowed: one shape, (T, {len(self.joints)}) or ({len(self.joints)},)"
-            )
-        tau = self.model.predict(self.fit, Motion(*(np.atleast_2d(x) for x in arrays)))
-        return tau.reshape(shapes[0])
 
 
 @jax.jit(static_argnums=0)

@@ -9,6 +9,7 @@ reading it runs no code but the package's own and that of modules which the read
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from invdyn_cli.effects.description import ExtendedModel, as_dict
 from invdyn_cli.errors import RunFileError
 from invdyn_cli.files import write_file
 from invdyn_cli.hdf5 import Group
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, FittedModel
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.maths import loads, stages
 from invdyn_cli.models import extended
 from invdyn_cli.registry import decode, encode
-from invdyn_cli.types import Diagnosis, Examination, Finding, Prediction, ResidualTest, RunRecord
+from invdyn_cli.types import Array, Diagnosis, Examination, Finding, Fit, Motion, Prediction, ResidualTest, RunRecord
 
 RUN_SCHEMA = "invdyn-run/1"
 METRICS_SCHEMA = "invdyn-metrics/1"
@@ -163,6 +164,34 @@ def _record(tree: dict[str, Any], trust: Sequence[str]) -> RunRecord:
         overrides=untrusted.names(tree["overrides"], "overrides"),
         provenance=untrusted.mapping(values("provenance"), "provenance"),
     )
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with what it has learned: three lines from run.h5 to torques."""
+
+    model: AbstractModel
+    fit: Fit
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the columns, in order."""
+        return self.fit.joints
+
+    def predict(self, q: Array, qd: Array, qdd: Array) -> np.ndarray:
+        """Torques (T, n) [N m; N] of a motion given as (T, n), or (n,) for one sample.
+
+        Raises:
+            ValueError: if the arrays are not of one shape with n columns.
+        """
+        arrays = [np.asarray(x, float) for x in (q, qd, qdd)]
+        shapes = [x.shape for x in arrays]
+        if len(set(shapes)) > 1 or not shapes[0] or shapes[0][-1] != len(self.joints) or len(shapes[0]) > 2:
+            raise ValueError(
+                f"q, qd, qdd have shapes {shapes}; allowed: one shape, (T, {len(self.joints)}) or ({len(self.joints)},)"
+            )
+        tau = self.model.predict(self.fit, Motion(*(np.atleast_2d(x) for x in arrays)))
+        return tau.reshape(shapes[0])
 
 
 def load_model(path: str | Path, trust: Sequence[str] = ()) -> FittedModel | ExtendedModel:

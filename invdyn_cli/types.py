@@ -2,13 +2,12 @@
 without behaviour of their own.
 
 Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's
-order. Importing this module switches jax to 64 bit: identification in float32 loses the small singular values that
-decide a rank.
+order. Importing this module switches jax to 64 bit: in float32 the singular values that decide a rank are lost.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -304,17 +303,9 @@ class Gain:
     interval95: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class EffectText:
-    """How a report speaks of an effect.
-
-    Attributes:
-        title: its name in a sentence.
-        meaning: what it is, in a sentence for someone who never met it.
-        equation: its term, with the names of `parameters` in it.
-        adds: whether the equation is a torque that is added to the nominal one.
-        panels: what its picture shows, as `AbstractEffect.panels`.
-    """
+class EffectText(NamedTuple):
+    """How a report speaks of an effect: `equation` has the names of `parameters` in it, and `adds` says whether it is a
+    torque that is added to the nominal one; `panels` as in `AbstractEffect`."""
 
     title: str
     meaning: str
@@ -329,18 +320,15 @@ class Finding:
     """One cause, as a line of diagnosis.json.
 
     Attributes:
-        effect: its name, as in the library of effects.
-        joint: the joint it acts on, None for the whole arm.
+        effect, joint: its name, as in the library of effects, and the joint it acts on, None for the whole arm.
         status: "named", "ambiguous", "not_excited" or "not_observable" (the last two are no claims).
         alternatives: sets of effects, each of which would replace it on this data.
-        parameters: by name.
-        gain: by joint.
+        parameters, gain: by name; by joint.
         trajectory, window: for what comes and goes.
-        evidence: numbers that led to it.
-        rejected: (effect, why not) of every rival.
+        evidence, rejected: numbers that led to it, and (effect, why not) of every rival.
         advice: what to record to be surer.
         group: "standard" for what every arm has beside its URDF, else "anomaly".
-        text: how a report speaks of the effect; None: as the catalogue has it.
+        text: how a report speaks of it; None: as the catalogue does.
     """
 
     effect: str

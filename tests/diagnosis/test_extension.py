@@ -78,5 +78,5 @@ def test_why_a_log_is_not_replayed(arm):
     """Torques behind the gear, and currents without gains, are no motors' torques; the note says which."""
     log = Log("arm", arm.joints, "command", "N m", 1000.0, ())
     assert why_not(log) == "" and why_not(replace(log, torque_side="unknown")) == ""
-    assert "behind the gears" in why_not(replace(log, torque_side="link"))
+    assert "link side of the gears" in why_not(replace(log, torque_side="link"))
     assert "drive gains" in why_not(replace(log, torque_unit="A"))
