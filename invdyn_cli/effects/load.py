@@ -56,9 +56,8 @@ class Payload(AbstractBodyEffect):
 
     def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
         mass = coefficients[0] or 1e-12
-        x, y, z = com = np.asarray(coefficients[1:4]) / mass
-        point = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
-        return {"mass": mass, "com": com, "inertia": np.asarray(coefficients[4:]) - mass * np.array(point)}
+        com = np.asarray(coefficients[1:4]) / mass
+        return {"mass": mass, "com": com, "inertia": np.asarray(coefficients[4:]) - mass * np.array(_point(*com))}
 
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         none = replace(robot, inertial=np.zeros((robot.dofs, 10)))
@@ -208,9 +207,14 @@ def _unit(robot: Robot, link: int, parameter: int) -> np.ndarray:
 
 def _body(parameters: Parameters) -> list[Any]:
     """The ten inertial parameters of a payload about the frame's origin."""
-    mass, (x, y, z), own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
-    point = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
-    return [mass, mass * x, mass * y, mass * z, *(mass * i + o for i, o in zip(point, own, strict=True))]
+    mass, com, own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
+    about = (mass * i + o for i, o in zip(_point(*com), own, strict=True))
+    return [mass, *(mass * x for x in com), *about]
+
+
+def _point(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """Inertia (xx, xy, yy, xz, yz, zz) of a unit mass at a point, about the origin."""
+    return y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y
 
 
 def _added(robot: Robot, link: int, change: Sequence[Any]) -> Robot:

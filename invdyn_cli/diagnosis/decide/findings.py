@@ -121,7 +121,7 @@ def report(
             continue
         else:
             acting.append(whole.acting[i])
-        others = [*sums.hidden(effects, hypothesis, i)]
+        others = sums.hidden(effects, hypothesis, i)
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             others.append(StribeckFriction.name)
         finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
