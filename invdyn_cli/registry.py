@@ -75,7 +75,7 @@ def make_model(name: str | AbstractModel, **hyperparameters: Any) -> AbstractMod
     if isinstance(name, AbstractModel):
         options = {f.name: getattr(name, f.name) for f in fields(name) if f.init}  # pyright: ignore[reportArgumentType]
         return made(type(name), options | hyperparameters, type(name).__name__) if hyperparameters else name
-    if name not in MODELS:
+    if not isinstance(name, str) or name not in MODELS:
         got = f"model={name!r}" if isinstance(name, str) else f"the model is a {type(name).__name__}"
         near = closest(name, MODELS) if isinstance(name, str) else ""
         raise UsageError(f"{got}{near}; allowed: {listed(MODELS)}, or an AbstractModel")

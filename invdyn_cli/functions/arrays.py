@@ -78,7 +78,7 @@ def from_arrays(
             raise UsageError(got, advice="check(q=q, tau=tau, t=t, urdf='arm.urdf')")
     channels: dict[str, Any] = {name: _numbers(name, given[name]) for name in CHANNELS if given[name] is not None}
     clock = _clock(t, rate, channels)
-    _refuse_shapes(channels, clock)
+    _refuse_shapes(channels, clock, timed=t is not None)
     names = _names(joints, channels["q"].shape[1])
     gain = None if drive_gain is None else _numbers("drive_gain", drive_gain)
     if gain is not None and gain.shape != (len(names),):
@@ -139,13 +139,13 @@ def _clock(t: Any, rate: float | None, channels: dict[str, np.ndarray]) -> np.nd
     return clock
 
 
-def _refuse_shapes(channels: dict[str, np.ndarray], clock: np.ndarray) -> None:
-    """Raise a UsageError unless all channels are (T, n) with T times."""
+def _refuse_shapes(channels: dict[str, np.ndarray], clock: np.ndarray, *, timed: bool) -> None:
+    """Raise a UsageError unless all channels are (T, n) with T times, which were given (`timed`) or counted."""
     rows, shape = len(clock), channels["q"].shape
     if len(shape) == 1:
         got = f"q has shape {shape}; allowed: (T, n), a row for each sample and a column for each joint"
         raise UsageError(got, advice="q[:, None] and tau[:, None] for a robot of one joint")
-    turned = [name for name, x in channels.items() if x.ndim == 2 and _is_transposed(x.shape, rows)]
+    turned = [name for name, x in channels.items() if x.ndim == 2 and _is_transposed(x.shape, rows, timed)]
     if turned:
         name = turned[0]
         got = f"{name} has shape {channels[name].shape}, with {rows} samples in t; allowed: (T, n), time first"
@@ -159,9 +159,9 @@ def _refuse_shapes(channels: dict[str, np.ndarray], clock: np.ndarray) -> None:
         raise UsageError(f"q has {rows} rows; allowed: at least {FEWEST}")
 
 
-def _is_transposed(shape: tuple[int, ...], rows: int) -> bool:
+def _is_transposed(shape: tuple[int, ...], rows: int, timed: bool) -> bool:
     """Whether (n, T) was given: the second axis is as long as the clock, or, where only a rate is known, the longer."""
-    return shape[1] == rows != shape[0] or shape[0] == rows < shape[1]
+    return shape[1] == rows != shape[0] if timed else shape[0] < shape[1]
 
 
 def _names(joints: Sequence[str] | None, n: int) -> tuple[str, ...]:
