@@ -58,7 +58,9 @@ def as_html(part: Any) -> str:
 
 
 def _console(width: int) -> Console:
-    return Console(file=io.StringIO(), width=width, markup=False, emoji=False, highlight=False, color_system=None)
+    """A console that keeps what it is given, in a notebook too, where rich would display it."""
+    plain = {"markup": False, "emoji": False, "highlight": False, "color_system": None, "force_jupyter": False}
+    return Console(file=io.StringIO(), width=width, **plain)
 
 
 def _pieces(part: Any) -> Iterable[str]:
