@@ -1,6 +1,7 @@
 """One import offers what the docs use, and loads nothing before it is needed."""
 
 import ast
+import re
 
 import pytest
 
@@ -38,3 +39,11 @@ def test_what_is_not_offered_is_no_attribute():
     """A misspelt name is an AttributeError, as of any module."""
     with pytest.raises(AttributeError, match="'invdyn_cli' has no attribute 'diagnoze'"):
         _ = invdyn.diagnoze
+
+
+def test_the_docs_use_what_is_offered():
+    """README, page and notebook use no other name of the package, and the page leaves none out."""
+    pages = {name: (ROOT / name).read_text() for name in ("README.md", "docs/python.md", "docs/notebook.ipynb")}
+    used = {name for text in pages.values() for name in re.findall(r"\binvdyn\.([A-Za-z]\w*)", text)}
+    assert used <= set(invdyn.__all__)
+    assert [name for name in invdyn.__all__ if not re.search(rf"\b{name}\b", pages["docs/python.md"])] == []
