@@ -94,7 +94,8 @@ def _table(table: Table) -> str:
 
 def _inline(text: Any) -> str:
     """A text with its bold, dim and coloured parts."""
-    text = text if isinstance(text, Text) else Text(str(text))
+    text = text.copy() if isinstance(text, Text) else Text(str(text))
+    text.stylize(text.style or "")  # rich renders the style of a whole text only where a part has one too
     parts = text.render(_console(WIDTH), end="")
     return "".join(_styled(segment.text, segment.style) for segment in parts).replace("\n", "<br>")
 

@@ -19,7 +19,8 @@ def parts() -> Group:
     table.add_column("RMSE [N m]", justify="right")
     table.add_row(Text("<elbow>"), "0.25\n[0.1, 0.4]")
     table.add_row("mean", "0.5", style="bold")
-    return Group(Text.assemble(("fail", "bold red"), "  <script>"), Padding(Text("a & b"), (0, 0, 0, 4)), table)
+    note = Text("a note", "dim")
+    return Group(note, Text.assemble(("fail", "bold red"), "  <script>"), Padding(Text("a & b"), (0, 0, 0, 4)), table)
 
 
 class Result(Shown):
@@ -42,7 +43,12 @@ def test_html_is_escaped_and_keeps_emphasis():
     html = as_html(parts())
     assert "<script" not in html and "<elbow" not in html and "&lt;elbow&gt;" in html
     assert re.search(r'<b><span style="color: #\w+">fail</span></b>', html)
-    assert "<b>mean</b>" in html and "0.25<br>[0.1, 0.4]" in html and "text-align: right" in html
+    assert (
+        '<span class="soft">a note</span>' in html
+        and "<b>mean</b>" in html
+        and "0.25<br>[0.1, 0.4]" in html
+        and "text-align: right" in html
+    )
 
 
 def test_a_result_shows_itself():
