@@ -1,5 +1,6 @@
 """Models as scikit-learn knows estimators: its own checks, cross-validation, pipelines, grid search."""
 
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
+import invdyn_cli as invdyn
 from invdyn_cli.errors import UsageError
 from invdyn_cli.estimator import InverseDynamicsRegressor
 from invdyn_cli.interfaces import AbstractModel, silent
@@ -159,6 +161,14 @@ def test_refuses_in_one_sentence(arm, data):
     ):
         with pytest.raises(error, match=word):
             call()
+
+
+def test_without_scikit_learn(monkeypatch):
+    """Where scikit-learn is missing, one line says how to install it."""
+    monkeypatch.setitem(sys.modules, "sklearn.base", None)
+    monkeypatch.delitem(sys.modules, "invdyn_cli.estimator")
+    with pytest.raises(UsageError, match=r"needs the library scikit-learn.*invdyn\[sklearn\]"):
+        _ = invdyn.InverseDynamicsRegressor
 
 
 def _fit(X, y, robot):

@@ -40,14 +40,9 @@ def task(config: DictConfig) -> None:
         report = stage("check")
         report(0.0, f"{sum(len(log.trajectories) for log in logs)} trajectories")
         result = checking.examine(logs, robot)
+        notes = written(result, config)
         page = result.save(folder, report)
-    if config.write is not None:
-        count = len(result.corrections)
-        note = f"{config.write} is not written: the log is not usable, corrected either"
-        if result.usable:
-            note = f"{count} corrections written into {write(result.corrected, result.corrections, config)}"
-        result = replace(result, notes=(*result.notes, note))
-    console.print(result)
+    console.print(replace(result, notes=(*result.notes, *notes)))
     console.whole(f"page: {relative(folder) / page.name}")
     console.whole(relative(folder))
     if config.strict and not in_sweep() and any(one.severity == "fail" for one in result.checks):
@@ -66,17 +61,22 @@ def refuse_target(config: DictConfig) -> None:
         raise UsageError(f"write={config.write} is the log itself; allowed: the path of a new log")
 
 
-def write(log: Log, corrections: Sequence[str], config: DictConfig) -> Path:
-    """Write the corrected log, what was corrected as its history; of several logs one, LOG/NAME called LOG.NAME.
+def written(result: checking.CheckResult, config: DictConfig) -> tuple[str, ...]:
+    """Write the corrected log where one is asked for, what was corrected as its history; of several logs one, LOG/NAME
+    called LOG.NAME. What became of it, in a sentence.
 
     Raises:
         LogError: if it cannot be written.
     """
-    target = Path(config.write).expanduser()
+    if config.write is None:
+        return ()
+    if not result.usable:
+        return (f"{config.write} is not written: the log is not usable, corrected either",)
+    target, log = Path(config.write).expanduser(), result.corrected
     named = tuple(replace(one, name=one.name.replace("/", ".")) for one in log.trajectories)
-    history = (*log.history, *(f"invdyn check: {one}" for one in corrections))
+    history = (*log.history, *(f"invdyn check: {one}" for one in result.corrections))
     write_log(replace(log, trajectories=named, history=history), target)
-    return target
+    return (f"{len(result.corrections)} corrections written into {target}",)
 
 
 def read(source: RealLog) -> list[Log]:

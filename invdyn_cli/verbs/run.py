@@ -16,7 +16,6 @@ from invdyn_cli.files import write_file
 from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.functions.inputs import named_by, with_joints
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
-from invdyn_cli.report import tables
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
 from invdyn_cli.verbs.launch import TRACEBACK, in_sweep, instantiate, job, launch, told
@@ -71,14 +70,9 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
     with screen.stages(quiet=console.quiet) as stage:
         made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
         record = _with_origin(made, config, started, view or job())
-        FitResult(record).save(folder, tuple(config.figures.formats), stage("write"))
-    for note in record.split.get("notes", ()):
-        console.note(f"data: {note}")
-    console.print(tables.score_table(record))
-    if loads := tables.load_table(record):
-        console.print(loads)
-    for warning in record.fit.warnings:
-        console.warn(warning)
+        result = FitResult(record)
+        result.save(folder, tuple(config.figures.formats), stage("write"))
+    console.print(result)
     console.whole(relative(folder))
     return record
 
