@@ -1,6 +1,6 @@
 """invdyn check: what the doctor says of a measured log, as a table, as check.json and as a page."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -16,14 +16,13 @@ from rich.text import Text
 from invdyn_cli import store
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.data.selection import SETS
-from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.marks import located
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.logfile import Log, write_log
 from invdyn_cli.report import check_figures, check_page
 from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.report.tables import significant
-from invdyn_cli.types import Check, Examination, Header, Robot
+from invdyn_cli.types import Check, Examination, Header
 from invdyn_cli.verbs import imports, raw, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_robot
@@ -57,30 +56,28 @@ def task(config: DictConfig) -> None:
     with screen.stages() as stage:
         report = stage("check")
         report(0.0, f"{len(log.trajectories)} trajectories")
-        examination = doctor.examine(log, robot)
-        corrected, mended = doctor.mend(log, examination, robot)
+        corrected, examination, marks = located(log, robot)
         report(0.8, "report")
-        page = draw(log, examination, robot, folder, notes)
+        page = draw(CheckedLog(log, corrected, marks, robot), examination, folder, notes)
         report(1.0, "done")
     if config.write is not None and not examination.usable:
         notes.append(f"{config.write} is not written: the log is not usable, corrected either")
     elif config.write is not None:
-        notes.append(f"{len(mended)} corrections written into {write(corrected, mended, config)}")
+        notes.append(f"{len(examination.done)} corrections written into {write(corrected, examination.done, config)}")
     store.write_check(examination, folder / "check.json")
     for note in notes:
         console.note(note)
-    console.print(shown(examination, mended))
+    console.print(shown(examination))
     console.whole(f"page: {relative(folder) / page.name}")
     console.whole(relative(folder))
     if config.strict and not in_sweep() and any(one.severity == "fail" for one in examination.checks):
         raise SystemExit(1)
 
 
-def draw(log: Log, examination: Examination, robot: Robot | None, folder: Path, notes: Sequence[str]) -> Path:
+def draw(checked: CheckedLog, examination: Examination, folder: Path, notes: Sequence[str]) -> Path:
     """Write figures/*.png and report.html into the folder: the page's path."""
-    corrected, marks = located(log, examination, robot)
-    figures, lacking = check_figures.draw_all(CheckedLog(log, corrected, marks, robot), folder / "figures")
-    return check_page.write_page(examination, log, robot, figures, folder / REPORT, [*notes, *lacking])
+    figures, lacking = check_figures.draw_all(checked, folder / "figures")
+    return check_page.write_page(examination, checked.log, checked.robot, figures, folder / REPORT, [*notes, *lacking])
 
 
 def refuse_target(config: DictConfig) -> None:
@@ -122,7 +119,7 @@ def read(source: RealLog) -> list[Log]:
     return raw.read(keys, named or keys, source)
 
 
-def shown(examination: Examination, corrected: Iterable[str]) -> Group:
+def shown(examination: Examination) -> Group:
     """What is not ok, what was skipped and why, what can be corrected, what the log excites; folds at any width."""
     parts: list[Any] = []
     seen = [one for one in examination.checks if one.severity not in ("ok", "skipped")]
@@ -144,7 +141,7 @@ def shown(examination: Examination, corrected: Iterable[str]) -> Group:
     quiet = dict.fromkeys(one.check for one in examination.checks if one.severity == "ok")
     if quiet:
         parts.append(Text(f"ok ({len(quiet)}): {', '.join(quiet)}", STYLE["ok"]))
-    notes = list(corrected)
+    notes = examination.done
     parts += [Text(f"correctable: {note}") for note in notes[: 3 * MOST]]
     if len(notes) > 3 * MOST:
         parts.append(Text(f"correctable: {len(notes) - 3 * MOST} more"))

@@ -64,10 +64,9 @@ def test_exchanged_joints(drawn):
         order = straight.copy()
         order[[a, b]] = order[[b, a]]
         bad = put(log, order) if whole else put(log, columns=order)
-        found = doctor.examine(bad, robot, COLUMNS)
+        mended, found = doctor.correct(bad, robot, COLUMNS)
         assert right_or_ambiguous(found.checks, order if whole else straight, order), found.checks
         if any(c.check == "joint_order" and c.severity == "fail" for c in found.checks):
-            mended, _ = doctor.mend(bad, found, robot, COLUMNS)
             np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
             np.testing.assert_array_equal(mended.trajectories[0].q, log.trajectories[0].q)
 

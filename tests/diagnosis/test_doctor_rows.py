@@ -31,10 +31,9 @@ def test_missing_values(log, arm):
     tau[100, 2] = np.nan
     tau[3000:3400] = np.inf
     bad = changed(log, tau=tau)
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     assert [c.value for c in seen(examination, "not_finite")] == [401]
     assert examination.usable
-    mended, _ = doctor.mend(bad, examination, arm)
     refuse_defects(mended)
     assert [(x.name, len(x.t)) for x in mended.trajectories] == [("run.1", 2999), ("run.2", 2600)]
 
@@ -42,7 +41,8 @@ def test_missing_values(log, arm):
 def test_an_empty_channel_is_left_out(log, arm):
     """Velocities that are all NaN cost the channel, not the rows."""
     bad = changed(log, qd=np.full_like(log.trajectories[0].q, np.nan))
-    mended, notes = doctor.mend(bad, doctor.examine(bad, arm), arm)
+    mended, examination = doctor.correct(bad, arm)
+    notes = examination.done
     assert mended.trajectories[0].qd is None
     assert len(mended.trajectories[0].t) == len(log.trajectories[0].t)
     assert "without the channel qd" in notes[0]
@@ -55,10 +55,9 @@ def test_repeated_rows(log, arm):
     held = np.sort(np.random.default_rng(1).choice(rows[100:-100:3], 200, replace=False))
     rows[held] = held - 1
     bad = changed(log, q=raw.q[rows], qd=raw.qd[rows], tau=raw.tau[rows])
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     (found,) = seen(examination, "duplicates", least="warn")
     assert 150 <= found.value <= 200
-    mended, _ = doctor.mend(bad, examination, arm)
     assert len(mended.trajectories[0].t) == len(raw.t) - found.value
 
 
@@ -68,11 +67,10 @@ def test_a_clock_that_stands_and_runs_backwards(log, arm):
     t[1000:1003] = t[999]
     t[2000] -= 0.02
     bad = changed(log, t=t)
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     (found,) = seen(examination, "duplicates")
     assert (found.severity, found.value) == ("fail", 4)
     assert examination.usable
-    mended, _ = doctor.mend(bad, examination, arm)
     refuse_defects(mended)
     assert len(mended.trajectories[0].t) == len(t) - 4
 
@@ -84,10 +82,10 @@ def test_single_stamps_that_are_wrong(bad, log, arm):
     for row, stamp in bad:
         t[row] = stamp
     wrong = changed(log, t=t)
-    examination = doctor.examine(wrong, arm)
+    mended, examination = doctor.correct(wrong, arm)
     (found,) = seen(examination, "duplicates")
     assert found.value == len(bad) and examination.usable
-    mended, notes = doctor.mend(wrong, examination, arm)
+    notes = examination.done
     refuse_defects(mended)
     assert [len(x.t) for x in mended.trajectories] == [len(t) - len(bad)], notes
 
@@ -108,7 +106,7 @@ def test_a_clock_that_starts_anew(log, arm):
     t = log.trajectories[0].t.copy()
     t[3000:] -= t[3000]
     bad = changed(log, t=t)
-    mended, _ = doctor.mend(bad, doctor.examine(bad, arm), arm)
+    mended, _ = doctor.correct(bad, arm)
     refuse_defects(mended)
     assert [len(x.t) for x in mended.trajectories] == [3000, 3000]
 
@@ -142,13 +140,12 @@ def test_outliers(log, arm):
     tau[rows, 1] += rng.choice([-1, 1], 12) * 5 * np.ptp(raw.tau[:, 1])
     q[rows[:4] + 9, 3] += 0.2
     bad = changed(log, q=q, tau=tau)
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"outliers"}
     assert {(c.threshold["channel"], c.joint, c.value) for c in seen(examination, "outliers")} == {
         ("tau", arm.joints[1], 12),
         ("q", arm.joints[3], 4),
     }
-    mended, _ = doctor.mend(bad, examination, arm)
     np.testing.assert_allclose(mended.trajectories[0].q, raw.q, atol=1e-3)
     np.testing.assert_allclose(mended.trajectories[0].tau[:, 1], raw.tau[:, 1], atol=0.1 * raw.tau[:, 1].std())
 
@@ -205,10 +202,9 @@ def test_derivatives_that_are_none(log, arm):
     """Velocities of another joint are no derivative: they fail and are left out; slow filters are a warning."""
     raw = log.trajectories[0]
     bad = changed(log, qd=raw.qd[:, ::-1].copy())
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"derivative_consistency"}
     assert examination.usable
-    mended, _ = doctor.mend(bad, examination, arm)
     assert mended.trajectories[0].qd is None
     (found,) = seen(doctor.examine(changed(log, qd=1.2 * raw.qd), arm), "derivative_consistency")
     assert (found.severity, found.value) == ("warn", pytest.approx(1.2, rel=0.02))
@@ -227,19 +223,19 @@ def test_poses_are_no_motion(arm):
     rows = np.random.default_rng(6).permutation(len(log.trajectories[0].t))
     raw = replace(taken(log.trajectories[0], rows), t=log.trajectories[0].t, name="poses")
     both = replace(log, trajectories=(*log.trajectories, raw))
-    examination = doctor.examine(both, arm)
+    mended, examination = doctor.correct(both, arm)
     assert examination.usable
     assert [c.trajectory for c in seen(examination, "derivative_consistency", least="warn")] == ["poses"]
-    assert [x.name for x in doctor.mend(both, examination, arm)[0].trajectories] == ["run"]
+    assert [x.name for x in mended.trajectories] == ["run"]
 
 
 def test_short_trajectories_are_left_out(log, arm):
     """0.3 s beside 30 s: left out with a word; alone: not usable."""
     short = replace(taken(log.trajectories[0], slice(0, 60)), name="short")
     both = replace(log, trajectories=(*log.trajectories, short))
-    examination = doctor.examine(both, arm)
+    mended, examination = doctor.correct(both, arm)
     assert examination.usable
-    mended, notes = doctor.mend(both, examination, arm)
+    notes = examination.done
     assert [x.name for x in mended.trajectories] == ["run"]
     assert notes == ("short: left out, 0.295 s without a break",)
     assert not doctor.examine(replace(log, trajectories=(short,)), arm).usable

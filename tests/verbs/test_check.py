@@ -89,7 +89,7 @@ def test_tables_fold(width, arm):
     names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
     examination = doctor.examine(replace(sound(arm, seconds=8), joints=names), None)
     console = Console(width=width, record=True, file=io.StringIO())
-    console.print(check.shown(examination, ()))
+    console.print(check.shown(examination))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= width
     for head in ("reversals", "rest %", "slow %", "max |qdd|", "cannot"):
