@@ -79,10 +79,10 @@ class JointOrder(AbstractCheck):
         return log, []
 
     def _others(self, verdict: Verdict) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-        """Other orders (of positions, of torques) that are as likely as the best, but for joints without a torque that
-        shows: of these two may always be exchanged."""
+        """Other orders (of positions, of torques) that the physics does not exclude beside the best, but for joints
+        without a torque that shows: of these two may always be exchanged."""
         best, kept = verdict.best, []
-        for one in verdict.alike:
+        for one in verdict.rivals:
             pair = one.order, one.columns
             if pair == (best.order, best.columns) or pair in kept:
                 continue

@@ -7,8 +7,8 @@ m_j is the URDF's torque. Inertial parameters are off by a share of their scales
 tool that the URDF lacks, gains by g, time by d, all Gaussian; friction, offset, spring and rotor have flat priors, and
 friction and rotor are positive: the posterior chance of that is part of the likelihood. So neither a spring nor an
 inertia of a placeholder can pass for a sign. Gravity that is taken out is that of a model of its own: errors of the
-inertial parameters show through gravity then, too. A row counts for 1 / autocorrelation time of what is left. A column
-that no rigid body explains is as likely on every joint (`LOST`).
+inertial parameters show through gravity then, too. A row counts for 1 / autocorrelation time of what is left, or of the
+torque. A column that no rigid body explains is as likely on every joint (`LOST`).
 """
 
 from dataclasses import dataclass, replace
@@ -49,7 +49,7 @@ HEAVY = -25.0
 """Log chance of a negative inertia about a joint's axis, rotor and links together, friction and spring beside it."""
 
 MOST_ROWS = 100.0
-"""Independent rows that a joint counts for at most: errors of the model repeat with the motion (ours)."""
+"""Independent rows that a joint counts for at most (ours)."""
 
 NOISE = np.geomspace(1e-4, 2.0, 16)
 """Variances of what is left, over that of the torque."""
@@ -179,7 +179,8 @@ class _Joint:
         return np.sqrt(values[keep]), scale[:, None] * vectors[:, keep]
 
     def effective(self, column: int, spread: float, scale: np.ndarray) -> float:
-        """Independent rows of a column: over the autocorrelation time of what a generous fit leaves."""
+        """Independent rows of a column: over the autocorrelation time of what a generous fit leaves, or of the torque
+        itself: errors of the model are functions of the motion, and change no faster."""
         sizes, vectors = self.directions(scale)
         factor = 1 / spread if spread > 0 else 0.0
         p = len(scale)
@@ -192,7 +193,8 @@ class _Joint:
         )
         basis = span(self.own)
         rest = rest - basis @ (basis.T @ rest)
-        return float(min(MOST_ROWS, len(rest) / autocorrelation_time(rest)))
+        repeats = max(autocorrelation_time(rest), autocorrelation_time(self.tau[:, column]))
+        return float(min(MOST_ROWS, len(rest) / repeats))
 
 
 def _of_joint(joint: _Joint, spread, scales, units, effective, reach: float):
