@@ -119,8 +119,8 @@ def time_offset(draw, log, robot):
     def moved(raw: RawTrajectory) -> dict[str, Any]:
         return {"tau": np.stack([np.interp(raw.t - late, raw.t, x) for x in raw.tau.T], axis=1)}
 
-    before = {c.value for c in doctor.examine(log, robot).checks if c.check == "time_offset" and c.severity == "warn"}
-    known = next((x for x in before if isinstance(x, float)), 0.0)
+    before = [c for c in doctor.examine(log, robot).checks if c.check == "time_offset" and _about(c, "tau")]
+    known = next((c.value for c in before if c.joint is None and isinstance(c.value, float)), 0.0)
     return put(log, moved), lambda c: _about(c, "tau") and abs((c.value or 0) - late - known) < 0.004
 
 
