@@ -38,7 +38,8 @@ MOVED = 0.02
 """[rad; m] RMS of a position about its mean below which nothing shows whose it is."""
 
 MOST = 0.5
-"""More than this share of the joints that change places in a known order have to move (ours)."""
+"""More than this share of the joints that change places in a known order have to move; and of all joints, before one
+that rests changes places with one that moves (ours)."""
 
 ROUNDS = 3
 """How often the search begins anew with the noise of what was found."""
@@ -202,7 +203,8 @@ def _near(motion: tuple, rows: Rows, robot: Robot) -> Iterator[tuple]:
     order, signs = motion
     moves = rows.motion.q.std(0) > MOVED
     for a, b in itertools.combinations(range(len(order)), 2):
-        if not (moves[order[a]] or moves[order[b]]):  # of two that rest nothing shows which is which
+        able = (moves[order[a]], moves[order[b]])
+        if not any(able) or (not all(able) and np.mean(moves) <= MOST):  # too little moves to tell a joint by its rest
             continue
         changed = list(order)
         changed[a], changed[b] = changed[b], changed[a]
