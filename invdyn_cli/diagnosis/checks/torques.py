@@ -90,7 +90,7 @@ class GravityRemoved(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """For the whole log; the value is the slope of torque on gravity torque."""
         found = self._judged(log, robot)
-        return [one for one in found if one.severity in ("fail", "warn")] if self.again else found
+        return [one for one in found if one.severity in ("fail", "note")] if self.again else found
 
     def _judged(self, log: Log, robot: Robot | None) -> list[Check]:
         if robot is None:
@@ -138,7 +138,7 @@ class GravityRemoved(AbstractCheck):
             meaning = "gravity may be taken out of this torque already; nothing is changed"
         return Check(
             self.name,
-            "fail" if sure else "warn",
+            "fail" if sure else "note",
             value=value,
             threshold=self.slope,
             seen=seen,
