@@ -164,9 +164,11 @@ class _Look:
     def climbed(self, found: tuple | None) -> tuple[Arrangement, Arrangement]:
         """The columns as logged, and the best arrangement that steps from there, and from what was found, lead to."""
         n = self.robot.dofs
-        logged = best = self.at((tuple(range(n)), (1.0,) * n))[0]
+        start = (tuple(range(n)), (1.0,) * n)
+        logged = best = self.at(start)[0]
         if found is not None:
-            self.at(found[:2])
+            for motion in (found[:2], *_near(start, self.rows, self.robot)):
+                self.at(motion)
             best = self.tried.get(found, logged)
         for _ in range(n if n > 1 else 0):
             for motion in _near((best.order, best.signs), self.rows, self.robot):
