@@ -77,11 +77,12 @@ def correct(
     robot: Robot | None,
     checks: Sequence[AbstractCheck] = CHECKS,
     follow: Callable[[Log, Sequence[Check]], None] | None = None,
+    mends: bool = True,
 ) -> tuple[Log, Examination]:
     """The log with all that is certain put right and hopeless trajectories left out, and what there is to say of it.
 
     The corrected log passes `logfile.refuse_defects` where the examination calls it usable. `follow` is told every
-    check's findings, and the log that it saw.
+    check's findings, and the log that it saw. Without `mends` nothing is put right.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.
@@ -89,7 +90,7 @@ def correct(
     _refuse_other(log, robot)
     found: list[Check] = []
     hopeless = False
-    log, notes = _worded(log)
+    log, notes = _worded(log) if mends else (log, [])
     corrections = [{"check": "header", "done": note} for note in notes]
     with np.errstate(all="ignore"):
         for check in checks:
@@ -98,17 +99,18 @@ def correct(
             mine = _mendable(seen)
             if follow is not None:
                 follow(log, mine)
-            log, notes = check.mend(log, mine, robot)
-            corrections += [{"check": check.name, "done": note} for note in notes]
-            if any(one.severity == "fail" for one in seen):
-                hopeless |= any(one.severity == "fail" for one in _asked(check, log, robot))
+            failed = any(one.severity == "fail" for one in seen)
+            if mends:
+                log, notes = check.mend(log, mine, robot)
+                corrections += [{"check": check.name, "done": note} for note in notes]
+            hopeless |= failed and (not mends or any(one.severity == "fail" for one in _asked(check, log, robot)))
         try:
-            refuse_defects(log, "the corrected log")
+            refuse_defects(log, "the corrected log" if mends else "the log")
         except LogError as error:
             found.append(_unreadable(error))
             hopeless = True
         usable = not hopeless and bool(log.trajectories)
-        excitation = Excitation().measure(log, robot) if log.trajectories else {}
+        excitation = Excitation().measure(log, robot) if log.trajectories and (mends or usable) else {}
     return log, Examination(usable, _ordered(found), excitation, tuple(corrections))
 
 

@@ -54,8 +54,9 @@ class Mark:
     label: str
 
 
-def located(log: Log, robot: Robot | None) -> tuple[Log, Examination, tuple[Mark, ...]]:
-    """The log as corrected, what the doctor says of it, and a mark for every finding that has a place in it.
+def located(log: Log, robot: Robot | None, *, correct: bool = True) -> tuple[Log, Examination, tuple[Mark, ...]]:
+    """The log as corrected, what the doctor says of it, and a mark for every finding that has a place in it; nothing is
+    corrected where `correct` is False.
 
     `rows` of the corrected trajectories says where their rows stood in the log as recorded.
 
@@ -72,8 +73,8 @@ def located(log: Log, robot: Robot | None) -> tuple[Log, Examination, tuple[Mark
         for one in findings:
             found.extend(_marks(seen, one))
 
-    corrected, examination = doctor.correct(replace(log, trajectories=counted), robot, follow=follow)
-    return corrected, examination, (*_merged(found), *_at_rest(corrected))
+    corrected, examination = doctor.correct(replace(log, trajectories=counted), robot, follow=follow, mends=correct)
+    return corrected, examination, (*_merged(found), *(_at_rest(corrected) if correct or examination.usable else ()))
 
 
 def _marks(log: Log, one: Check) -> Iterator[Mark]:
@@ -94,7 +95,7 @@ def _marks(log: Log, one: Check) -> Iterator[Mark]:
                 for raw in log.trajectories
                 if raw.rows is not None and (one.trajectory in (None, raw.name) or one.check == "saturation")
             ]  # of it only the worst is told
-            chosen = [raw.rows[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
+            chosen = [np.asarray(raw.rows)[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
             rows = np.concatenate([np.arange(0), *chosen])
         yield Mark(one.check, one.severity, channel, joint, rows, _label(one))
 
@@ -196,6 +197,6 @@ def _at_rest(log: Log) -> Iterator[Mark]:
             still = np.ptp(blocks, axis=1) < Excitation().rest * REST
             for a, b in runs(still):
                 if b - a > 1:
-                    rows.append(raw.rows[a * size : b * size])
+                    rows.append(np.asarray(raw.rows)[a * size : b * size])
         if rows:
             yield Mark("at_rest", "", "q", joint, np.concatenate(rows), "at rest")

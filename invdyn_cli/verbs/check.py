@@ -41,8 +41,9 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """Read, examine, write, tell; exit code 1 where a check failed under strict=true."""
-    if not isinstance(config.strict, bool):
-        raise UsageError(f"strict={config.strict}; allowed: true or false")
+    for option in ("strict", "correct"):
+        if not isinstance(config[option], bool):
+            raise UsageError(f"{option}={config[option]}; allowed: true or false")
     refuse_target(config)
     folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
@@ -56,7 +57,7 @@ def task(config: DictConfig) -> None:
     with screen.stages() as stage:
         report = stage("check")
         report(0.0, f"{len(log.trajectories)} trajectories")
-        corrected, examination, marks = located(log, robot)
+        corrected, examination, marks = located(log, robot, correct=config.correct)
         report(0.8, "report")
         page = draw(CheckedLog(log, corrected, marks, robot), examination, folder, notes)
         report(1.0, "done")
@@ -84,6 +85,8 @@ def refuse_target(config: DictConfig) -> None:
     """Raise a UsageError where `write` is no new log."""
     if config.write is None:
         return
+    if not config.correct:
+        raise UsageError(f"write={config.write} needs correct=true", advice="leave one of both out")
     target = Path(str(config.write)).expanduser()
     sources = {Path(str(x)).expanduser().resolve() for x in raw.refuse_other(instantiate(config.data)).path}
     if not isinstance(config.write, str) or target.suffix not in (".h5", ".hdf5"):

@@ -156,7 +156,7 @@ def show(diagnosis: Diagnosis, console: Screen) -> None:
     """The verdict, the causes, the errors, what the user should know; the doctor's words where the log is unusable."""
     console.print(diagnosis_tables.verdict_line(diagnosis))
     if diagnosis.verdict == "log_unusable":
-        console.print(check.shown(diagnosis.examination, ()))
+        console.print(check.shown(diagnosis.examination))
     else:
         console.print(diagnosis_tables.finding_table(diagnosis))
         usual = diagnosis_tables.standard_table(diagnosis)
