@@ -8,7 +8,6 @@ import pytest
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.description import Description
 from invdyn_cli.diagnosis.checks.evidence import nominal_torque
-from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.errors import RobotError
 from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
 from invdyn_cli.robots import load_urdf
@@ -232,40 +231,6 @@ def test_an_offset_of_all_torques_is_found_and_mended(seconds, log, arm):
     (found,) = seen(examination, "time_offset", least="warn")
     assert found.value == pytest.approx(seconds, abs=1e-3)
     assert seen(doctor.examine(mended, arm), "time_offset", least="warn") == []
-
-
-def test_an_offset_is_that_of_the_joints_that_tell_it(log, arm):
-    """Torques 30 ms late, two joints of seven 50 and 60 ms later still: found within 3 ms. Where every joint has a lag
-    of its own, none is corrected, and their range is said."""
-    raw = log.trajectories[0]
-    for own, right in (([0, 0, 0, 0, 0.05, 0.06, 0], True), (np.linspace(-0.12, 0.12, 7), False)):
-        tau = [delayed(x, raw.t, 0.03 + late) for x, late in zip(raw.tau.T, own, strict=True)]
-        examination = doctor.correct(changed(log, tau=np.stack(tau, axis=1)), arm, (TimeOffset(),))[1]
-        shared = [c for c in examination.checks if c.joint is None]
-        assert [c.severity == "warn" for c in shared] == [right]
-        if right:
-            assert shared[0].value == pytest.approx(0.03, abs=3e-3)
-        else:
-            assert "standard error" in shared[0].seen and examination.done == ()
-
-
-def test_the_log_is_corrected_on_the_way(log, arm):
-    """Every check sees the log as those before it corrected it; rows keep their stages and where they stood."""
-    raw = log.trajectories[0]
-    t = raw.t.copy()
-    t[[1000, 2000]] += 1e3
-    rows = np.arange(len(t))
-    bad = changed(log, t=t, stage=rows // 100, rows=rows)
-    told = []
-    mended, examination = doctor.correct(
-        bad, arm, follow=lambda log, found: told.append((log, [c.check for c in found]))
-    )
-    assert len(told) == len(doctor.CHECKS) and told[0][0] is bad
-    assert [found for _, found in told if "duplicates" in found] == [["duplicates"]]
-    assert len(examination.done) == 1
-    kept = np.delete(rows, [1000, 2000])
-    np.testing.assert_array_equal(mended.trajectories[0].rows, kept)
-    np.testing.assert_array_equal(mended.trajectories[0].stage, kept // 100)
 
 
 def test_currents_look_like_currents(log, arm):
