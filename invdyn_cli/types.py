@@ -281,11 +281,6 @@ class Examination:
     excitation: Mapping[str, Mapping[str, Any]]
     corrections: tuple[Mapping[str, str], ...] = ()
 
-    @property
-    def done(self) -> tuple[str, ...]:
-        """A sentence for every correction."""
-        return tuple(one["done"] for one in self.corrections)
-
 
 @dataclass(frozen=True)
 class Quantity:

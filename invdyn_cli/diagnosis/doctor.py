@@ -114,6 +114,11 @@ def correct(
     return log, Examination(usable, _ordered(found), excitation, tuple(corrections))
 
 
+def done(examination: Examination) -> tuple[str, ...]:
+    """A sentence for every correction."""
+    return tuple(one["done"] for one in examination.corrections)
+
+
 def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
     """What a check says; one that numbers overwhelm says so instead of ending the examination."""
     try:

@@ -79,7 +79,7 @@ def diagnose(
     log, examination = doctor.correct(log, robot)
     if not examination.usable:
         return _unusable(examination, ())
-    notes = examination.done
+    notes = doctor.done(examination)
     corrected = (*log.history, *notes)
     notes = notes if gained is None else (gained.note(), *notes)
     progress(0.1, "checked")
@@ -271,7 +271,7 @@ def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
         }
     renamed = tuple(replace(x, name=f"reference/{x.name}") for x in reference.trajectories)
     windows = {**windows, "reference": [(x.name, -np.inf, np.inf) for x in renamed]}
-    return replace(log, trajectories=(*log.trajectories, *renamed)), windows, examination.done
+    return replace(log, trajectories=(*log.trajectories, *renamed)), windows, doctor.done(examination)
 
 
 def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:

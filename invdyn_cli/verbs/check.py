@@ -16,6 +16,7 @@ from rich.text import Text
 from invdyn_cli import store
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.data.selection import SETS
+from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.marks import located
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.logfile import Log, write_log
@@ -64,7 +65,8 @@ def task(config: DictConfig) -> None:
     if config.write is not None and not examination.usable:
         notes.append(f"{config.write} is not written: the log is not usable, corrected either")
     elif config.write is not None:
-        notes.append(f"{len(examination.done)} corrections written into {write(corrected, examination.done, config)}")
+        done = doctor.done(examination)
+        notes.append(f"{len(done)} corrections written into {write(corrected, done, config)}")
     store.write_check(examination, folder / "check.json")
     for note in notes:
         console.note(note)
@@ -144,7 +146,7 @@ def shown(examination: Examination) -> Group:
     quiet = dict.fromkeys(one.check for one in examination.checks if one.severity == "ok")
     if quiet:
         parts.append(Text(f"ok ({len(quiet)}): {', '.join(quiet)}", STYLE["ok"]))
-    notes = examination.done
+    notes = doctor.done(examination)
     parts += [Text(f"correctable: {note}") for note in notes[: 3 * MOST]]
     if len(notes) > 3 * MOST:
         parts.append(Text(f"correctable: {len(notes) - 3 * MOST} more"))

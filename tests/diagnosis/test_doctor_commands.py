@@ -46,7 +46,7 @@ def test_lag_unit_and_sign_come_together(seed, arm):
     assert turned.joint == arm.joints[joint]
     (late,) = seen(examination, "time_offset")
     assert late.value == pytest.approx(lag, abs=2e-3)
-    notes = examination.done
+    notes = doctor.done(examination)
     assert len(notes) == 2
     np.testing.assert_allclose(np.asarray(mended.trajectories[0].q_ref), earlier(lag), atol=1e-9)
 

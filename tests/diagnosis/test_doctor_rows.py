@@ -43,7 +43,7 @@ def test_an_empty_channel_is_left_out(log, arm):
     """Velocities that are all NaN cost the channel, not the rows."""
     bad = changed(log, qd=np.full_like(log.trajectories[0].q, np.nan))
     mended, examination = doctor.correct(bad, arm)
-    notes = examination.done
+    notes = doctor.done(examination)
     assert mended.trajectories[0].qd is None
     assert len(mended.trajectories[0].t) == len(log.trajectories[0].t)
     assert "without the channel qd" in notes[0]
@@ -86,7 +86,7 @@ def test_single_stamps_that_are_wrong(bad, log, arm):
     mended, examination = doctor.correct(wrong, arm)
     (found,) = seen(examination, "duplicates")
     assert found.value == len(bad) and examination.usable
-    notes = examination.done
+    notes = doctor.done(examination)
     refuse_defects(mended)
     assert [len(x.t) for x in mended.trajectories] == [len(t) - len(bad)], notes
 
@@ -236,7 +236,7 @@ def test_short_trajectories_are_left_out(log, arm):
     both = replace(log, trajectories=(*log.trajectories, short))
     mended, examination = doctor.correct(both, arm)
     assert examination.usable
-    notes = examination.done
+    notes = doctor.done(examination)
     assert [x.name for x in mended.trajectories] == ["run"]
     assert notes == ("short: left out, 0.295 s without a break",)
     assert not doctor.examine(replace(log, trajectories=(short,)), arm).usable
@@ -261,7 +261,7 @@ def test_an_offset_is_that_of_the_joints_that_tell_it(log, arm):
         if right:
             assert shared[0].value == pytest.approx(0.03, abs=3e-3)
         else:
-            assert "standard error" in shared[0].seen and examination.done == ()
+            assert "standard error" in shared[0].seen and doctor.done(examination) == ()
 
 
 def test_the_log_is_corrected_on_the_way(log, arm):
@@ -277,7 +277,7 @@ def test_the_log_is_corrected_on_the_way(log, arm):
     )
     assert len(told) == len(doctor.CHECKS) and told[0][0] is bad
     assert [found for _, found in told if "duplicates" in found] == [["duplicates"]]
-    assert len(examination.done) == 1
+    assert len(doctor.done(examination)) == 1
     kept = np.delete(rows, [1000, 2000])
     np.testing.assert_array_equal(mended.trajectories[0].rows, kept)
     np.testing.assert_array_equal(mended.trajectories[0].stage, kept // 100)
