@@ -137,7 +137,7 @@ def _label(one: Check) -> str:
         "duplicates": "stamps out of order" if one.severity == "fail" else "repeated rows",
         "sign_error": "opposite sign" if one.severity == "fail" else "sign in doubt",
         "unit_error": one.meaning.split(":")[0],
-        "gravity_removed": "without gravity",
+        "gravity_removed": "without gravity" if one.severity == "fail" else "perhaps without gravity",
         "command_copies_measurement": "a copy",
         "too_short": f"{number} s: too short",
         "derivative_consistency": "not q's derivative" if one.severity == "fail" else "differs from q's derivative",
