@@ -13,7 +13,7 @@ from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
 from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
-from invdyn_cli.verbs import published, tables
+from invdyn_cli.verbs import listing, published, tables
 from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
@@ -47,7 +47,7 @@ def task(config: DictConfig) -> None:
         try:
             done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust)
         except LogError as error:
-            spec = published.read(name)
+            spec = listing.read(name)
             console.warn(f"{name} is left out: {error}")
             exhibits.append(Exhibit(spec["title"], spec["source"], _command(name), absent=str(error)))
             continue
@@ -101,7 +101,7 @@ def _exhibit(done: Published, drawn: Sequence[Drawn]) -> Exhibit:
 
 
 def _command(name: str) -> str:
-    return f"invdyn tables experiment={name}"
+    return f"invdyn experiment {name}"
 
 
 def _paper_tables(done: Published, picked: dict[str, str]) -> tuple[Grid, Grid]:
