@@ -88,7 +88,8 @@ def _run(name: str, experiment: AbstractExperiment, common: Shared, command: str
         for path in written[::-1]:
             screen.Screen().whole(path)
     if missing:
-        screen.tell(f"invdyn: {missing} jobs failed; the same command tries them again, and keeps the finished ones")
+        failed_jobs = "1 job failed" if missing == 1 else f"{missing} jobs failed"
+        screen.tell(f"invdyn: {failed_jobs}; the same command tries again, and keeps the jobs that have finished")
     return 2 if missing else 0
 
 
@@ -111,9 +112,8 @@ def put(page: Path, name: str, text: str) -> None:
 
 def _options(name: str, spec: Mapping[str, Any], argv: Sequence[str]) -> dict[str, Any]:
     """The options of an experiment with their values: those of argv, else those of its YAML and of all experiments."""
-    options = OmegaConf.to_container(OmegaConf.load(config_folder() / SHARED)) | {
-        x: y for x, y in spec.items() if x not in listing.CLASS
-    }
+    shared: Any = OmegaConf.to_container(OmegaConf.load(config_folder() / SHARED))
+    options: dict[str, Any] = {**shared, **{x: y for x, y in spec.items() if x not in listing.CLASS}}
     said = {}
     for argument in argv:
         option, equals, text = argument.partition("=")
