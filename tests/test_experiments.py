@@ -205,6 +205,7 @@ def test_ctrl_c_keeps_what_has_finished(own, tmp_path, workers):
         (["confusion", "logs=x"], "logs=x; allowed: a whole number"),
         (["confusion", "logs=-1"], "logs=-1; allowed: a number of 0 or more"),
         (["confusion", "only=payload+payloaf"], "did you mean 'payload'?"),
+        (["worn", "docs=true"], "worn has no table or figure in the docs"),
         (["worn", "workers=0"], "workers=0; allowed: 1 and more"),
         (["seed=3"], "seed=3 is no experiment"),
         (["transfer", "data=nowhere"], "data=nowhere holds none of"),

@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.files import write_file
 from invdyn_cli.verbs import listing
 from invdyn_cli.verbs.launch import config_folder, failed, instantiate
 
@@ -63,34 +64,53 @@ def _experiment(name: str, argv: Sequence[str]) -> int:
 
 
 def _run(name: str, experiment: AbstractExperiment, common: Shared, command: str) -> int:
-    """Run the jobs, print the table, and write it with the figures and all rows."""
-    from invdyn_cli.files import write_file
-    from invdyn_cli.report.canvas import save
+    """Run the jobs, print the table, and write the files; 2 where a job failed."""
     from invdyn_cli.verbs import jobs, screen
 
-    folder, root = Path(common.folder or f"outputs/{name}"), config_folder().parent
-    if common.docs and not (root / "docs" / "index.md").is_file():
-        raise UsageError("docs=true writes into the pages of a checkout; this invdyn is installed without them")
+    folder = Path(common.folder or f"outputs/{name}")
+    if common.docs:
+        _refuse_docs(name, experiment)
     with screen.stages() as stage:
-        rows, missing = jobs.run_all(
+        rows, failures = jobs.run_all(
             experiment, folder, workers=common.workers, fresh=common.fresh, progress=stage(name)
         )
     if rows:
         text = experiment.table(rows)
         print(text)
         write_file(folder / f"{name}.json", jobs.to_json(rows))
-        written = [write_file(folder / f"{name}.md", f"`{command}`\n\n{text}\n")]
-        for title, figure in experiment.figures(rows).items():
-            written += [save(figure, place / f"{title}.png") for place in (folder, *[root / "docs"] * common.docs)]
-        if common.docs and experiment.page:
-            put(root / experiment.page, name, text)
-            written.append(root / experiment.page)
-        for path in written[::-1]:
+        page = write_file(folder / f"{name}.md", f"`{command}`\n\n{text}\n")
+        figures = experiment.figures(rows)
+        for path in [*_draw(folder, figures), *(_publish(name, experiment, text, figures) if common.docs else [])]:
             screen.Screen().whole(path)
-    if missing:
-        failed_jobs = "1 job failed" if missing == 1 else f"{missing} jobs failed"
-        screen.tell(f"invdyn: {failed_jobs}; the same command tries again, and keeps the jobs that have finished")
-    return 2 if missing else 0
+        screen.Screen().whole(page)
+    if failures:
+        said = "1 job failed" if failures == 1 else f"{failures} jobs failed"
+        screen.tell(f"invdyn: {said}; the same command tries again, and keeps the jobs that have finished")
+    return 2 if failures else 0
+
+
+def _draw(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
+    from invdyn_cli.report.canvas import save
+
+    return [save(figure, folder / f"{title}.png") for title, figure in figures.items()]
+
+
+def _refuse_docs(name: str, experiment: AbstractExperiment) -> None:
+    if not (_root() / "docs" / "index.md").is_file():
+        raise UsageError("docs=true writes into the pages of a checkout; this invdyn is installed without them")
+    if not experiment.page and type(experiment).figures is AbstractExperiment.figures:
+        raise UsageError(f"docs=true; {name} has no table or figure in the docs")
+
+
+def _publish(name: str, experiment: AbstractExperiment, text: str, figures: Mapping[str, Any]) -> list[Path]:
+    """Figures and table into the pages of the checkout."""
+    if experiment.page:
+        put(_root() / experiment.page, name, text)
+    return [*_draw(_root() / "docs", figures), *([_root() / experiment.page] if experiment.page else [])]
+
+
+def _root() -> Path:
+    return config_folder().parent
 
 
 def put(page: Path, name: str, text: str) -> None:
@@ -99,8 +119,6 @@ def put(page: Path, name: str, text: str) -> None:
     Raises:
         UsageError: if the page does not have both, in this order, once.
     """
-    from invdyn_cli.files import write_file
-
     whole = page.read_text()
     start, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     before, found, rest = whole.partition(start)

@@ -6,10 +6,10 @@ import multiprocessing
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -38,40 +38,39 @@ def run_all(
     total = sum(1 for _ in experiment.plan(()))
     code, rows, failed = _code(experiment), [], 0
     numbered: dict[int, list[Any]] = {}
+    with closing(_finished(experiment, folder, rows, workers, code, fresh)) as finished:
+        for (number, job), found, is_new in finished:
+            if isinstance(found, BaseException):
+                failed += 1
+                _tell_failure(job, found)
+                continue
+            if is_new:
+                _keep(folder, job, code, found)
+                print(*map(experiment.line, found), sep="\n", end="\n" if found else "", flush=True)
+            numbered[number] = found
+            rows.extend(found)
+            progress(len(numbered) / total, f"{len(numbered)} of {total} jobs")
+    return [row for number in sorted(numbered) for row in numbered[number]], failed
 
-    def take(number: int, found: list[Any], say: Callable[[str], None]) -> None:
-        numbered[number] = found
-        rows.extend(found)
-        for row in found:
-            say(experiment.line(row))
-        progress(len(numbered) / total, f"{len(numbered)} of {total} jobs")
 
+def _finished(
+    experiment: AbstractExperiment, folder: Path, rows: Sequence[Any], workers: int, code: str, fresh: bool
+) -> Generator[tuple[tuple[int, tuple], list[Any] | BaseException, bool], None, None]:
+    """Number and job, its rows or what it raised, and whether it was run now, in the order in which jobs finish."""
     plan = enumerate(experiment.plan(rows))
+    waiting: dict[Future, tuple[int, tuple]] = {}
     with _executor(workers) as executor:
-        waiting: dict[Future, tuple[int, tuple]] = {}
         while True:
             while len(waiting) < workers and (following := next(plan, None)):
-                number, job = following
-                kept = None if fresh else _kept(folder, experiment, job, code)
+                kept = None if fresh else _kept(folder, experiment, following[1], code)
                 if kept is not None:
-                    take(number, kept, _quiet)
+                    yield following, kept, False
                 else:
-                    waiting[executor.submit(_rows, experiment, folder, job)] = following
+                    waiting[executor.submit(_rows, experiment, folder, following[1])] = following
             if not waiting:
-                return [row for number in sorted(numbered) for row in numbered[number]], failed
+                return
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                number, job = waiting.pop(future)
-                if (error := future.exception()) is None:
-                    found = future.result()
-                    _keep(folder, job, code, found)
-                    take(number, found, lambda line: print(line, flush=True))
-                    continue
-                failed += 1
-                _tell_failure(job, error)
-
-
-def _quiet(line: str) -> None:
-    """A row that was kept is not told again."""
+                yield waiting.pop(future), future.exception() or future.result(), True
 
 
 def _rows(experiment: AbstractExperiment, folder: Path, job: tuple) -> list[Any]:
