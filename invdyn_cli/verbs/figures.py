@@ -13,8 +13,9 @@ from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
 from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
-from invdyn_cli.verbs import listing, published, tables
+from invdyn_cli.verbs import published, tables
 from invdyn_cli.verbs.launch import launch, trusted
+from invdyn_cli.verbs.listing import read
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
 from invdyn_cli.verbs.screen import Screen
@@ -47,7 +48,7 @@ def task(config: DictConfig) -> None:
         try:
             done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust)
         except LogError as error:
-            spec = listing.read(name)
+            spec = read(name)
             console.warn(f"{name} is left out: {error}")
             exhibits.append(Exhibit(spec["title"], spec["source"], _command(name), absent=str(error)))
             continue

@@ -105,16 +105,6 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     return code
 
 
-def failed(verb: str, error: Exception, argv: Sequence[str]) -> int:
-    """Tell what ended a command that is not composed by Hydra; the exit code. Ctrl-C goes on as KeyboardInterrupt."""
-    if interruption.was_asked():
-        raise KeyboardInterrupt from error
-    if isinstance(error, BrokenPipeError):
-        return closed_pipe()
-    line = told(verb, error, argv)
-    return complain(line) if line else _own_error(error, None)
-
-
 def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
     """What a failure of use is told as; "" for an error of ours."""
     if isinstance(error, InvdynError):
@@ -129,6 +119,16 @@ def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
     if _raised_by(error) in ("hydra", "omegaconf"):
         return f"the config cannot be composed: {error}"
     return ""
+
+
+def failed(verb: str, error: Exception, argv: Sequence[str]) -> int:
+    """Tell what ended a command that is not composed by Hydra; the exit code. Ctrl-C goes on as KeyboardInterrupt."""
+    if interruption.was_asked():
+        raise KeyboardInterrupt from error
+    if isinstance(error, BrokenPipeError):
+        return closed_pipe()
+    line = told(verb, error, argv)
+    return complain(line) if line else _own_error(error, None)
 
 
 def _raised_by(error: Exception) -> str:
