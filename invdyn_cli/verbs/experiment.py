@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -165,23 +166,15 @@ def _node(target: str, options: Mapping[str, Any]) -> Any:
 
 
 def _list() -> str:
-    titles = {}
-    for name in listing.names():
+    names = listing.names()
+    margin = max(map(len, names), default=0) + 4
+    lines = ["invdyn experiment: run an experiment, and write its table", ""]
+    lines += ["usage: invdyn experiment NAME [option=value ...]", "       invdyn experiment NAME --help", ""]
+    for name in names:
         with suppress(UsageError):
-            titles[name] = listing.read(name)["title"]
-    width = max(map(len, titles), default=0)
-    lines = [f"  {name:<{width}}  {title}" for name, title in titles.items()]
-    return "\n".join(
-        [
-            "invdyn experiment: run an experiment, and write its table",
-            "",
-            "usage: invdyn experiment NAME [option=value ...]",
-            "       invdyn experiment NAME --help",
-            "",
-            *lines,
-            "",
-        ]
-    )
+            title = str(listing.read(name)["title"])
+            lines.append(fill(title, 80, initial_indent=f"  {name}".ljust(margin), subsequent_indent=margin * " "))
+    return "\n".join([*lines, ""])
 
 
 def _help(name: str, spec: Mapping[str, Any]) -> str:
