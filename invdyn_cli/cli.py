@@ -21,6 +21,8 @@ VERBS = {
     "control": "test a learned model, adapted or not, in the control loop of the simulated arm",
     "report": "draw the figures and the page of a run again, from its run.h5",
 }
+UNCONFIGURED = ("experiment",)
+"""Verbs without a config in conf/."""
 
 HELP = """invdyn: learn, adapt and compare inverse dynamics models tau = f(q, qd, qdd)
 

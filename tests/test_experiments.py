@@ -98,7 +98,7 @@ def calls(folder):
 def test_yaml_and_class_agree(name, monkeypatch):
     """The YAML of an experiment names each option of its class with its default, and beside them only shared ones."""
     monkeypatch.delenv("INVDYN_REAL_DATA", raising=False)
-    shared = yaml.safe_load((ROOT / "conf" / SHARED).read_text())
+    shared = yaml.safe_load(SHARED)
     said = {key: value for key, value in SPECS[name].items() if key not in ("title", *shared)}
     kind = class_of(name)
     assert set(said) == {"_target_", *(field.name for field in fields(kind))}

@@ -15,13 +15,18 @@ from invdyn_cli.files import write_file
 from invdyn_cli.verbs import listing
 from invdyn_cli.verbs.launch import config_folder, failed, instantiate
 
-SHARED = "experiment.yaml"
-"""The options that all experiments have, in conf/."""
+SHARED = """
+folder: null   # where table, figures and rows go; null: outputs/NAME
+workers: 1     # processes that work at the same time
+fresh: false   # true: run jobs again that have finished
+docs: false    # true: put the table and the figures into the pages of this checkout
+"""
+"""The options of every experiment that is a class, as NAME.yaml has its own; it may have another default of them."""
 
 
 @dataclass(frozen=True)
 class Shared:
-    """Options of all experiments that are a class: see conf/experiment.yaml."""
+    """The values of these options."""
 
     folder: str | None
     workers: int
@@ -131,7 +136,7 @@ def put(page: Path, name: str, text: str) -> None:
 
 def _options(name: str, spec: Mapping[str, Any], argv: Sequence[str]) -> dict[str, Any]:
     """The options of an experiment with their values: those of argv, else those of its YAML and of all experiments."""
-    shared: Any = OmegaConf.to_container(OmegaConf.load(config_folder() / SHARED))
+    shared: Any = OmegaConf.to_container(OmegaConf.create(SHARED))
     options: dict[str, Any] = {**shared, **{x: y for x, y in spec.items() if x not in listing.CLASS}}
     said = {}
     for argument in argv:
@@ -181,8 +186,7 @@ def _help(name: str, spec: Mapping[str, Any]) -> str:
     """The title, the options as their YAML files have them, and where the page is."""
     path = listing.path_of(name)
     own = path.read_text().partition("\n_target_:")[2].partition("\n")[2].strip()
-    usual = (config_folder() / SHARED).read_text().splitlines()
-    shared = [x for x in usual if not x.startswith("#") and x.partition(":")[0] not in spec]
+    shared = [x for x in SHARED.strip().splitlines() if x.partition(":")[0] not in spec]
     head = [f"invdyn experiment {name}: {spec['title']}", "", f"usage: invdyn experiment {name} [option=value ...]"]
     page = path.with_suffix(".md")
     return "\n".join([*head, "", own, *shared, *(["", f"Question and results: {page}"] if page.is_file() else []), ""])
