@@ -15,11 +15,14 @@ VERBS = {
     "diagnose": "find what the simulation gets wrong on a log, the causes, and the gain of each correction",
     "excite": "design a trajectory within the joint limits that distinguishes given causes, ready to play",
     "tables": "make the published tables from experiments/*.yaml, with the paper's statements",
+    "experiment": "run one of the experiments, or one of your own, and write its table (without a name: list them)",
     "figures": "draw the published figures, and a page that compares all results with the paper",
     "simulate": "write the log of a simulated arm that stands in for the real one, with hidden effects",
     "control": "test a learned model, adapted or not, in the control loop of the simulated arm",
     "report": "draw the figures and the page of a run again, from its run.h5",
 }
+UNCONFIGURED = ("experiment",)
+"""Verbs without a config in conf/."""
 
 HELP = """invdyn: learn, adapt and compare inverse dynamics models tau = f(q, qd, qdd)
 
@@ -70,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code, as HELP says."""
     argv = list(sys.argv[1:] if argv is None else argv)
     if not argv or argv[0] in ("-h", "--help", "help"):
-        print(HELP.format(verbs="\n".join(f"  {name:<9} {said}" for name, said in VERBS.items())), end="")
+        print(HELP.format(verbs="\n".join(f"  {name:<10} {said}" for name, said in VERBS.items())), end="")
         return 0
     if argv[0] == "--version":
         from importlib.metadata import version

@@ -121,6 +121,16 @@ def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
     return ""
 
 
+def failed(verb: str, error: Exception, argv: Sequence[str]) -> int:
+    """Tell what ended a command that is not composed by Hydra; the exit code. Ctrl-C goes on as KeyboardInterrupt."""
+    if interruption.was_asked():
+        raise KeyboardInterrupt from error
+    if isinstance(error, BrokenPipeError):
+        return closed_pipe()
+    line = told(verb, error, argv)
+    return complain(line) if line else _own_error(error, None)
+
+
 def _raised_by(error: Exception) -> str:
     """The top-level package in which an exception was raised."""
     frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
