@@ -83,4 +83,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         print(f"invdyn: no verb {verb!r}; allowed: {listed(VERBS)}{closest(verb, VERBS)}", file=sys.stderr)
         return 2
+    if {"-h", "--help"} & set(rest):
+        return import_module("invdyn_cli.verbs.usage").show(verb, rest)
     return import_module(f"invdyn_cli.verbs.{verb}").main(rest)

@@ -56,14 +56,9 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     """
     argv = list(argv)
     try:
-        cwd = Path.cwd()
+        argv += search_path(argv)
     except OSError:
         return complain("the working directory is gone. Try: cd to one that is there")
-    # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml. The package's own
-    # configs come first, so that a folder of somebody else's changes none of them.
-    if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
-        places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
-        argv.append("hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]")
     logging.getLogger("hydra").addHandler(logging.NullHandler())  # what cannot be imported is told in our own line
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
     overrides = [a for a in argv if "=" in a and not a.startswith("-")]
@@ -103,6 +98,19 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         code = complain(line) if line else _own_error(error, folders[0] if folders else None)
     _remove_empty(folders, before)
     return code
+
+
+def search_path(argv: Sequence[str]) -> list[str]:
+    """The override by which Hydra finds what users keep beside them: ./model/mine.yaml, or ./conf/model/mine.yaml.
+
+    The package's own configs come first, so that a folder of somebody else's changes none of them. [] where argv has
+    such an override already.
+    """
+    if any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
+        return []
+    cwd = Path.cwd()
+    places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
+    return ["hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]"]
 
 
 def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
