@@ -50,9 +50,7 @@ def described(verb: str, overrides: Sequence[str] = ()) -> Described:
     Raises:
         HydraException: for overrides that do not compose.
     """
-    GlobalHydra.instance().clear()
-    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-        config = hydra.compose(verb, [*overrides, *search_path(overrides)], return_hydra_config=True)
+    config = composed(verb, overrides)
     choices = {str(name): choice for name, choice in reversed(config.hydra.runtime.choices.items())}
     chosen = {name: choice for name, choice in choices.items() if "/" not in name}
     texts = comments(config_folder() / f"{verb}.yaml")
@@ -62,6 +60,17 @@ def described(verb: str, overrides: Sequence[str] = ()) -> Described:
         group = option.name.partition(".")[0]
         (grouped if group in chosen else own).append(option._replace(group=group if group in chosen else ""))
     return Described((*own, *grouped), chosen)
+
+
+def composed(verb: str, overrides: Sequence[str] = ()) -> DictConfig:
+    """The verb's config with these overrides, Hydra's own options too.
+
+    Raises:
+        HydraException: for overrides that do not compose.
+    """
+    GlobalHydra.instance().clear()
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        return hydra.compose(verb, [*overrides, *search_path(overrides)], return_hydra_config=True)
 
 
 def choices_of(group: str) -> dict[str, Path]:
@@ -165,7 +174,7 @@ def _entries(docstring: str) -> Iterator[tuple[list[str], str]]:
             yield match["names"].split(", "), match["text"]
         if line.strip():
             entry = line.strip() if inside and indent == 4 else ""
-            inside = indent > 0 and inside or line in ("Attributes:", "Args:")
+            inside = (indent > 0 and inside) or line in ("Attributes:", "Args:")
 
 
 def _options(node: DictConfig, place: str, texts: Mapping[str, str]) -> Iterator[Option]:

@@ -38,7 +38,7 @@ def lines(verb: str, found: Described) -> Iterator[str]:
             yield from _options(found)
         else:
             indent = " " * (len(line) - len(line.lstrip()) + 2 * line.startswith("usage"))
-            yield from textwrap.wrap(line, _width(), subsequent_indent=indent, break_on_hyphens=False) or [""]
+            yield from textwrap.wrap(line, width(), subsequent_indent=indent, break_on_hyphens=False) or [""]
 
 
 def _groups(found: Described) -> Iterator[str]:
@@ -47,7 +47,7 @@ def _groups(found: Described) -> Iterator[str]:
     for name, choice in found.chosen.items():
         yield f"  {name}="
         for one, path in options.choices_of(name.partition("@")[0]).items():
-            yield from _entry(f"{'*' if one == choice else ' '} {one}", options.headline(path), 2)
+            yield from entry(f"{'*' if one == choice else ' '} {one}", options.headline(path))
     if found.chosen:
         yield ""
 
@@ -59,23 +59,25 @@ def _options(found: Described) -> Iterator[str]:
         if one.group != group:
             group = one.group
             yield from ("", f"  with {group}={found.chosen[group]}")
-        yield from _entry(_setting(one), options.first_sentence(one.text), 2)
+        yield from entry(setting(one), options.first_sentence(one.text))
     yield ""
 
 
-def _setting(one: Option) -> str:
+def setting(one: Option) -> str:
+    """An option as the command line takes it."""
     return f"{one.name}={one.value or '(required)'}"
 
 
-def _entry(left: str, text: str, indent: int) -> Iterator[str]:
+def entry(left: str, text: str, indent: int = 2) -> Iterator[str]:
     """`left` and its text in two columns; the text begins on the next line where `left` is too long."""
-    folded = textwrap.wrap(left, _width(), initial_indent=" " * indent, subsequent_indent=" " * (indent + 4))
-    body = textwrap.wrap(text, max(_width() - COLUMN, 20), break_on_hyphens=False)
+    folded = textwrap.wrap(left, width(), initial_indent=" " * indent, subsequent_indent=" " * (indent + 4))
+    body = textwrap.wrap(text, max(width() - COLUMN, 20), break_on_hyphens=False)
     if body and len(folded) == 1 and len(folded[0]) < COLUMN - 1:
         folded = [folded[0].ljust(COLUMN) + body.pop(0)]
     yield from folded
     yield from (" " * COLUMN + line for line in body)
 
 
-def _width() -> int:
+def width() -> int:
+    """Columns of the text: those of the terminal, at most WIDTH."""
     return max(min(shutil.get_terminal_size((WIDTH, 24)).columns, WIDTH), COLUMN + 20)
