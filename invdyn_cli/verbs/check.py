@@ -49,7 +49,7 @@ def task(config: DictConfig) -> None:
     screen.use_compilation_cache()
     source = raw.refuse_other(instantiate(config.data))
     logs = read(source)
-    imports.show_all(source, folder, console)
+    maps = imports.show_all(source, console)
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
     robot = make_robot(config, header, optional=True, console=console)
     notes = list(robot.notes) if robot else ["no robot: what needs its kinematics was not looked at"]
@@ -67,6 +67,7 @@ def task(config: DictConfig) -> None:
     elif config.write is not None:
         notes.append(f"{len(mended)} corrections written into {write(corrected, mended, config)}")
     store.write_check(examination, folder / "check.json")
+    imports.keep(maps, folder, console)
     for note in notes:
         console.note(note)
     console.print(shown(examination, mended))

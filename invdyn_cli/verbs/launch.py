@@ -34,6 +34,7 @@ from invdyn_cli.errors import LONGEST, InvdynError, UsageError, closest, listed,
 from invdyn_cli.fields import in_words, suits
 from invdyn_cli.files import write_file
 from invdyn_cli.interruption import closed_pipe
+from invdyn_cli.verbs import folders as named
 
 TRACEBACK = "traceback.txt"
 
@@ -66,11 +67,12 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     before = _existing(overrides)
     failures: list[Exception] = []
     folders: list[Path] = []
+    finished: list[Path] = []
 
     @functools.wraps(task)
     def guarded(config: DictConfig) -> None:
-        if not in_sweep():
-            folders.append(Path(job().runtime.output_dir))
+        folders.append(Path(job().runtime.output_dir))
+        finished[:] = [Path(job().sweep.dir) if in_sweep() else folders[0]]
         try:
             _refuse_no_options(config, OmegaConf.to_container(OmegaConf.load(config_folder() / f"{verb}.yaml")))
             task(config)
@@ -82,8 +84,11 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=verb)(guarded)()
         if failures:
             raise failures[0]
+        _point_to(finished)
         return 0
     except SystemExit as end:  # what a verb decides, or a callback at the end of a sweep
+        if end.code == 1:
+            _point_to(finished)
         return end.code if isinstance(end.code, int) else 2
     except KeyboardInterrupt:
         _remove_empty(folders, before)
@@ -147,6 +152,11 @@ def _own_error(error: Exception, folder: Path | None) -> int:
     return complain(f"an error of invdyn's own ({what}). Please report it, with {kept}", 3)
 
 
+def _point_to(finished: Sequence[Path]) -> None:
+    for folder in finished:
+        named.point_to(folder)
+
+
 def _existing(overrides: Sequence[str]) -> set[Path]:
     """The folder that the overrides name, the working directory, and those above them, as far as they exist already."""
     given = [a.partition("=")[2].strip("'\"") for a in overrides if a.startswith(("hydra.run.dir=", "folder="))]
@@ -173,6 +183,8 @@ def _remove_one(folder: Path, before: set[Path]) -> None:
         if place.absolute() in before:
             return
         try:
+            if [path.name for path in place.iterdir()] == ["multirun.yaml"]:  # a sweep of refused jobs
+                (place / "multirun.yaml").unlink()
             place.rmdir()
         except OSError:
             return

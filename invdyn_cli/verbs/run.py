@@ -63,7 +63,7 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)
     header = source.header()
-    imports.show_all(source, folder, console)
+    maps = imports.show_all(source, console)
     robot = make_robot(config, header, optional=not (source.needs_robot or model.needs_robot), console=console)
     for note in robot.notes if robot else ():
         console.note(f"robot: {note}")
@@ -71,6 +71,7 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
         made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
         record = _with_origin(made, config, started, view or job())
         write(record, folder, tuple(config.figures.formats), stage("write"))
+    imports.keep(maps, folder, console)
     for note in record.split.get("notes", ()):
         console.note(f"data: {note}")
     console.print(tables.score_table(record))
