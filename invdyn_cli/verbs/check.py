@@ -48,7 +48,9 @@ def task(config: DictConfig) -> None:
     folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
     source = raw.refuse_other(instantiate(config.data))
-    logs = read(source)
+    with screen.stages() as stage:
+        stage("read")
+        logs = read(source)
     maps = imports.show_all(source, console)
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
     robot = make_robot(config, header, optional=True, console=console)

@@ -77,7 +77,9 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
     if config.data is None or "_target_" not in config.data:
         raise UsageError(f"data={config.data}; allowed: real_log, plant")
     source = instantiate(config.data)
-    brought = material_of(source)
+    with screen.stages(quiet=console.quiet) as stage:
+        stage("read")
+        brought = material_of(source)
     maps = imports.show_all(source, console)
     robot = make_robot(config, brought.header(), optional=False, console=console)
     if robot is None:

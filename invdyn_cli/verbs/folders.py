@@ -39,7 +39,8 @@ def sweep_folder(overrides: Sequence[str], defaults: Mapping[str, str]) -> Path:
 
     `defaults` are the choices of the groups that no override names. A name that another sweep has taken gets a number.
     """
-    given = dict(override.lstrip("+~").partition("=")[::2] for override in sorted(overrides))
+    split = (override.lstrip("+~").partition("=") for override in sorted(overrides))
+    given: dict[str, str] = {key: value for key, _, value in split}
     parts = [given.pop(group, defaults.get(group, "")) for group in GROUPS]
     seed = given.pop("seed", "")
     parts += [f"{key.rpartition('.')[2]}{value}" for key, value in given.items()] + [f"seed{seed}"] * bool(seed)

@@ -109,7 +109,7 @@ def lines_of(target: str) -> dict[str, str]:
     for names, text in _entries((ast.get_docstring(node) or "") if node else ""):
         reference = _AS_IN.match(text)
         if reference:
-            other = OmegaConf.load(config_folder() / reference[1] / f"{reference[2]}.yaml")["_target_"]
+            other = OmegaConf.load(config_folder() / reference[1] / f"{reference[2]}.yaml")._target_
             found |= {name: lines_of(other)[name] for name in names if name in lines_of(other)}
         else:
             found |= dict.fromkeys(names, text)

@@ -38,7 +38,7 @@ def test_leaves_its_files(finished):
 
 
 def test_says_nothing_on_stderr(finished):
-    """Where stderr is no terminal, progress leaves no trace on it: logs of other programs stay readable."""
+    """Where progress is turned off, a run leaves no trace on stderr: logs of other programs stay readable."""
     assert finished[0].stderr == ""
 
 
