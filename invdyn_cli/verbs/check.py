@@ -49,8 +49,10 @@ def task(config: DictConfig) -> None:
     folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
     source = raw.refuse_other(instantiate(config.data))
-    logs = read(source)
-    imports.show_all(source, folder, console)
+    with screen.stages() as stage:
+        stage("read")
+        logs = read(source)
+    maps = imports.show_all(source, console)
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
     robot = make_robot(config, header, optional=True, console=console)
     notes = list(robot.notes) if robot else ["no robot: what needs its kinematics was not looked at"]
@@ -68,6 +70,7 @@ def task(config: DictConfig) -> None:
         done = doctor.done(examination)
         notes.append(f"{len(done)} corrections written into {write(corrected, done, config)}")
     store.write_check(examination, folder / "check.json")
+    imports.keep(maps, folder, console)
     for note in notes:
         console.note(note)
     console.print(shown(examination))

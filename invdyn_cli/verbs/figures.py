@@ -13,7 +13,7 @@ from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
 from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
-from invdyn_cli.verbs import published, tables
+from invdyn_cli.verbs import published, screen, tables
 from invdyn_cli.verbs.launch import launch, trusted
 from invdyn_cli.verbs.listing import read
 from invdyn_cli.verbs.published import Published
@@ -53,7 +53,9 @@ def task(config: DictConfig) -> None:
             exhibits.append(Exhibit(spec["title"], spec["source"], _command(name), absent=str(error)))
             continue
         tables.write(done, own)
-        drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
+        with screen.stages() as stage:
+            stage(f"draw {name}")
+            drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
         for path in (path for one in drawn for path in one.paths):
             console.whole(path)
         exhibits.append(_exhibit(done, drawn))
