@@ -1,31 +1,5 @@
-"""How fast invdyn is beside what one would write by hand: medians, spread and ratios, measured in one run.
+"""Times beside what one would write by hand, both sides taking turns in one run (bench.md)."""
 
-    python experiments/bench.py            (make bench)
-    python experiments/bench.py --json bench.json
-    python experiments/bench.py --tiny     (does every part run: a hundredth of the samples; its ratios mean nothing)
-
-Six comparisons, the repetitions of both sides taking turns, everything seeded, compilation and warm-up left out:
-
-train   FFNN (Table I on four joints, 24,300 x 12) against a PyTorch loop over joints and batches. One epoch of PyTorch,
-        ten of invdyn, each per epoch. invdyn may use all cores. PyTorch runs on one thread, which is its best: on nets
-        this small a second one gains nothing on an idle machine, and cost a factor of 25 on a busy one.
-        Skipped where torch is not installed.
-pest    regressor and solve, 100,000 samples x 7 joints, against a loop of Pinocchio's regressor adding up normal
-        equations and one solve; one core and one thread for both.
-rnea    torques of 100,000 samples x 7 joints, as a fitted PEST predicts them, against a loop of Pinocchio's rnea; one
-        core and one thread for both.
-dbm     the shared DBM of four joints, 36,000 samples, 410 columns for all four torques, columns and solution with a
-        ridge that leaves each of eight tasks out in turn, against the same columns stacked and numpy's lstsq, once,
-        without any choice; one core and one thread for both.
-
-adapt   nets of Table I for seven joints learn on from 90,000 samples, the last 100 at a time, 5 epochs, batches of 32,
-        each predicted before, against the same in PyTorch, a loop over joints and batches; one core and one thread.
-        Skipped where torch is not installed. adapt_deep: the same with the nets of section V-C.
-
-The loops are in Python, as Pinocchio and PyTorch are used from Python; in C++ they would be faster.
-"""
-
-import argparse
 import itertools
 import json
 import os
@@ -33,8 +7,12 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
+
+from invdyn_cli.abstract_experiment import AbstractExperiment
 
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 PART = "INVDYN_BENCH_PART"
@@ -44,41 +22,55 @@ TINY = "INVDYN_BENCH_TINY"
 """Set beside it where a hundredth of the samples will do."""
 
 
-def main() -> None:
-    """Measure each part in a process of its own, print the table, write the numbers."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all times and ratios there, too")
-    parser.add_argument("--tiny", action="store_true", help="a hundredth of the samples, once each")
-    options = parser.parse_args()
-    if options.tiny:
-        os.environ[TINY] = "1"
-    from rich.console import Console
-    from rich.table import Table
+@dataclass(frozen=True)
+class Part:
+    """Times [s] of one comparison, their ratio, and where it was measured; `what` alone where it was left out."""
 
-    results = {}
-    for part in PARTS:
+    part: str
+    what: str
+    invdyn: tuple[float, ...] = ()
+    by_hand: tuple[float, ...] = ()
+    ratio: float | None = None
+    machine: str = ""
+
+
+@dataclass(frozen=True)
+class Bench(AbstractExperiment):
+    """Each part in a process of its own."""
+
+    row: ClassVar[type] = Part
+
+    tiny: bool = False
+
+    def plan(self, rows: Sequence[Part]) -> Iterable[tuple]:
+        """A job per part."""
+        return [(part, self.tiny) for part in PARTS]
+
+    def run(self, folder: Path, part: str, tiny: bool) -> Iterable[Part]:
+        """Measure one part: threads are counted before numpy and jax start."""
         threads = {} if part == "train" else ONE_THREAD
+        environment = os.environ | threads | {PART: part, "JAX_PLATFORMS": "cpu"} | ({TINY: "1"} if tiny else {})
         command = [sys.executable, str(Path(__file__).resolve())]
-        environment = os.environ | threads | {PART: part, "JAX_PLATFORMS": "cpu"}
         found = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
-        results[part] = json.loads(found.splitlines()[-1])
-    table = Table("part", "invdyn [s]", "by hand [s]", "times as fast", "what", caption=machine())
-    for part, result in results.items():
-        if "skipped" in result:
-            table.add_row(part, "-", "-", "-", result["skipped"])
-            continue
-        table.add_row(
-            part, spread(result["invdyn"]), spread(result["by_hand"]), f"{result['ratio']:.1f}", result["what"]
-        )
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
-    if options.json:
-        options.json.write_text(json.dumps({"machine": machine(), "parts": results}, indent=1) + "\n")
+        yield Part(part, **json.loads(found.splitlines()[-1]), machine=machine(tiny))
+
+    def line(self, row: Part) -> str:
+        """The ratio."""
+        return row.what if row.ratio is None else f"{row.part}: {row.ratio:.1f} times as fast"
+
+    def table(self, rows: Sequence[Part]) -> str:
+        """A row per part, as Markdown."""
+        lines = ["| part | invdyn [s] | by hand [s] | times as fast | what |", "|---|---:|---:|---:|---|"]
+        for x in rows:
+            cells = ("-", "-", "-") if x.ratio is None else (spread(x.invdyn), spread(x.by_hand), f"{x.ratio:.1f}")
+            lines.append(f"| {x.part} | {' | '.join(cells)} | {x.what} |")
+        return "\n".join([*lines, "", rows[-1].machine])
 
 
-def machine() -> str:
+def machine(tiny: bool) -> str:
     """Cores and load, so that a reader can judge the numbers."""
     load = ", ".join(f"{x:.1f}" for x in os.getloadavg())
-    tiny = "a hundredth of the samples: these ratios mean nothing; " if TINY in os.environ else ""
+    tiny = "a hundredth of the samples: these ratios mean nothing; " if tiny else ""
     return f"{tiny}median (min .. max); {len(os.sched_getaffinity(0))} cores, load {load} over 1, 5, 15 minutes"
 
 
@@ -87,7 +79,7 @@ def samples(usual: int) -> int:
     return usual // 100 if TINY in os.environ else usual
 
 
-def spread(seconds: list[float]) -> str:
+def spread(seconds: Sequence[float]) -> str:
     return f"{statistics.median(seconds):.3g} ({min(seconds):.3g} .. {max(seconds):.3g})"
 
 
@@ -112,7 +104,7 @@ def train() -> dict:
     try:
         import torch
     except ImportError:
-        return {"skipped": "torch is not installed: pip install torch"}
+        return {"what": "torch is not installed: pip install torch"}
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -252,7 +244,7 @@ def adapt(deep: bool = False) -> dict:
     try:
         import torch
     except ImportError:
-        return {"skipped": "torch is not installed: pip install torch"}
+        return {"what": "torch is not installed: pip install torch"}
     import jax
     import numpy as np
 
@@ -302,10 +294,7 @@ def adapt(deep: bool = False) -> dict:
 
 PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm, "adapt": adapt, "adapt_deep": lambda: adapt(deep=True)}
 
-if __name__ == "__main__":
-    if PART in os.environ:
-        if os.environ[PART] != "train" and hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-        print(json.dumps(PARTS[os.environ[PART]]()))
-    else:
-        main()
+if __name__ == "__main__":  # started by `Bench.run`
+    if os.environ[PART] != "train" and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    print(json.dumps(PARTS[os.environ[PART]]()))

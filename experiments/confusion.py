@@ -1,26 +1,16 @@
-"""What is hidden and what is named: logs with a cause hidden in them, diagnosed, and counted.
+"""What is hidden and what is named: logs with an effect hidden in them, diagnosed, and counted (confusion.md)."""
 
-    python experiments/confusion.py [seed=0] [logs=10] [clean=100] [only=effect,effect] [folder=outputs/confusion]
-
-Every log is drawn by `cases.py` from the seed: another arm, motion, size, joint and noise each time. Prints the
-confusion matrix and the table of effects, and writes both with every single log into the folder (confusion.json,
-confusion.md).
-"""
-
-import json
 import math
-import sys
 import time
-import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
-from experiments.options import only_of, options_of
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.effects.catalogue import EFFECTS, may_be_ambiguous
 from invdyn_cli.simulation.hidden import Hidden
@@ -77,17 +67,6 @@ class Outcome:
     covered: tuple[bool, ...]
     seconds: float
     unexplained: float
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 10
-    clean: int = 100
-    only: Sequence[str] = tuple(SIZES)
-    folder: str = "outputs/confusion"
 
 
 ROUGH = {"backlash": 0.2, "joint_elasticity": 0.2}
@@ -221,14 +200,6 @@ def _sizes(hidden: Hidden, finding: Finding) -> list[tuple[float, bool]]:
     return out
 
 
-def run(seed: int, names: Sequence[str], **options: Any) -> Outcome:
-    """Draw, diagnose, judge one log."""
-    case = draw_case(seed, names, **options)
-    started = time.perf_counter()
-    diagnosis = diagnose(case.log, case.robot)
-    return judge(case, diagnosis, seed, time.perf_counter() - started)
-
-
 def wilson(right: int, total: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson 1927)."""
     if not total:
@@ -236,51 +207,6 @@ def wilson(right: int, total: int) -> tuple[float, float]:
     z, p = 1.96, right / total
     middle, reach = p + z * z / (2 * total), z * math.sqrt(p * (1 - p) / total + z * z / (4 * total * total))
     return (middle - reach) / (1 + z * z / total), (middle + reach) / (1 + z * z / total)
-
-
-def table(outcomes: Sequence[Outcome]) -> str:
-    """The confusion matrix and the table of effects, as Markdown."""
-    single = [o for o in outcomes if len(o.hidden) == 1]
-    clean = [o for o in outcomes if not o.hidden]
-    loud = [o for o in single if o.share >= LOUD]
-    names = [n for n in MAIN if any(o.hidden[0].startswith(n + "@") for o in loud)]
-    lines = ["| hidden | logs | named | ambiguous | nothing | wrong | recall | precision | size error, median | 90 % |"]
-    lines.append("|---|" + "---:|" * 9)
-    for name in names:
-        own = [o for o in loud if o.hidden[0].startswith(name + "@")]
-        count = {r: sum(o.result == r for o in own) for r in ("named", "ambiguous", "nothing", "wrong")}
-        right = count["named"] + count["ambiguous"]
-        claimed = [o for o in outcomes for said in o.named if said.split("|")[0].split("@")[0] == name]
-        true = sum(o in own and o.result in ("named", "ambiguous") for o in claimed)
-        errors = [e for o in own for e in o.size_errors]
-        percent = 100 * ROUGH.get(name, 0.1) * np.array(errors)
-        size = f"{np.median(percent):.2g} % | {np.quantile(percent, 0.9):.2g} %" if errors else "- | -"
-        precision = f"{true / len(claimed):.2f}" if claimed else "-"
-        row = (
-            f"| {name} | {len(own)} | {count['named']} | {count['ambiguous']} | {count['nothing']} | {count['wrong']} "
-        )
-        lines.append(row + f"| {right / max(len(own), 1):.2f} | {precision} | {size} |")
-    right = sum(o.result in ("named", "ambiguous") for o in loud)
-    unsure = sum(o.result == "ambiguous" for o in loud)
-    errors = [e for o in loud for e in o.size_errors]
-    covered = [c for o in loud for c in o.covered]
-    false = sum(bool(o.named) for o in clean)
-    low, high = wilson(right, len(loud))
-    lines += [
-        "",
-        f"- Rightly named or rightly ambiguous: {right} of {len(loud)} loud logs "
-        f"({100 * right / max(len(loud), 1):.1f} %, Wilson {100 * low:.1f} to {100 * high:.1f} %); ambiguous "
-        f"{100 * unsure / max(len(loud), 1):.1f} %; {len(single) - len(loud)} logs below {LOUD:g} times the noise.",
-        f"- Logs with nothing hidden: {false} of {len(clean)} with a name.",
-    ]
-    if errors:
-        within = np.mean(np.array(errors) < 1)
-        lines.append(
-            f"- Sizes within 10 % (backlash and elasticity: 20 %): {100 * within:.1f} %. "
-            f"Intervals that hold the truth: {100 * np.mean(covered):.1f} %."
-        )
-    lines.append(f"- Seconds per diagnosis: median {np.median([o.seconds for o in outcomes]):.1f}.")
-    return "\n".join([*lines, "", *matrix(loud, clean), "", *mistaken(loud)])
 
 
 def matrix(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
@@ -317,45 +243,75 @@ def mistaken(loud: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    only_of("only", [x for names in options.only for x in names.split("+")], SIZES)
-    seed, folder = options.seed, Path(options.folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    plan = [(name.split("+"), 1000 * seed + k) for k in range(options.logs) for name in options.only]
-    plan += [([], 1000 * seed + 500 + k) for k in range(options.clean)]
-    outcomes, started = [], time.time()
-    for number, (names, one) in enumerate(plan):
-        try:
-            outcomes.append(run(one, names))
-        except Exception:
-            print(f"seed {one}, {names}: {traceback.format_exc()}", flush=True)
-            continue
-        last = outcomes[-1]
-        if last.result in ("wrong", "nothing") and (last.hidden or last.named):
-            print(
-                f"{last.result}: seed {one} {last.hidden} -> {last.named} share {last.share:.1f} ({last.said})",
-                flush=True,
+@dataclass(frozen=True)
+class Confusion(AbstractExperiment):
+    """The confusion matrix of the diagnosis; `only` may join effects with "+": both in one log."""
+
+    row: ClassVar[type] = Outcome
+
+    seed: int = 0
+    logs: int = 10
+    clean: int = 100
+    only: Sequence[str] = ()
+
+    def plan(self, rows: Sequence[Outcome]) -> Iterable[tuple]:
+        """A job per log: its seed and what is hidden in it."""
+        hidden = self.only or tuple(SIZES)
+        chosen("only", [name for names in hidden for name in names.split("+")], SIZES)
+        plan = [(1000 * self.seed + k, *names.split("+")) for k in range(self.logs) for names in hidden]
+        return plan + [(1000 * self.seed + 500 + k,) for k in range(self.clean)]
+
+    def run(self, folder: Path, seed: int, *names: str) -> Iterable[Outcome]:
+        """Draw, diagnose, judge one log."""
+        case = draw_case(seed, names)
+        started = time.perf_counter()
+        diagnosis = diagnose(case.log, case.robot)
+        yield judge(case, diagnosis, seed, time.perf_counter() - started)
+
+    def line(self, row: Outcome) -> str:
+        """What was hidden and what was named."""
+        return f"{row.result}: seed {row.seed} {row.hidden} -> {row.named} share {row.share:.1f} ({row.said})"
+
+    def table(self, rows: Sequence[Outcome]) -> str:
+        """The confusion matrix and the table of effects, as Markdown."""
+        single = [o for o in rows if len(o.hidden) == 1]
+        clean = [o for o in rows if not o.hidden]
+        loud = [o for o in single if o.share >= LOUD]
+        names = [n for n in MAIN if any(o.hidden[0].startswith(n + "@") for o in loud)]
+        lines = [
+            "| hidden | logs | named | ambiguous | nothing | wrong | recall | precision | size error, median | 90 % |"
+        ]
+        lines.append("|---|" + "---:|" * 9)
+        for name in names:
+            own = [o for o in loud if o.hidden[0].startswith(name + "@")]
+            count = {r: sum(o.result == r for o in own) for r in ("named", "ambiguous", "nothing", "wrong")}
+            right = count["named"] + count["ambiguous"]
+            claimed = [o for o in rows for said in o.named if said.split("|")[0].split("@")[0] == name]
+            true = sum(o in own and o.result in ("named", "ambiguous") for o in claimed)
+            errors = [e for o in own for e in o.size_errors]
+            percent = 100 * ROUGH.get(name, 0.1) * np.array(errors)
+            size = f"{np.median(percent):.2g} % | {np.quantile(percent, 0.9):.2g} %" if errors else "- | -"
+            precision = f"{true / len(claimed):.2f}" if claimed else "-"
+            cells = (len(own), *count.values(), f"{right / max(len(own), 1):.2f}", precision, size)
+            lines.append(f"| {name} | {' | '.join(map(str, cells))} |")
+        right = sum(o.result in ("named", "ambiguous") for o in loud)
+        unsure = sum(o.result == "ambiguous" for o in loud)
+        errors = [e for o in loud for e in o.size_errors]
+        covered = [c for o in loud for c in o.covered]
+        false = sum(bool(o.named) for o in clean)
+        low, high = wilson(right, len(loud))
+        lines += [
+            "",
+            f"- Rightly named or rightly ambiguous: {right} of {len(loud)} loud logs "
+            f"({100 * right / max(len(loud), 1):.1f} %, Wilson {100 * low:.1f} to {100 * high:.1f} %); ambiguous "
+            f"{100 * unsure / max(len(loud), 1):.1f} %; {len(single) - len(loud)} logs below {LOUD:g} times the noise.",
+            f"- Logs with nothing hidden: {false} of {len(clean)} with a name.",
+        ]
+        if errors:
+            within = np.mean(np.array(errors) < 1)
+            lines.append(
+                f"- Sizes within 10 % (backlash and elasticity: 20 %): {100 * within:.1f} %. "
+                f"Intervals that hold the truth: {100 * np.mean(covered):.1f} %."
             )
-        if number % 20 == 19:
-            left = (time.time() - started) / (number + 1) * (len(plan) - number - 1)
-            print(f"{number + 1} of {len(plan)} logs, {left / 60:.0f} min left", file=sys.stderr, flush=True)
-            write(outcomes, seed, folder)
-    print(write(outcomes, seed, folder))
-    return 0
-
-
-def write(outcomes: Sequence[Outcome], seed: int, folder: Path) -> str:
-    """All logs and their tables so far, into the folder; the tables' text."""
-    text = table(outcomes)
-    (folder / "confusion.md").write_text(f"seed {seed}\n\n{text}\n")
-    (folder / "confusion.json").write_text(json.dumps([vars(o) for o in outcomes], indent=1, default=float))
-    return text
-
-
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
-
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+        lines.append(f"- Seconds per diagnosis: median {np.median([o.seconds for o in rows]):.1f}.")
+        return "\n".join([*lines, "", *matrix(loud, clean), "", *mistaken(loud)])

@@ -1,35 +1,19 @@
-"""What the doctor finds of defects that were put into sound logs: of simulated arms, and of real ones.
-
-    python experiments/defects.py [seed=0] [logs=6] [clean=20] [only=units_q,sign_torque] [data=../shared/data]
-                                  [pairs=0] [permutations=false] [folder=outputs/defects]
-
-Every defect of `spoiled.DEFECTS` is put, with a size at random, into `logs` simulated arms that are worn (friction
-everywhere, links some percent off), and into recordings of real robots where `data` has them. A defect is *found* when
-its check says note or more of it, *right* when channel, joint and size are right too, or when the truth is among what
-is called ambiguous or skipped by name; *false* is any other warning or failure that the log did not have before.
-`clean` further logs have no defect. In place of single defects:
-
-`pairs=N`: two different defects in one log, N times; right when both are, but for what the other one hides (`HIDES`).
-`permutations=true`: on `logs` arms of six joints every exchange of two of them, and alphabetical order, of the torque
-columns and of all columns.
-"""
+"""What invdyn check finds of defects that were put into sound logs of simulated and of real arms (defects.md)."""
 
 import itertools
-import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from experiments.cases import draw_scene, scene_of
-from experiments.options import only_of, options_of
-from experiments.results import tell
 from experiments.spoiled import DEFECTS, arranged
 from experiments.worn import wear
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.errors import UsageError
 from invdyn_cli.logfile import Log, read_log
@@ -48,6 +32,8 @@ REAL = {
 """Logs and recordings, six in all."""
 
 ALARMS = ("warn", "fail")
+SIX = "six joints"
+"""Where a log is from that has six joints, so that they can be exchanged."""
 Base = tuple[str, Log, Robot]
 """Name, log and robot of what defects are put into."""
 
@@ -84,20 +70,6 @@ class Counted:
     false: tuple[str, ...]
     said: tuple[str, ...]
     seconds: float
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 6
-    clean: int = 20
-    pairs: int = 0
-    permutations: bool = False
-    only: Sequence[str] = tuple(DEFECTS)
-    data: str = os.environ.get("INVDYN_REAL_DATA", "../shared/data")
-    folder: str = "outputs/defects"
 
 
 def simulated(seed: int, joints: int | None = None) -> tuple[Log, Robot]:
@@ -206,81 +178,91 @@ def permuted(seed: int, name: str, log: Log, robot: Robot) -> Iterator[Counted]:
             yield Counted(seed, name, defect, bool(told), stated or among, false, said, time.perf_counter() - started)
 
 
-def table(counted: Sequence[Counted], clean: Sequence[tuple[str, set]]) -> str:
-    """A row per defect, as Markdown, and what clean logs raised."""
-    lines = ["| defect | logs | found | right | with a false alarm |", "|---|" + "---:|" * 4]
-    for name in dict.fromkeys(c.defect for c in counted):
-        own = [c for c in counted if c.defect == name]
-        numbers = (len(own), sum(c.found for c in own), sum(c.right for c in own), sum(bool(c.false) for c in own))
-        lines.append(f"| {name} | {' | '.join(map(str, numbers))} |")
-    total, right = len(counted), sum(c.right for c in counted)
-    share = 100 * right / max(total, 1)
-    lines += ["", f"Right: {right} of {total} ({share:.0f} %)."]
-    lines.append(f"Clean logs with an alarm: {sum(bool(x) for _, x in clean)} of {len(clean)}.")
-    return "\n".join(lines)
+@cache
+def base_of(source: str, item: int | str) -> Base:
+    """What defects are put into: an "arm" or one of "six joints" by its seed, or a recording of the log at a path."""
+    if isinstance(item, int):
+        log, robot = simulated(item, 6 if source == SIX else None)
+        if source == SIX:
+            log, robot = renamed(log, robot, np.random.default_rng([item, 8]))
+        return f"arm {item}", log, robot
+    log = read_log(Path(source), [item])
+    return f"{Path(source).name} {item}", log, load_urdf(log.urdf, joints=list(log.joints))
 
 
-def bases_of(options: Options) -> Iterator[Base]:
-    """Simulated arms, and recordings of real ones."""
-    joints = 6 if options.permutations else None
-    for seed in range(1000 * options.seed, 1000 * options.seed + options.logs):
-        log, robot = simulated(seed, joints)
-        if options.permutations:
-            log, robot = renamed(log, robot, np.random.default_rng([seed, 8]))
-        yield f"arm {seed}", log, robot
-    for file, recordings in {} if options.permutations else REAL.items():
-        path = Path(options.data) / file
-        for recording in recordings if path.is_file() else ():
-            log = read_log(path, [recording])
-            yield f"{file} {recording}", log, load_urdf(log.urdf, joints=list(log.joints))
+@cache
+def before(source: str, item: int | str) -> set:
+    """The alarms of a log without a defect."""
+    _, log, robot = base_of(source, item)
+    return alarms(doctor.examine(log, robot))
 
 
-def put_in(options: Options, names: Sequence[str], bases: Sequence[Base], before: Sequence[set]) -> Iterator[Counted]:
-    """What the options ask to put into the bases."""
-    if options.permutations:
-        for k, base in enumerate(bases):
-            yield from permuted(1000 * options.seed + k, *base)
-    draw = np.random.default_rng([options.seed, 9])
-    for k in range(options.pairs):
-        base = bases[k % len(bases)]
-        pair = draw_pair(draw, names, base[1])
-        one = count(1000 * options.seed + k, *base, before[k % len(bases)], pair)
-        yield from [one] if one else []
-    if options.permutations or options.pairs:
-        return
-    for k, base in enumerate(bases):
-        for defect in names:
-            one = count(1000 * options.seed + k, *base, before[k], [defect])
+def pair_of(seed: int, k: int, names: Sequence[str], bases: Sequence[tuple]) -> tuple[str, ...]:
+    """The k-th pair of defects that a seed draws for these logs."""
+    draw = np.random.default_rng([seed, 9])
+    return [draw_pair(draw, names, base_of(*bases[j % len(bases)])[1]) for j in range(k + 1)][-1]
+
+
+@dataclass(frozen=True)
+class Defects(AbstractExperiment):
+    """Single defects in every log; pairs or exchanges of joints in their place."""
+
+    row: ClassVar[type] = Counted
+
+    seed: int = 0
+    logs: int = 6
+    clean: int = 20
+    pairs: int = 0
+    permutations: bool = False
+    only: Sequence[str] = ()
+    data: str = "../shared/data"
+
+    def plan(self, rows: Sequence[Counted]) -> Iterable[tuple]:
+        """Every log as it is, then what is put in: kind, seed, what, log."""
+        names, first = chosen("only", self.only, DEFECTS), 1000 * self.seed
+        bases = [(SIX if self.permutations else "arm", first + k) for k in range(self.logs)]
+        if not self.permutations:
+            paths = ((Path(self.data) / file, recordings) for file, recordings in REAL.items())
+            bases += [(str(path), one) for path, recordings in paths if path.is_file() for one in recordings]
+        yield from (("nothing", 0, "", *base) for base in bases)
+        if self.permutations:
+            yield from (("permutations", first + k, "", *base) for k, base in enumerate(bases))
+        for k in range(self.pairs if bases else 0):
+            yield "pair", first + k, (self.seed, k, names, bases), *bases[k % len(bases)]
+        if not self.permutations and not self.pairs:
+            yield from (("one", first + k, name, *base) for k, base in enumerate(bases) for name in names)
+        yield from (("nothing", 0, "", "arm", first + 500 + k) for k in range(self.clean))
+
+    def run(self, folder: Path, kind: str, seed: int, what: Any, *base: Any) -> Iterable[Counted]:
+        """What the doctor says of one log with this in it; nothing where the log cannot have it."""
+        if kind == "nothing":
+            false = tuple(sorted(" ".join(map(str, x)) for x in before(*base)))
+            yield Counted(seed, base_of(*base)[0], "", False, False, false, (), 0.0)
+        elif kind == "permutations":
+            yield from permuted(seed, *base_of(*base))
+        else:
+            one = count(seed, *base_of(*base), before(*base), pair_of(*what) if kind == "pair" else [what])
             yield from [one] if one else []
 
+    def line(self, row: Counted) -> str:
+        """How a defect was found, and false alarms."""
+        if not row.defect:
+            return f"{row.log}, nothing put in: {', '.join(row.false) or 'no alarm'}"
+        how = "right" if row.right else "found" if row.found else "MISSED"
+        false = f"; false: {', '.join(row.false)}" if row.false else ""
+        return f"{how}: {row.defect} in {row.log} ({row.seconds:.1f} s){false}"
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    names = only_of("only", options.only, DEFECTS)
-    folder, counted = Path(options.folder), []
-    folder.mkdir(parents=True, exist_ok=True)
-    bases = list(bases_of(options))
-    before = [alarms(doctor.examine(log, robot)) for _, log, robot in bases]
-    clean = [(name, seen) for (name, *_), seen in zip(bases, before, strict=True) if name.startswith("arm")]
-    for (name, *_), seen in zip(bases, before, strict=True):
-        print(f"{name}, nothing put in: {sorted(map(str, seen)) or 'no alarm'}", flush=True)
-    for one in put_in(options, names, bases, before):
-        counted.append(one)
-        how = "right" if one.right else "found" if one.found else "MISSED"
-        false = f"; false: {', '.join(one.false)}" if one.false else ""
-        print(f"{how}: {one.defect} in {one.log} ({one.seconds:.1f} s){false}", flush=True)
-    for k in range(options.clean):
-        log, robot = simulated(1000 * options.seed + 500 + k)
-        clean.append((f"clean {k}", alarms(doctor.examine(log, robot))))
-        if clean[-1][1]:
-            print(f"clean {k}: {sorted(map(str, clean[-1][1]))}", flush=True)
-    tell(folder, "defects", f"seed {options.seed}", table(counted, clean), counted)
-    return 0
-
-
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
-
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    def table(self, rows: Sequence[Counted]) -> str:
+        """A row per defect, as Markdown, and what clean logs raised."""
+        counted = [c for c in rows if c.defect]
+        clean = [c for c in rows if not c.defect and c.log.startswith("arm")]
+        lines = ["| defect | logs | found | right | with a false alarm |", "|---|" + "---:|" * 4]
+        for name in dict.fromkeys(c.defect for c in counted):
+            own = [c for c in counted if c.defect == name]
+            numbers = (len(own), sum(c.found for c in own), sum(c.right for c in own), sum(bool(c.false) for c in own))
+            lines.append(f"| {name} | {' | '.join(map(str, numbers))} |")
+        total, right = len(counted), sum(c.right for c in counted)
+        share = 100 * right / max(total, 1)
+        lines += ["", f"Right: {right} of {total} ({share:.0f} %)."]
+        lines.append(f"Clean logs with an alarm: {sum(bool(c.false) for c in clean)} of {len(clean)}.")
+        return "\n".join(lines)

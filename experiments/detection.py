@@ -1,41 +1,26 @@
-"""How small an effect may be and still be found: the smallest size that is found in 9 of 10 logs, over torque noise.
+"""The smallest size of an effect that is found in 9 of 10 logs, over torque noise (detection.md)."""
 
-    python experiments/detection.py [seed=0] [logs=10] [noises=0.003,0.01,0.03] [effects=coulomb_friction,torque_delay]
-                                    [workers=2] [folder=outputs/detection] [docs=false]
-
-Found means named, or rightly ambiguous. A size is given as a share: RMS of the torque that the effect makes over the
-RMS of the joint's torque, and so is the noise, white at 1 kHz; `UNITS` turns shares into sizes of an arm. Every log has
-an arm of 4 joints of its own, drawn at random, in 20 s of a multisine, the same for all sizes and noises. Sizes
-climb in steps of 1.6 from one that is not found to the first that is; a size is given up as soon as too many logs miss
-it, those that missed the last one being tried first. docs=true copies table and figure into docs/.
-"""
-
-import json
 import math
-import sys
-import time
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from experiments.cases import Scene, draw_scene, inverse_dynamics
 from experiments.confusion import claims, matches
-from experiments.detection_page import publish, write
-from experiments.options import only_of, options_of
+from experiments.detection_page import figure, table
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
-from invdyn_cli.verbs.screen import use_compilation_cache
 
 JOINTS, DURATION = 4, 20.0
 ENCODER = 3e-6
@@ -106,19 +91,6 @@ UNITS: Mapping[str, Unit] = {
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 10
-    noises: Sequence[float] = (0.003, 0.01, 0.03)
-    effects: Sequence[str] = tuple(UNITS)
-    workers: int = 2
-    folder: str = "outputs/detection"
-    docs: bool = False
-
-
-@dataclass(frozen=True)
 class Limit:
     """The smallest size of an effect that is found in `ENOUGH` of the logs at this torque noise.
 
@@ -133,7 +105,7 @@ class Limit:
     share: float | None
     size: float | None
     unit: str
-    tried: list[tuple[float, int, int]]
+    tried: tuple[tuple[float, int, int], ...]
 
 
 @cache
@@ -197,39 +169,47 @@ def climb(found: Callable[[float, int], bool], first: float, logs: int) -> tuple
 
 def limits(effect: str, noises: Sequence[float], seed: int, logs: int) -> list[Limit]:
     """The limits of one effect, from the lowest noise up: each climb begins where the one before ended."""
-    use_compilation_cache()
     unit, first, out = UNITS[effect], UNITS[effect].first, []
     for noise in sorted(noises):
-        started = time.perf_counter()
         share, tried = climb(lambda s, k, n=noise: is_found(effect, s, n, seed, k), first, logs)
         size = None
         if share is not None:
             first = share
             size = share * float(np.median([unit.one(*scene_of(seed, k)) for k in range(logs)]))
-        out.append(Limit(effect, noise, share, size, unit.unit, tried))
-        asked = sum(n for *_, n in tried)
-        seconds = (time.perf_counter() - started) / max(asked, 1)
-        said = "nothing found" if share is None else f"{100 * share:.3g} % of the torque, {size:.3g} {unit.unit}"
-        print(f"{effect}, noise {100 * noise:g} %: {said} ({asked} logs, {seconds:.1f} s each)", flush=True)
+        out.append(Limit(effect, noise, share, size, unit.unit, tuple(tried)))
     return out
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    effects, folder = only_of("effects", options.effects, UNITS), Path(options.folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    started = time.time()
-    work = [(effect, options.noises, options.seed, options.logs) for effect in effects]
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        found = [x for one in pool.map(limits, *zip(*work, strict=True)) for x in one]
-    head = f"seed {options.seed}, {options.logs} logs, {(time.time() - started) / 60:.0f} min"
-    (folder / "detection.json").write_text(json.dumps([asdict(x) for x in found], indent=1) + "\n")
-    print(write(found, head, folder))
-    if options.docs:
-        publish(folder)
-    return 0
+@dataclass(frozen=True)
+class Detection(AbstractExperiment):
+    """The limits of each effect, climbed to from below."""
 
+    row: ClassVar[type] = Limit
+    page: ClassVar[str] = "docs/diagnosis.md"
 
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    seed: int = 0
+    logs: int = 10
+    noises: Sequence[float] = (0.003, 0.01, 0.03)
+    effects: Sequence[str] = ()
+
+    def plan(self, rows: Sequence[Limit]) -> Iterable[tuple]:
+        """A job per effect: each noise begins where the one before ended."""
+        return [(name, self.seed, self.logs, *self.noises) for name in chosen("effects", self.effects, UNITS)]
+
+    def run(self, folder: Path, effect: str, seed: int, logs: int, *noises: float) -> Iterable[Limit]:
+        """The limits of one effect."""
+        return limits(effect, noises, seed, logs)
+
+    def line(self, row: Limit) -> str:
+        """The limit at one noise."""
+        size = "nothing found" if row.share is None else f"{100 * row.share:.3g} % of the torque"
+        return f"{row.effect}, noise {100 * row.noise:g} %: {size} ({sum(n for *_, n in row.tried)} logs)"
+
+    def table(self, rows: Sequence[Limit]) -> str:
+        """A row per effect, a column per noise, and the figure."""
+        shown = "![The smallest size that is found, over torque noise, for each effect](detection.png)"
+        return f"<!-- seed {self.seed}, {self.logs} logs -->\n{table(rows)}\n\n{shown}"
+
+    def figures(self, rows: Sequence[Limit]) -> Mapping[str, Figure]:
+        """Smallest size over noise."""
+        return {"detection": figure(rows)}

@@ -1,13 +1,10 @@
-"""Detection limits as a table and a figure, and their way into the docs."""
+"""Detection limits as a table and a figure."""
 
-import shutil
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from experiments.marked import ROOT, put
 from invdyn_cli.report import canvas
 from invdyn_cli.report.wording import capital, words
 
@@ -18,24 +15,6 @@ COLOURS = (canvas.VERMILLION, canvas.BLUE, canvas.GREEN, canvas.ORANGE, canvas.P
 MARKS = "os^DvP"
 ASIDE = 1.025
 """Points of the next effect stand so much to the right: sizes on one ladder would hide each other."""
-
-DOCS = ROOT / "docs"
-
-
-def write(limits: Sequence["Limit"], head: str, folder: Path) -> str:
-    """detection.md and detection.png into the folder; the table."""
-    text = table(limits)
-    (folder / "detection.md").write_text(f"<!-- {head} -->\n{text}\n")
-    with canvas.house_style():
-        figure(limits).savefig(folder / "detection.png", dpi=130)
-    return text
-
-
-def publish(folder: Path) -> None:
-    """Table and figure of a folder into docs/diagnosis.md, between its markers, and docs/detection.png."""
-    shutil.copy(folder / "detection.png", DOCS / "detection.png")
-    shown = "![The smallest size that is found, over torque noise, for each effect](detection.png)"
-    put(DOCS / "diagnosis.md", "detection", f"{(folder / 'detection.md').read_text()}\n{shown}")
 
 
 def table(limits: Sequence["Limit"]) -> str:
@@ -62,6 +41,11 @@ def _cell(limit: "Limit | None") -> str:
 
 def figure(limits: Sequence["Limit"]) -> Figure:
     """Smallest size over noise, both as shares of the joint's torque, a line per effect."""
+    with canvas.house_style():
+        return _figure(limits)
+
+
+def _figure(limits: Sequence["Limit"]) -> Figure:
     drawn = Figure(figsize=(7.5, 4.6), layout="constrained")
     axes = drawn.subplots()
     noises = [100 * x for x in sorted({x.noise for x in limits})]

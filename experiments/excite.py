@@ -1,27 +1,17 @@
-"""Does one designed trajectory settle an ambiguous diagnosis?
+"""Does one designed trajectory resolve an ambiguous diagnosis? (excite.md)"""
 
-    python experiments/excite.py [seed=1000] [cases=10] [duration=30] [most=2] [only=effect,effect]
-        [folder=outputs/excite]
-
-Effects of ordinary size are hidden in arms that then move slowly and little, until so many logs are diagnosed as
-ambiguous with the right name among the others, and a motion can tell these apart. For each a trajectory is designed
-from what the diagnosis says, played on the same arm with the same noise, and the new log is diagnosed by itself. The
-design knows nothing of what is hidden. Of no effect are there more than `most` cases.
-"""
-
-import json
-import sys
 import time
 import zlib
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from experiments.cases import SIZES, Case, draw_effect, draw_scene, inverse_dynamics
 from experiments.confusion import claims, judge, matches
-from experiments.options import only_of, options_of
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.design.next_motion import FILE, after
 from invdyn_cli.design.trajectory import Design
 from invdyn_cli.diagnosis import diagnose
@@ -56,18 +46,6 @@ MOST_DRAWS = 60
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 1000
-    cases: int = 10
-    duration: float = 30.0
-    only: Sequence[str] = OFTEN
-    most: int = 2
-    folder: str = "outputs/excite"
-
-
-@dataclass(frozen=True)
 class Plant:
     """An arm with something hidden in it, its noise, and the poor motion that it is first asked for."""
 
@@ -99,15 +77,21 @@ def draw_plant(seed: int, name: str) -> Plant:
 
 @dataclass(frozen=True)
 class Settled:
-    """One case: what was hidden, said of the poor log, predicted, said of the designed one; "named" is right."""
+    """One log: what was hidden, said of the poor log, predicted, said of the designed one; a `result` of "named" is
+    right, "no motion" is an ambiguous log that no motion resolves, "" is a log that is no case."""
 
     seed: int
     hidden: str
-    poor: tuple[str, ...]
-    distance: float
-    designed: tuple[str, ...]
-    result: str
-    seconds: float
+    poor: tuple[str, ...] = ()
+    distance: float = 0.0
+    designed: tuple[str, ...] = ()
+    result: str = ""
+    seconds: float = 0.0
+
+    @property
+    def is_case(self) -> bool:
+        """Whether a trajectory was designed for it."""
+        return self.result not in ("", "no motion")
 
 
 def open_finding(hidden: Hidden, diagnosis: Diagnosis) -> int | None:
@@ -146,95 +130,82 @@ def play_designed(arm: Plant, design: Design, folder: Path, seed: int) -> Log:
     return arm.play(Played(str(path)), float(design.t[-1]), arm.seed + 1)
 
 
-def settle(seed: int, name: str, options: Options) -> Settled | str:
-    """One drawn case: how it ends, or why it is none."""
+def settle(seed: int, name: str, duration: float, folder: Path) -> Settled:
+    """One drawn log: how it ends."""
     arm = draw_plant(seed, name)
+    hidden = f"{arm.hidden[0].effect}@{arm.hidden[0].joint}"
     started = time.perf_counter()
     try:
         poor = diagnose(arm.play(arm.poor, SECONDS, arm.seed), arm.robot)
-    except UsageError:
-        return "out of control"
+    except UsageError:  # out of control
+        return Settled(seed, hidden)
     place = open_finding(arm.hidden[0], poor)
     if place is None:
-        return "not ambiguous"
-    advised, design = after(poor, arm.robot, duration=options.duration)
+        return Settled(seed, hidden, said(poor))
+    advised, design = after(poor, arm.robot, duration=duration)
     distance = least_distance(arm.hidden[0], advised.findings[place])
     if design is None or distance is None:
-        return f"no motion tells: {said(poor)}"
+        return Settled(seed, hidden, said(poor), result="no motion")
     try:
-        log = play_designed(arm, design, Path(options.folder), seed)
+        log = play_designed(arm, design, folder, seed)
     except UsageError as error:
-        return Settled(seed, _name(arm), said(poor), distance, (str(error),), "out of control", 0.0)
+        return Settled(seed, hidden, said(poor), distance, (str(error),), "out of control")
     fresh = diagnose(log, arm.robot)
     outcome = judge(Case(arm.robot, log, arm.hidden, 0.0, ""), fresh, seed, 0.0)
     seconds = time.perf_counter() - started
-    return Settled(seed, _name(arm), said(poor), distance, said(fresh), outcome.result, seconds)
-
-
-def drawn(options: Options) -> Iterator[tuple[int, str]]:
-    """Seeds and effects, every effect in turn with seeds of its own."""
-    for k in range(MOST_DRAWS * options.cases):
-        yield options.seed + k // len(options.only), options.only[k % len(options.only)]
-
-
-def table(settled: Sequence[Settled], left_out: Sequence[str], looked_at: int) -> str:
-    """A row for every case, and the count, as Markdown."""
-    lines = ["| hidden | seed | poor log | predicted distance | designed log | |", "|---|---:|---|---:|---|---|"]
-    for x in settled:
-        what = " · ".join(x.poor), " · ".join(x.designed) or "nothing"
-        cells = (_escaped(what[0]), f"{x.distance:.0f}", _escaped(what[1]), x.result)
-        lines.append(f"| {x.hidden} | {x.seed} | " + " | ".join(cells) + " |")
-    right = sum(x.result == "named" for x in settled)
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"- {right} of {len(settled)} ambiguous cases are named rightly from one designed recording alone.",
-            f"- {looked_at} logs were drawn for them; {len(left_out)} more were ambiguous between names that no motion "
-            "tells apart.",
-        ]
-    )
-
-
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    only_of("only", options.only, SIZES)
-    folder = Path(options.folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    settled: list[Settled] = []
-    left_out: list[str] = []
-    looked_at = 0
-    for seed, name in drawn(options):
-        if sum(x.hidden.startswith(name + "@") for x in settled) >= options.most:
-            continue
-        looked_at += 1
-        one = settle(seed, name, options)
-        if isinstance(one, Settled):
-            settled.append(one)
-            print(f"{one.result}: {one}", flush=True)
-        elif one.startswith("no motion"):
-            left_out.append(one)
-            print(f"{seed} {name}: {one}", flush=True)
-        text = table(settled, left_out, looked_at)
-        (folder / "excite.md").write_text(f"seeds from {options.seed}\n\n{text}\n")
-        (folder / "excite.json").write_text(json.dumps([asdict(x) for x in settled], indent=1) + "\n")
-        if len(settled) == options.cases:
-            break
-    print(table(settled, left_out, looked_at))
-    return 0
-
-
-def _name(arm: Plant) -> str:
-    return f"{arm.hidden[0].effect}@{arm.hidden[0].joint}"
+    return Settled(seed, hidden, said(poor), distance, said(fresh), outcome.result, seconds)
 
 
 def _escaped(text: str) -> str:
     return text.replace("|", " or ")
 
 
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
+@dataclass(frozen=True)
+class Excite(AbstractExperiment):
+    """Ambiguous logs of slow motions, the trajectory that is designed for each, and what its log says."""
 
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    row: ClassVar[type] = Settled
+
+    seed: int = 1000
+    cases: int = 10
+    duration: float = 30.0
+    most: int = 2
+    only: Sequence[str] = OFTEN
+
+    def plan(self, rows: Sequence[Settled]) -> Iterable[tuple]:
+        """A job per log: seed, effect, duration; effects in turn, until there are enough cases."""
+        only = chosen("only", self.only, SIZES)
+        for k in range(MOST_DRAWS * self.cases):
+            if sum(x.is_case for x in rows) >= self.cases:
+                return
+            name = only[k % len(only)]
+            if sum(x.is_case and x.hidden.startswith(name + "@") for x in rows) < self.most:
+                yield self.seed + k // len(only), name, self.duration
+
+    def run(self, folder: Path, seed: int, name: str, duration: float) -> Iterable[Settled]:
+        """Draw one log and, if it is a case, design, play, diagnose."""
+        yield settle(seed, name, duration, folder)
+
+    def line(self, row: Settled) -> str:
+        """How a log ended."""
+        return f"{row.result or 'no case'}: {row.seed} {row.hidden} {row.poor} -> {row.designed}"
+
+    def table(self, rows: Sequence[Settled]) -> str:
+        """A row for every case, and the count, as Markdown."""
+        lines = ["| hidden | seed | poor log | predicted distance | designed log | |", "|---|---:|---|---:|---|---|"]
+        settled = [x for x in rows if x.is_case]
+        for x in settled:
+            what = " · ".join(x.poor), " · ".join(x.designed) or "nothing"
+            cells = (_escaped(what[0]), f"{x.distance:.0f}", _escaped(what[1]), x.result)
+            lines.append(f"| {x.hidden} | {x.seed} | " + " | ".join(cells) + " |")
+        right = sum(x.result == "named" for x in settled)
+        lines += [
+            "",
+            f"- {right} of {len(settled)} ambiguous cases are named rightly from one designed recording alone.",
+        ]
+        left_out = sum(x.result == "no motion" for x in rows)
+        lines.append(
+            f"- {len(rows)} logs were drawn for them; {left_out} more were ambiguous between names that no motion "
+            "tells apart."
+        )
+        return "\n".join(lines)

@@ -1,15 +1,9 @@
-"""What gear play looks like: the residual of three arms, filtered at 40 Hz, and where the gear's load changes sign.
+"""What gear play looks like: the residual of three arms, filtered at 40 Hz (gear_play.md)."""
 
-    python experiments/gear_play.py [seed=0] [docs=false] [folder=outputs/gear_play]
-
-Three arms with play in one gear and nothing else. Draws gear_play.png into the folder, or into docs/ with docs=true,
-and prints how much of the residual's power lies within 0.1 s of a zero of the load.
-"""
-
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,23 +11,14 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import draw_effect, draw_scene, felt, inverse_dynamics, play
-from experiments.options import options_of
+from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.report.canvas import BLUE, VERMILLION, house_style
 
-ARMS, JOINTS = 3, (3, 5, 7)
+JOINTS = (3, 5, 7)
 SHOWN = 6.0
 """[s] that are drawn."""
 NEAR = 0.1
 """[s] around a zero of the load."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    docs: bool = False
-    folder: str = "outputs/gear_play"
 
 
 @dataclass(frozen=True)
@@ -45,6 +30,10 @@ class Shown:
     t: np.ndarray
     residual: np.ndarray
     load: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("t", "residual", "load"):  # rows that were kept hold tuples
+            object.__setattr__(self, name, np.asarray(getattr(self, name)))
 
     @property
     def zeros(self) -> np.ndarray:
@@ -99,21 +88,34 @@ def drawn(arms: Sequence[Shown]) -> Figure:
     return figure
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    arms = [shown(options.seed, joints) for joints in JOINTS[:ARMS]]
-    for arm in arms:
-        power, time = arm.near
-        print(
-            f"{arm.said}: {100 * power:.0f} % of the residual's power in the {100 * time:.0f} % of the time near zeros"
+@dataclass(frozen=True)
+class GearPlay(AbstractExperiment):
+    """Three arms with play in one gear and nothing else."""
+
+    row: ClassVar[type] = Shown
+
+    seed: int = 0
+
+    def plan(self, rows: Sequence[Shown]) -> Iterable[tuple]:
+        """A job per arm: the seed and the number of joints."""
+        return [(self.seed, joints) for joints in JOINTS]
+
+    def run(self, folder: Path, seed: int, joints: int) -> Iterable[Shown]:
+        """Draw and play one arm."""
+        yield shown(seed, joints)
+
+    def line(self, row: Shown) -> str:
+        """The arm."""
+        return row.said
+
+    def table(self, rows: Sequence[Shown]) -> str:
+        """A line per arm: how much of the residual's power is near zeros of the load."""
+        shares = [tuple(100 * x for x in row.near) for row in rows]
+        return "\n".join(
+            f"{row.said}: {power:.0f} % of the residual's power in the {time:.0f} % of the time near zeros"
+            for row, (power, time) in zip(rows, shares, strict=True)
         )
-    folder = Path(__file__).parents[1] / "docs" if options.docs else Path(options.folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    drawn(arms).savefig(folder / "gear_play.png", dpi=110)
-    print(folder / "gear_play.png")
-    return 0
 
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    def figures(self, rows: Sequence[Shown]) -> Mapping[str, Figure]:
+        """Residual and zeros of the load, a panel an arm."""
+        return {"gear_play": drawn(rows)}

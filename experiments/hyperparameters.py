@@ -1,32 +1,19 @@
-"""Adapting against forgetting: how often, in what batches, how long and how fast nets learn on while the arm works.
+"""Adapting against forgetting: how often, in what batches, how long and how fast nets learn on (hyperparameters.md)."""
 
-    python experiments/hyperparameters.py [seed=0] [epochs=40] [repetitions=2] [docs=false]
-                                          [folder=outputs/hyperparameters]
-
-The sweep of the paper's section IV-A on data=pick_place (causal): the nets of section V-C, learned on the unloaded arm,
-follow repetitions with the object by the delta rule with every adaptation rate, batch size, number of epochs and
-learning rate. Learning rates share a program (vmap); what has another shape has one of its own. Two numbers each, NMSE
-and mean over joints: adapting, of what is predicted while the object is held; forgetting, of an unloaded repetition
-that nobody learned from, predicted with what the nets are when the object is put down. Writes hyperparameters.csv and
-hyperparameters.png (into docs/ with docs=true), and prints the best.
-"""
-
-import csv
 import itertools
-import sys
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cache, partial
 from pathlib import Path
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.options import options_of
 from invdyn_cli import experiment
+from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.maths.metrics import nmse
@@ -45,17 +32,6 @@ PROBE = 20
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    epochs: int = 40
-    repetitions: int = 2
-    docs: bool = False
-    folder: str = "outputs/hyperparameters"
-
-
-@dataclass(frozen=True)
 class Tried:
     """One way to go on learning, and what it did."""
 
@@ -67,33 +43,48 @@ class Tried:
     forgetting: float
 
 
-def main(argv: Sequence[str]) -> None:
-    """Learn, sweep, draw."""
-    options = options_of(argv, Options(), __doc__)
+@dataclass(frozen=True)
+class Hyperparameters(AbstractExperiment):
+    """The sweep of the paper's section IV-A on data=pick_place."""
+
+    row: ClassVar[type] = Tried
+
+    seed: int = 0
+    epochs: int = 40
+    repetitions: int = 2
+
+    def plan(self, rows: Sequence[Tried]) -> Iterable[tuple]:
+        """A job per shape of a program; learning rates share it."""
+        shapes = [x for x in itertools.product(RATES, BATCHES, EPOCHS) if x[1] <= x[0]]
+        return [(self.seed, self.epochs, self.repetitions, *shape) for shape in shapes]
+
+    def run(self, folder: Path, seed: int, epochs: int, repetitions: int, *shape: int) -> Iterable[Tried]:
+        """The four learning rates of one shape."""
+        return sweep(Incremental(*shape), *learned(seed, epochs, repetitions))
+
+    def table(self, rows: Sequence[Tried]) -> str:
+        """All ways, as Markdown, and the best."""
+        names = [x.name for x in fields(Tried)]
+        lines = [f"| {' | '.join(names)} |", "|---:" * len(names) + "|"]
+        lines += [f"| {' | '.join(f'{getattr(x, name):.4g}' for name in names)} |" for x in rows]
+        for title, key in (("adapting", lambda x: x.adapting), ("both", lambda x: x.adapting * x.forgetting)):
+            lines += ["", f"Best {title}: {min((x for x in rows if np.isfinite(key(x))), key=key)}"]
+        return "\n".join(lines)
+
+    def figures(self, rows: Sequence[Tried]) -> Mapping[str, Figure]:
+        """Forgetting over adapting."""
+        return {"hyperparameters": draw(rows, as_learned(*learned(self.seed, self.epochs, self.repetitions)))}
+
+
+@cache
+def learned(seed: int, epochs: int, repetitions: int) -> tuple[Ffnn, Fit, Sequence[Trajectory], Trajectory]:
+    """The nets, learned on the unloaded arm; repetitions with the object; one without that nobody learned from."""
     jax.config.update("jax_enable_x64", True)
     splits = PickPlace(causal=True).load(load_urdf("apollo_arm"))
     assert splits.validation is not None
-    model = Ffnn((100, 100, 10), joints=(), epochs=options.epochs)
-    fit = Incremental().fit(model, splits.train, jax.random.key(options.seed))
-    loaded, unloaded = splits.tests["test"].trajectories[: options.repetitions], splits.validation.trajectories[0]
-    tried = []
-    started = time.perf_counter()
-    for rate, batch, epochs in itertools.product(RATES, BATCHES, EPOCHS):
-        if batch <= rate:
-            tried += sweep(Incremental(rate, batch, epochs), model, fit, loaded, unloaded)
-    print(f"{len(tried)} ways in {time.perf_counter() - started:.0f} s")
-    folder = Path(options.folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "hyperparameters.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(vars(tried[0])))
-        writer.writeheader()
-        writer.writerows(map(vars, tried))
-    figure = draw(tried, as_learned(model, fit, loaded, unloaded))
-    picture = (Path("docs") if options.docs else folder) / "hyperparameters.png"
-    figure.savefig(picture, dpi=110)
-    for title, key in (("adapting", lambda x: x.adapting), ("both", lambda x: x.adapting * x.forgetting)):
-        print(f"best {title}: {min((x for x in tried if np.isfinite(key(x))), key=key)}")
-    print(picture)
+    model = Ffnn((100, 100, 10), joints=(), epochs=epochs)
+    fit = Incremental().fit(model, splits.train, jax.random.key(seed))
+    return model, fit, splits.tests["test"].trajectories[:repetitions], splits.validation.trajectories[0]
 
 
 def sweep(
@@ -178,7 +169,3 @@ def draw(tried: Sequence[Tried], before: tuple[float, float]) -> Figure:
         keys += [panels[0].scatter([], [], marker="*", s=150, color=BLACK, label="not adapted")]
         figure.legend(handles=keys, loc="outside lower center", ncols=4)
     return figure
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,23 +1,16 @@
-"""What a tick costs: filter, predict, learn and feedforward of one sample, called from Python as a 1 kHz loop would.
+"""The time of a tick: filter, predict, learn and feedforward, called from Python at 1 kHz (latency.md)."""
 
-    python experiments/latency.py [seconds=20] [docs=false] [folder=outputs/latency]
-
-Plays a loaded repetition of data=pick_place, over and over, into `invdyn_cli.online`, tick after tick as fast as it
-goes, and takes the time of each. Draws latency.png into the folder, or into docs/ with docs=true, and prints the
-percentiles. Nets learn for one epoch before: what a tick costs does not depend on how good they are.
-"""
-
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.options import options_of
+from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.adaptation.error_model import ErrorModel
 from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.adaptation.payload import Payload
@@ -46,32 +39,51 @@ CASES: Mapping[str, tuple[AbstractAdapter, AbstractModel, str]] = {
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
+class Timed:
+    """A way to adapt, and the time of each tick [ms]."""
+
+    name: str
+    ticks: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Latency(AbstractExperiment):
+    """Times of the ticks of a loaded repetition of data=pick_place."""
+
+    row: ClassVar[type] = Timed
 
     seconds: float = 20.0
-    docs: bool = False
-    folder: str = "outputs/latency"
 
+    def plan(self, rows: Sequence[Timed]) -> Iterable[tuple]:
+        """A job per way to adapt."""
+        return [(name, self.seconds) for name in CASES]
 
-def main(argv: Sequence[str]) -> None:
-    """Time, print, draw."""
-    options = options_of(argv, Options(), __doc__)
-    jax.config.update("jax_enable_x64", True)
-    robot, source = load_urdf("apollo_arm"), PickPlace(causal=True)
-    train = source.load(robot).train
-    learned = replace(train, trajectories=train.trajectories[:2])
-    raw = next(x for x in source.log(robot).trajectories if x.name == "loaded_1")
-    took = {}
-    print(f"{'[ms]':44}{'median':>8}{'99 %':>8}{'99.9 %':>8}{'worst':>8}")
-    for name, (adapter, model, _) in CASES.items():
-        took[name] = 1e3 * ticks(adapter, adapter.extended(model), learned, raw, round(1000 * options.seconds))
-        numbers = np.percentile(took[name], [50, 99, 99.9, 100])
-        print(f"{name:44}" + "".join(f"{x:8.3f}" for x in numbers), flush=True)
-    path = Path("docs" if options.docs else options.folder) / "latency.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw(took).savefig(path, dpi=110)
-    print(path)
+    def run(self, folder: Path, name: str, seconds: float) -> Iterable[Timed]:
+        """Fit the model, and play the repetition as fast as it goes."""
+        jax.config.update("jax_enable_x64", True)
+        robot, source = load_urdf("apollo_arm"), PickPlace(causal=True)
+        train = source.load(robot).train
+        learned = replace(train, trajectories=train.trajectories[:2])
+        raw = next(x for x in source.log(robot).trajectories if x.name == "loaded_1")
+        adapter, model, _ = CASES[name]
+        times = ticks(adapter, adapter.extended(model), learned, raw, round(1000 * seconds))
+        yield Timed(name, tuple((1e3 * times).tolist()))
+
+    def line(self, row: Timed) -> str:
+        """The median."""
+        return f"{row.name}: median {np.median(row.ticks):.3f} ms"
+
+    def table(self, rows: Sequence[Timed]) -> str:
+        """Percentiles of each way, as Markdown."""
+        lines = ["| [ms] | median | 99 % | 99.9 % | worst |", "|---|" + "---:|" * 4]
+        for row in rows:
+            numbers = np.percentile(row.ticks, [50, 99, 99.9, 100])
+            lines.append(f"| {row.name} | {' | '.join(f'{x:.3f}' for x in numbers)} |")
+        return "\n".join(lines)
+
+    def figures(self, rows: Sequence[Timed]) -> Mapping[str, Figure]:
+        """Histograms of the times."""
+        return {"latency": draw({row.name: np.array(row.ticks) for row in rows})}
 
 
 def ticks(
@@ -106,7 +118,3 @@ def draw(took: Mapping[str, np.ndarray]) -> Figure:
         axes.set_xticks([0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.1", "0.2", "0.5", "1", "2", "5", "10"])
         figure.legend(loc="outside lower center", ncols=2)
     return figure
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

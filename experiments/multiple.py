@@ -1,23 +1,16 @@
-"""Several causes at once: three on different joints, and two on one joint; F1 of (effect, joint) pairs.
+"""Several effects at once, on different joints and on one joint: F1 of (effect, joint) pairs (multiple.md)."""
 
-    python experiments/multiple.py [seed=0] [logs=20] [only=three,two] [folder=outputs/multiple]
-
-Logs are drawn as in `cases.py`. A finding counts as right where `confusion.matches` says so: named, or ambiguous within
-what theory allows. Three effects are drawn for every log from all that act on a joint; pairs on one joint take turns.
-"""
-
-import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
 from experiments.confusion import claims, judge, matches
-from experiments.options import only_of, options_of
-from experiments.results import tell
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.types import Diagnosis
 
@@ -27,16 +20,6 @@ PAIRS = (
     ("torque_gain_error", "load_dependent_friction"),
 )
 TASKS = {"three": "three on different joints", "two": "two on one joint"}
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 20
-    only: Sequence[str] = tuple(TASKS)
-    folder: str = "outputs/multiple"
 
 
 @dataclass(frozen=True)
@@ -82,43 +65,43 @@ def f1(logs: Sequence[Counted]) -> tuple[float, float, float]:
     return 2 * right / max(2 * right + missed + extra, 1), right / max(right + extra, 1), right / max(hidden, 1)
 
 
-def table(counted: Sequence[Counted]) -> str:
-    """A row per task, and one for each pair on one joint, as Markdown."""
-    groups = {title: [c for c in counted if c.task == task] for task, title in TASKS.items()}
-    for pair in PAIRS:
-        own = [c for c in groups[TASKS["two"]] if c.hidden[0].startswith(pair[0] + "@")]
-        groups["of these " + " + ".join(pair)] = own
-    lines = ["| hidden | logs | F1 | precision | recall | all right |", "|---|---:|---:|---:|---:|---:|"]
-    for title, logs in groups.items():
-        if logs:
-            numbers = " | ".join(f"{x:.2f}" for x in f1(logs))
-            perfect = sum(not c.missed and not c.extra for c in logs)
-            lines.append(f"| {title} | {len(logs)} | {numbers} | {perfect} |")
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Multiple(AbstractExperiment):
+    """Three effects on different joints, and two on one joint."""
 
+    row: ClassVar[type] = Counted
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    tasks, folder, counted = only_of("only", options.only, TASKS), Path(options.folder), []
-    folder.mkdir(parents=True, exist_ok=True)
-    for task in tasks:
-        for k in range(options.logs):
-            seed = 1000 * options.seed + k
-            case = draw_case(seed, names_of(task, options.seed, k), same_joint=task == "two")
-            started = time.perf_counter()
-            diagnosis = diagnose(case.log, case.robot)
-            one = count(task, seed, case, diagnosis, time.perf_counter() - started)
-            counted.append(one)
-            print(
-                f"{task} {seed} {one.hidden}: missed {one.missed}, beside {one.extra}; {one.seconds:.0f} s", flush=True
-            )
-    tell(folder, "multiple", f"seed {options.seed}", table(counted), counted)
-    return 0
+    seed: int = 0
+    logs: int = 20
+    only: Sequence[str] = ()
 
+    def plan(self, rows: Sequence[Counted]) -> Iterable[tuple]:
+        """A job per log: its task, its seed, its effects."""
+        for task in chosen("only", self.only, TASKS):
+            for k in range(self.logs):
+                yield task, 1000 * self.seed + k, *names_of(task, self.seed, k)
 
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
+    def run(self, folder: Path, task: str, seed: int, *names: str) -> Iterable[Counted]:
+        """Draw, diagnose, judge one log."""
+        case = draw_case(seed, names, same_joint=task == "two")
+        started = time.perf_counter()
+        diagnosis = diagnose(case.log, case.robot)
+        yield count(task, seed, case, diagnosis, time.perf_counter() - started)
 
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    def line(self, row: Counted) -> str:
+        """What was missed and what was claimed beside it."""
+        return f"{row.task} {row.seed} {row.hidden}: missed {row.missed}, beside {row.extra}; {row.seconds:.0f} s"
+
+    def table(self, rows: Sequence[Counted]) -> str:
+        """A row per task, and one for each pair on one joint, as Markdown."""
+        groups = {title: [c for c in rows if c.task == task] for task, title in TASKS.items()}
+        for pair in PAIRS:
+            own = [c for c in groups[TASKS["two"]] if c.hidden[0].startswith(pair[0] + "@")]
+            groups["of these " + " + ".join(pair)] = own
+        lines = ["| hidden | logs | F1 | precision | recall | all right |", "|---|---:|---:|---:|---:|---:|"]
+        for title, logs in groups.items():
+            if logs:
+                numbers = " | ".join(f"{x:.2f}" for x in f1(logs))
+                perfect = sum(not c.missed and not c.extra for c in logs)
+                lines.append(f"| {title} | {len(logs)} | {numbers} | {perfect} |")
+        return "\n".join(lines)

@@ -1,27 +1,17 @@
-"""invdyn diagnose on real robots' logs: what it names, with which numbers, and what that is worth on held-out data.
-
-    python experiments/real_diagnosis.py [only=panda,ur10e] [data=../shared/data] [folder=outputs/real_diagnosis]
-                                         [docs=false]
-
-The logs are not part of the project; they are looked for in `data`, else in INVDYN_REAL_DATA, else in ../shared/data,
-and what is not there is left out with a word. Every diagnosis is that of the command line with these overrides; its
-files (report.html, diagnosis.json, figures/) lie in a folder of its own, and summary.md holds the tables of all.
-docs=true puts the short table into experiments/real_diagnosis.md.
-"""
+"""invdyn diagnose on real robots' logs: what it names, and what that is worth on held-out data (real_diagnosis.md)."""
 
 import math
-import os
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from hydra import compose, initialize_config_dir
 
-from experiments.marked import ROOT, put
-from experiments.options import only_of, options_of
-from invdyn_cli.errors import InvdynError
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
+from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.files import write_file
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import VERDICT_WORDS, capital, cause, claims, estimates, joints_of, place, words
 from invdyn_cli.types import Diagnosis
@@ -42,11 +32,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """A job with its diagnosis and the seconds that it took, files and all."""
+    """A job, its diagnosis as Markdown (a section, and a row of the table), and the masses [kg] put on and found."""
 
-    job: Job
-    diagnosis: Diagnosis
-    seconds: float
+    title: str
+    section: str
+    row: str
+    true: float | None
+    found: float | None
 
 
 def windows(lengths: Mapping[str, float], share: float = 0.7) -> list[str]:
@@ -103,25 +95,16 @@ LOW = 1.15
 """The UR10e's published drive gains are low by about this factor (data README), and so are masses."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
+def present(data: str, logs: Mapping[str, str]) -> list[tuple[str, str]]:
+    """(name, path) of the logs that the folder `data` holds.
 
-    only: Sequence[str] = tuple(JOBS)
-    data: str = os.environ.get("INVDYN_REAL_DATA", "../shared/data")
-    folder: str = "outputs/real_diagnosis"
-    seed: int = 0
-    docs: bool = False
-
-
-def run(job: Job, data: Path, folder: Path, console: Screen, seed: int = 0) -> Done:
-    """The diagnosis of one job, told on the console, its files in `folder`."""
-    overrides = ["data=real_log", f"data.path='{data / job.log}'", *job.overrides, f"seed={seed}"]
-    with initialize_config_dir(str(config_folder()), version_base="1.3"):
-        config = compose("diagnose", overrides)
-    started = time.perf_counter()
-    diagnosis = diagnose.execute(config, folder, console)
-    return Done(job, diagnosis, time.perf_counter() - started)
+    Raises:
+        UsageError: if it holds none.
+    """
+    found = [(name, str(Path(data) / log)) for name, log in logs.items() if (Path(data) / log).is_file()]
+    if not found:
+        raise UsageError(f"data={data} holds none of {listed(set(logs.values()))}", advice="data=FOLDER of the logs")
+    return found
 
 
 def mass_of(diagnosis: Diagnosis) -> float | None:
@@ -129,10 +112,9 @@ def mass_of(diagnosis: Diagnosis) -> float | None:
     return next((float(f.parameters["mass"].value) for f in claims(diagnosis) if f.effect == "payload"), None)
 
 
-def section(done: Done) -> str:
+def section(title: str, diagnosis: Diagnosis, seconds: float) -> str:
     """A diagnosis as Markdown: verdict, findings, errors per joint."""
-    diagnosis = done.diagnosis
-    lines = [f"## {done.job.title}", "", diagnosis.summary, f"{done.seconds:.0f} s.", ""]
+    lines = [f"## {title}", "", diagnosis.summary, f"{seconds:.0f} s.", ""]
     lines += [f"- {note}" for note in diagnosis.notes] + [""] * bool(diagnosis.notes)
     if claims(diagnosis):
         lines += ["| cause | joint | status | estimate [95 %] |", "|---|---|---|---|"]
@@ -148,19 +130,15 @@ def section(done: Done) -> str:
     return "\n".join([*lines, ""])
 
 
-def short(all_done: Sequence[Done]) -> str:
-    """A row per log as Markdown: verdict, what was claimed, held-out RMSE over all joints before and after."""
-    lines = ["| log | verdict | named | ambiguous | RMSE nominal | extended | noise floor | s |"]
-    lines.append("|---|---|---|---|---:|---:|---:|---:|")
-    for done in all_done:
-        d, said = done.diagnosis, {}
-        for status in ("named", "ambiguous"):
-            found = [f"{words(f.effect)} ({place(f)})" for f in claims(d) if f.status == status]
-            said[status] = "; ".join(found) or "-"
-        errors = [_over_joints(x) for x in (d.baseline, d.extended, d.noise_floor or {})]
-        cells = [done.job.title, VERDICT_WORDS[d.verdict], *said.values(), *map(significant, errors)]
-        lines.append(f"| {' | '.join(cells)} | {done.seconds:.0f} |")
-    return "\n".join(lines)
+def short(title: str, diagnosis: Diagnosis, seconds: float) -> str:
+    """A row of the table: verdict, what was claimed, held-out RMSE over all joints before and after."""
+    said = {}
+    for status in ("named", "ambiguous"):
+        found = [f"{words(f.effect)} ({place(f)})" for f in claims(diagnosis) if f.status == status]
+        said[status] = "; ".join(found) or "-"
+    errors = [_over_joints(x) for x in (diagnosis.baseline, diagnosis.extended, diagnosis.noise_floor or {})]
+    cells = [title, VERDICT_WORDS[diagnosis.verdict], *said.values(), *map(significant, errors)]
+    return f"| {' | '.join(cells)} | {seconds:.0f} |"
 
 
 def _over_joints(errors: Mapping[str, Mapping[str, float]]) -> float | None:
@@ -169,49 +147,56 @@ def _over_joints(errors: Mapping[str, Mapping[str, float]]) -> float | None:
     return (sum(squares) / len(squares)) ** 0.5 if squares else None
 
 
-def masses(all_done: Sequence[Done]) -> str:
+def masses(rows: Sequence[Done]) -> str:
     """The masses found beside those that were put on, and their ratio; nothing where there are none."""
-    loaded = [d for d in all_done if d.job.mass is not None]
+    loaded = [x for x in rows if x.true is not None]
     if not loaded:
         return ""
     lines = [f"| log | true [kg] | found [kg] | found times {LOW} [kg] |", "|---|---:|---:|---:|"]
-    found = [mass_of(d.diagnosis) for d in loaded]
-    for d, mass in zip(loaded, found, strict=True):
-        shown = "no payload | -" if mass is None else f"{mass:.3f} | {LOW * mass:.3f}"
-        lines.append(f"| {d.job.title} | {d.job.mass:.3f} | {shown} |")
-    if len(loaded) == 2 and None not in found:
-        true = loaded[1].job.mass / loaded[0].job.mass
-        lines += ["", f"Ratio {found[1] / found[0]:.3f}; true {true:.3f}. The drive gains cancel in it."]
-    return "\n".join([*lines, ""])
+    for x in loaded:
+        shown = "no payload | -" if x.found is None else f"{x.found:.3f} | {LOW * x.found:.3f}"
+        lines.append(f"| {x.title} | {x.true:.3f} | {shown} |")
+    if len(loaded) == 2 and None not in (loaded[0].found, loaded[1].found):
+        true, found = (getattr(loaded[1], name) / getattr(loaded[0], name) for name in ("true", "found"))
+        lines += ["", f"Ratio {found:.3f}; true {true:.3f}. The drive gains cancel in it."]
+    return "\n".join(lines)
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    data, folder = Path(options.data), Path(options.folder)
-    console, all_done = Screen(width=120), []
-    for name in only_of("only", options.only, JOBS):
-        job = JOBS[name]
+@dataclass(frozen=True)
+class RealDiagnosis(AbstractExperiment):
+    """The diagnoses of the command line, each with its files in a folder of its own."""
+
+    row: ClassVar[type] = Done
+    page: ClassVar[str] = "experiments/real_diagnosis.md"
+
+    only: Sequence[str] = ()
+    data: str = "../shared/data"
+    seed: int = 0
+
+    def plan(self, rows: Sequence[Done]) -> Iterable[tuple]:
+        """A job per log that is there; the others are left out."""
+        wanted = {name: JOBS[name].log for name in chosen("only", self.only, JOBS)}
+        return [(*one, self.seed) for one in present(self.data, wanted)]
+
+    def run(self, folder: Path, name: str, path: str, seed: int) -> Iterable[Done]:
+        """One diagnosis, shown as the command line shows it."""
+        job, console, started = JOBS[name], Screen(width=120), time.perf_counter()
+        overrides = ["data=real_log", f"data.path='{path}'", *job.overrides, f"seed={seed}"]
+        with initialize_config_dir(str(config_folder()), version_base="1.3"):
+            config = compose("diagnose", overrides)
         console.rule(job.title)
-        if not (data / job.log).is_file():
-            console.print(f"left out: no {data / job.log}; INVDYN_REAL_DATA=FOLDER of the logs")
-            continue
-        try:
-            all_done.append(run(job, data, folder / name, console, options.seed))
-        except InvdynError as error:
-            console.print(f"left out: {error}")
-            continue
-        console.print(f"{all_done[-1].seconds:.0f} s")
-    if not all_done:
-        return 0
-    text = "\n".join([short(all_done), "", *map(section, all_done), "## Masses", "", masses(all_done)])
-    (folder / "summary.md").write_text(text)
-    if options.docs:
-        put(ROOT / "experiments" / "real_diagnosis.md", "found", f"{short(all_done)}\n\n{masses(all_done)}")
-    console.print(masses(all_done))
-    console.print(str(folder / "summary.md"))
-    return 0
+        diagnosis = diagnose.execute(config, folder / name, console)
+        said = job.title, diagnosis, time.perf_counter() - started
+        text = section(*said)
+        write_file(folder / name / "section.md", text)
+        yield Done(job.title, text, short(*said), job.mass, mass_of(diagnosis))
 
+    def line(self, row: Done) -> str:
+        """The row of the table."""
+        return row.row
 
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    def table(self, rows: Sequence[Done]) -> str:
+        """A row per log, as Markdown, and the masses; folder/NAME/section.md has all findings of one."""
+        lines = ["| log | verdict | named | ambiguous | RMSE nominal | extended | noise floor | s |"]
+        lines += ["|---|---|---|---|---:|---:|---:|---:|", *(x.row for x in rows)]
+        return "\n".join([*lines, "", masses(rows)])

@@ -1,28 +1,18 @@
-"""The better simulation: two causes hidden in an arm, diagnosed, written as MJCF, and replayed on the log.
+"""Two effects, diagnosed, written as MJCF, and replayed on the log (replay.md)."""
 
-    python experiments/replay.py [seed=0] [logs=20] [folder=outputs/replay]
-
-Logs are drawn as in `cases.py`, each with two effects on different joints that an MJCF can hold. The simulated arm is
-left free for 0.2 s at a time under the logged torques, on the share of the log that the diagnosis did not learn from;
-its error is the RMS over all such windows, mean of the joints. Printed is by how much it falls from the nominal arm to
-the extended one, and, as what could be had at best, to the arm with exactly what was hidden.
-"""
-
-import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from experiments.cases import SIZES, Case, draw_case
 from experiments.confusion import WHOLE_ARM, claims
-from experiments.options import options_of
-from experiments.results import tell
 from experiments.truth import mjcf_of
-from invdyn_cli.diagnosis import Options as Wanted
-from invdyn_cli.diagnosis import diagnose, extension
+from invdyn_cli.abstract_experiment import AbstractExperiment
+from invdyn_cli.diagnosis import Options, diagnose, extension
 from invdyn_cli.simulation.replay import replay
 
 ENOUGH = 0.8
@@ -33,15 +23,6 @@ NOT_HELD = (
     *("torque_ripple", "torque_offset_drift", "torque_gain_change", "payload_change", "external_contact"),
 )
 """Effects that an MJCF lacks, and those that come and go."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 20
-    folder: str = "outputs/replay"
 
 
 @dataclass(frozen=True)
@@ -83,7 +64,7 @@ def played(seed: int, case: Case) -> Replayed:
 
     real, extension.replayed = extension.replayed, keep
     try:
-        diagnosis = diagnose(case.log, case.robot, options=Wanted(replay=True))
+        diagnosis = diagnose(case.log, case.robot, options=Options(replay=True))
     finally:
         extension.replayed = real
     found = diagnosis.replay
@@ -102,38 +83,36 @@ def played(seed: int, case: Case) -> Replayed:
     )
 
 
-def table(logs: Sequence[Replayed]) -> str:
-    """A row per log, as Markdown, and how many gained enough."""
-    lines = ["| hidden | nominal [rad] | extended | at best | falls by |", "|---|---:|---:|---:|---:|"]
-    for x in logs:
-        numbers = " | ".join(f"{v:.2g}" for v in (x.before, x.after, x.best))
-        lines.append(f"| {', '.join(x.hidden)} | {numbers} | {100 * x.gain:.0f} % |")
-    good = sum(x.gain >= ENOUGH for x in logs)
-    lines.append(f"\n{good} of {len(logs)} logs: the error falls by {100 * ENOUGH:.0f} % or more")
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Replay(AbstractExperiment):
+    """By how much the error of a replay falls, with the diagnosis' model and with the true one."""
 
+    row: ClassVar[type] = Replayed
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    folder, logs = Path(options.folder), []
-    folder.mkdir(parents=True, exist_ok=True)
-    for k in range(options.logs):
-        seed = 1000 * options.seed + k
-        names = names_of(options.seed, k)
-        one = played(seed, draw_case(seed, names, same_joint=None if set(names) & set(WHOLE_ARM) else False))
-        logs.append(one)
-        print(
-            f"{seed} {one.hidden} -> {one.said}: {one.before:.3g} rad to {one.after:.3g} ({one.best:.3g} at best), "
-            f"{100 * one.gain:.0f} %; held {one.held_before:.3g} to {one.held_after:.3g}; {one.seconds:.0f} s",
-            flush=True,
+    seed: int = 0
+    logs: int = 20
+
+    def plan(self, rows: Sequence[Replayed]) -> Iterable[tuple]:
+        """A job per log: its seed and its two effects."""
+        return [(1000 * self.seed + k, *names_of(self.seed, k)) for k in range(self.logs)]
+
+    def run(self, folder: Path, seed: int, *names: str) -> Iterable[Replayed]:
+        """Draw, diagnose, replay one log."""
+        yield played(seed, draw_case(seed, names, same_joint=None if set(names) & set(WHOLE_ARM) else False))
+
+    def line(self, row: Replayed) -> str:
+        """The errors of one log."""
+        return (
+            f"{row.seed} {row.hidden} -> {row.said}: {row.before:.3g} rad to {row.after:.3g} ({row.best:.3g} at best), "
+            f"{100 * row.gain:.0f} %; held {row.held_before:.3g} to {row.held_after:.3g}; {row.seconds:.0f} s"
         )
-    tell(folder, "replay", f"seed {options.seed}", table(logs), logs)
-    return 0
 
-
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
-
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    def table(self, rows: Sequence[Replayed]) -> str:
+        """A row per log, as Markdown, and how many gained enough."""
+        lines = ["| hidden | nominal [rad] | extended | at best | falls by |", "|---|---:|---:|---:|---:|"]
+        for x in rows:
+            numbers = " | ".join(f"{v:.2g}" for v in (x.before, x.after, x.best))
+            lines.append(f"| {', '.join(x.hidden)} | {numbers} | {100 * x.gain:.0f} % |")
+        good = sum(x.gain >= ENOUGH for x in rows)
+        lines.append(f"\n{good} of {len(rows)} logs: the error falls by {100 * ENOUGH:.0f} % or more")
+        return "\n".join(lines)

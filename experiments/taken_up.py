@@ -1,23 +1,15 @@
-"""A load that is taken up and put down: 0.851 kg in a pick-and-place log of the built-in arm, with friction in every
-joint.
+"""A load that is picked up and released in a pick-and-place log, with friction in every joint (taken_up.md)."""
 
-    python experiments/taken_up.py [seed=0] [logs=5] [folder=outputs/taken_up]
-
-Friction (Coulomb and viscous), rotors of the wrist, the time of the load, its place in the hand, noise and motion are
-drawn from the seed. Prints for every log the errors of mass and window, and how many of the frictions are named.
-"""
-
-import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from experiments.confusion import claims
-from experiments.options import options_of
-from experiments.results import tell
+from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.logfile import Log
 from invdyn_cli.robots import load_urdf
@@ -36,15 +28,6 @@ ROTORS = {4: 0.08, 5: 0.08, 6: 0.04}
 
 TORQUE_NOISE = np.array([0.1, 0.1, 0.05, 0.05, 0.02, 0.02, 0.01])
 POSITION_NOISE = 5e-6
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 5
-    folder: str = "outputs/taken_up"
 
 
 @dataclass(frozen=True)
@@ -104,44 +87,42 @@ def judged(seed: int, hidden: Sequence[Hidden], diagnosis: Diagnosis, seconds: f
     )
 
 
-def table(found: Sequence[Found]) -> str:
-    """A row per log, as Markdown."""
-    lines = [
-        "| log | load | mass off by | window off by [ms] | frictions named | beside | s |",
-        "|---|---|---:|---:|---|---|---:|",
-    ]
-    for f in found:
-        mass = "-" if f.mass_error is None else f"{100 * f.mass_error:+.2f} %"
-        edges = ", ".join(f"{1e3 * x:+.0f}" for x in f.edge_errors)
-        row = [
-            str(f.seed),
-            f.status or "not found",
-            mass,
-            edges,
-            f.frictions,
-            ", ".join(f.beside) or "-",
-            f"{f.seconds:.0f}",
-        ]
-        lines.append(f"| {' | '.join(row)} |")
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class TakenUp(AbstractExperiment):
+    """Errors of the load's mass and time, and how many of the frictions are named."""
 
+    row: ClassVar[type] = Found
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    folder, found = Path(options.folder), []
-    folder.mkdir(parents=True, exist_ok=True)
-    for seed in range(1000 * options.seed, 1000 * options.seed + options.logs):
+    seed: int = 0
+    logs: int = 5
+
+    def plan(self, rows: Sequence[Found]) -> Iterable[tuple]:
+        """A job per log: its seed."""
+        return [(1000 * self.seed + k,) for k in range(self.logs)]
+
+    def run(self, folder: Path, seed: int) -> Iterable[Found]:
+        """Draw, diagnose, judge one log."""
         robot, log, hidden = drawn(seed)
         started = time.perf_counter()
-        found.append(judged(seed, hidden, diagnose(log, robot), time.perf_counter() - started))
-        print(found[-1], flush=True)
-    tell(folder, "taken_up", f"seed {options.seed}", table(found), found)
-    return 0
+        yield judged(seed, hidden, diagnose(log, robot), time.perf_counter() - started)
 
-
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
-
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    def table(self, rows: Sequence[Found]) -> str:
+        """A row per log, as Markdown."""
+        lines = [
+            "| log | load | mass off by | window off by [ms] | frictions named | beside | s |",
+            "|---|---|---:|---:|---|---|---:|",
+        ]
+        for f in rows:
+            mass = "-" if f.mass_error is None else f"{100 * f.mass_error:+.2f} %"
+            edges = ", ".join(f"{1e3 * x:+.0f}" for x in f.edge_errors)
+            row = [
+                str(f.seed),
+                f.status or "not found",
+                mass,
+                edges,
+                f.frictions,
+                ", ".join(f.beside) or "-",
+                f"{f.seconds:.0f}",
+            ]
+            lines.append(f"| {' | '.join(row)} |")
+        return "\n".join(lines)

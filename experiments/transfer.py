@@ -1,29 +1,17 @@
-"""Learned on one recording of a real robot, judged on another: what is written, beside what a user would try first.
-
-    python experiments/transfer.py [only=lwr4,panda] [data=../shared/data] [folder=outputs/transfer] [docs=false]
-
-Held-out RMSE, mean over joints, and the geometric mean over joints of its ratio to the friction line's (offset, Coulomb
-and viscous friction, and the rotor's inertia where torque is taken before the gear, by least squares beside the URDF's
-links). Same rows and same low-pass for all of a row: those of `invdyn diagnose`, which writes the last. PEST with
-friction and `model=standard` stand apart: they are `invdyn run` on the same split, with its own filter (10 Hz).
-
-The logs are not part of the project; they are looked for in `data`, else in INVDYN_REAL_DATA, else in ../shared/data.
-docs=true puts the tables into experiments/transfer.md.
-"""
+"""Learned on one recording of a real robot, judged on another, beside simpler models (transfer.md)."""
 
 import math
-import os
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from hydra import compose, initialize_config_dir
 from omegaconf import open_dict
 
-from experiments.marked import ROOT, put
-from experiments.options import only_of, options_of
+from experiments.real_diagnosis import present
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import diagnose, run
@@ -74,13 +62,11 @@ FITTED = {
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
+class Worth:
+    """A line of the table, and the ratio of what is written to the friction line."""
 
-    only: Sequence[str] = tuple(TRANSFERS)
-    data: str = os.environ.get("INVDYN_REAL_DATA", "../shared/data")
-    folder: str = "outputs/transfer"
-    docs: bool = False
+    line: str
+    ratio: float
 
 
 def overrides_of(one: Transfer, data: Path) -> list[str]:
@@ -116,43 +102,50 @@ def ratio(errors: Sequence[float], line: Sequence[float]) -> float:
     return math.exp(sum(math.log(a / b) for a, b in zip(errors, line, strict=True)) / len(line))
 
 
-def row(one: Transfer, diagnosis: Diagnosis, seconds: float, runs: Mapping[str, Sequence[float]]) -> tuple[str, float]:
-    """A line of the table, and the ratio of what is written to the friction line."""
+def worth(one: Transfer, diagnosis: Diagnosis, seconds: float, runs: Mapping[str, Sequence[float]]) -> Worth:
+    """What the table says of a transfer."""
     tables = (diagnosis.baseline, *(diagnosis.baselines[x] for x in ("friction", "standard")), diagnosis.extended)
     errors = [[x["rmse"] for x in table.values()] for table in tables]
     ratios = [ratio(x, errors[1]) for x in errors]
     cells = [f"{significant(sum(x) / len(x))} ({r:.2f})" for x, r in zip(errors, ratios, strict=True)]
     cells += [significant(sum(x) / len(x)) for x in runs.values()]
-    return f"| {one.title} | {' | '.join(cells)} | {seconds:.0f} |", ratios[-1]
+    return Worth(f"| {one.title} | {' | '.join(cells)} | {seconds:.0f} |", ratios[-1])
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    data, folder, console = Path(options.data), Path(options.folder), Screen(width=160)
-    heads = [*(f"{x} RMSE (ratio)" for x in HEADS), *(f"run: {x}" for x in FITTED), "s"]
-    lines = [f"| transfer | {' | '.join(heads)} |", "|---|" + "---:|" * len(heads)]
-    ratios = []
-    for name in only_of("only", options.only, TRANSFERS):
-        one = TRANSFERS[name]
-        if not (data / one.log).is_file():
-            console.print(f"{one.title} is left out: no {data / one.log}; INVDYN_REAL_DATA=FOLDER of the logs")
-            continue
+@dataclass(frozen=True)
+class TransferExperiment(AbstractExperiment):
+    """Diagnoses and fits on one part of real logs, judged on another."""
+
+    row: ClassVar[type] = Worth
+    page: ClassVar[str] = "experiments/transfer.md"
+
+    only: Sequence[str] = ()
+    data: str = "../shared/data"
+
+    def plan(self, rows: Sequence[Worth]) -> Iterable[tuple]:
+        """A job per transfer whose log is there; the others are left out."""
+        wanted = {name: TRANSFERS[name].log for name in chosen("only", self.only, TRANSFERS)}
+        return present(self.data, wanted)
+
+    def run(self, folder: Path, name: str, path: str) -> Iterable[Worth]:
+        """Diagnose and fit; the files of each go into a folder of their own."""
+        one, data = TRANSFERS[name], Path(path).parent
         diagnosis, seconds = diagnosed(one, data, folder / name)
         runs = {key: fitted(one, data, folder / f"{name}_{key}", model) for key, model in FITTED.items()}
-        line, worth = row(one, diagnosis, seconds, runs)
-        lines.append(line)
-        ratios.append(worth)
-        console.whole(line)
-    if not ratios:
-        return 0
-    mean = math.exp(sum(map(math.log, ratios)) / len(ratios))
-    lines += ["", f"Written beside the friction line: {mean:.2f} in the geometric mean, {max(ratios):.2f} at worst."]
-    console.whole(lines[-1])
-    if options.docs:
-        put(ROOT / "experiments" / "transfer.md", "found", "\n".join(lines))
-    return 0
+        yield worth(one, diagnosis, seconds, runs)
 
+    def line(self, row: Worth) -> str:
+        """The line of the table."""
+        return row.line
 
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    def table(self, rows: Sequence[Worth]) -> str:
+        """A row per transfer, as Markdown, and the mean over them."""
+        heads = [*(f"{x} RMSE (ratio)" for x in HEADS), *(f"run: {x}" for x in FITTED), "s"]
+        lines = [f"| transfer | {' | '.join(heads)} |", "|---|" + "---:|" * len(heads), *(x.line for x in rows)]
+        ratios = [x.ratio for x in rows]
+        mean = math.exp(sum(map(math.log, ratios)) / len(ratios))
+        lines += [
+            "",
+            f"Written beside the friction line: {mean:.2f} in the geometric mean, {max(ratios):.2f} at worst.",
+        ]
+        return "\n".join(lines)

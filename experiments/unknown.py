@@ -1,25 +1,18 @@
-"""Causes that the catalogue lacks: nothing must be named, and that something is unknown should be said.
+"""Effects that the catalogue lacks: none may be named, and the verdict should say so (unknown.md)."""
 
-    python experiments/unknown.py [seed=0] [logs=10] [only=bump,cogging] [folder=outputs/unknown]
-
-Every invention acts on one joint of an arm of its own, drawn as in `cases.py`, with an RMS torque of 4 to 25 % of the
-joint's. Logs where that is less than three times the noise are drawn again.
-"""
-
-import sys
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from experiments.cases import Case, Scene, draw_scene, play
 from experiments.confusion import LOUD, claims
-from experiments.options import only_of, options_of
-from experiments.results import tell
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation.hidden import Hidden
@@ -74,16 +67,6 @@ INVENTIONS: Mapping[str, Callable[[np.random.Generator, Scene, int, float], tupl
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 10
-    only: Sequence[str] = tuple(INVENTIONS)
-    folder: str = "outputs/unknown"
-
-
-@dataclass(frozen=True)
 class Said:
     """What was said of one log: findings as effect@joint by status, the share that is unexplained on its joint, and
     whether the verdict says that something is unknown there."""
@@ -128,45 +111,48 @@ def judge(invention: str, seed: int, case: Case, joint: str, diagnosis: Diagnosi
     return Said(invention, seed, joint, case.share, **found, unexplained=left, told=told, seconds=seconds)
 
 
-def table(all_said: Sequence[Said]) -> str:
-    """A row per invention, as Markdown."""
-    lines = ["| hidden | logs | something named | only ambiguous | no claim | said to be unexplained | named most |"]
-    lines.append("|---|" + "---:|" * 5 + "---|")
-    for name in dict.fromkeys(x.invention for x in all_said):
-        own = [x for x in all_said if x.invention == name]
-        named = sum(bool(x.named) for x in own)
-        unsure = sum(bool(x.ambiguous) and not x.named for x in own)
-        told = sum(x.told for x in own)
-        often = Counter(effect for x in own for effect in {y.split("@")[0] for y in x.named})
-        most = ", ".join(f"{effect} {count}" for effect, count in often.most_common(3)) or "-"
-        none = len(own) - named - unsure
-        lines.append(f"| {name} | {len(own)} | {named} | {unsure} | {none} | {told} | {most} |")
-    named, told = sum(bool(x.named) for x in all_said), sum(x.told for x in all_said)
-    lines += ["", f"- Something named in {named} of {len(all_said)} logs; said to be unexplained in {told}."]
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Unknown(AbstractExperiment):
+    """Every invention on arms of its own, with 4 to 25 % of a joint's torque."""
 
+    row: ClassVar[type] = Said
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    names, folder, all_said = only_of("only", options.only, INVENTIONS), Path(options.folder), []
-    folder.mkdir(parents=True, exist_ok=True)
-    for k in range(options.logs):
-        for name in names:
-            seed = 1000 * options.seed + k
-            case, joint = draw(name, seed)
-            started = time.perf_counter()
-            diagnosis = diagnose(case.log, case.robot)
-            said = judge(name, seed, case, joint, diagnosis, time.perf_counter() - started)
-            all_said.append(said)
-            told = f"{said.unexplained:.2f} unexplained, {said.share:.0f} times the noise, {said.seconds:.0f} s"
-            print(f"{name} {seed} on {joint}: named {said.named}, ambiguous {said.ambiguous}; {told}", flush=True)
-    tell(folder, "unknown", f"seed {options.seed}", table(all_said), all_said)
-    return 0
+    seed: int = 0
+    logs: int = 10
+    only: Sequence[str] = ()
 
+    def plan(self, rows: Sequence[Said]) -> Iterable[tuple]:
+        """A job per log: its invention and its seed."""
+        names = chosen("only", self.only, INVENTIONS)
+        return [(name, 1000 * self.seed + k) for k in range(self.logs) for name in names]
 
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
+    def run(self, folder: Path, name: str, seed: int) -> Iterable[Said]:
+        """Draw, diagnose, judge one log."""
+        case, joint = draw(name, seed)
+        started = time.perf_counter()
+        diagnosis = diagnose(case.log, case.robot)
+        yield judge(name, seed, case, joint, diagnosis, time.perf_counter() - started)
 
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    def line(self, row: Said) -> str:
+        """What was said of a log."""
+        told = f"{row.unexplained:.2f} unexplained, {row.share:.0f} times the noise, {row.seconds:.0f} s"
+        return f"{row.invention} {row.seed} on {row.joint}: named {row.named}, ambiguous {row.ambiguous}; {told}"
+
+    def table(self, rows: Sequence[Said]) -> str:
+        """A row per invention, as Markdown."""
+        lines = [
+            "| hidden | logs | something named | only ambiguous | no claim | said to be unexplained | named most |"
+        ]
+        lines.append("|---|" + "---:|" * 5 + "---|")
+        for name in dict.fromkeys(x.invention for x in rows):
+            own = [x for x in rows if x.invention == name]
+            named = sum(bool(x.named) for x in own)
+            unsure = sum(bool(x.ambiguous) and not x.named for x in own)
+            told = sum(x.told for x in own)
+            often = Counter(effect for x in own for effect in {y.split("@")[0] for y in x.named})
+            most = ", ".join(f"{effect} {count}" for effect, count in often.most_common(3)) or "-"
+            none = len(own) - named - unsure
+            lines.append(f"| {name} | {len(own)} | {named} | {unsure} | {none} | {told} | {most} |")
+        named, told = sum(bool(x.named) for x in rows), sum(x.told for x in rows)
+        lines += ["", f"- Something named in {named} of {len(rows)} logs; said to be unexplained in {told}."]
+        return "\n".join(lines)

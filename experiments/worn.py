@@ -1,23 +1,11 @@
-"""Worn arms: friction on every joint, links some percent off, and one anomaly or none, on plants that differ.
+"""Worn arms: friction on every joint, links some percent off, and one anomaly or none (worn.md)."""
 
-    python experiments/worn.py [seed=0] [logs=30] [clean=10] [only=backlash,payload] [workers=2] [folder=outputs/worn]
-
-Drawn for every log: the arm, its motion (multisine, moves with rests, constant speed, a random walk), the controller's
-bandwidth, damping and what it knows, the rate, the encoders' bits, and the sizes. Counted are the standard terms of the
-written model that make more than 3 % of their joint's torque (right within 10 %), the anomaly (right or rightly
-ambiguous, as `confusion.matches` says), and anomalies that were named and not hidden.
-"""
-
-import sys
 import time
-import traceback
 import zlib
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -25,8 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import SIZES, Scene, draw_effect, draw_scene, excess, felt, scene_of
 from experiments.confusion import claims, matches
-from experiments.options import only_of, options_of
-from experiments.results import tell
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation import plant
@@ -81,18 +68,6 @@ class RandomWalk(AbstractReference):
         walk *= np.minimum(0.8 * half / np.abs(walk).max(0), self.speed * fastest / speeds)
         path, at = make_interp_spline(t, walk, k=5), np.arange(round(duration * rate)) / rate
         return Motion(middle + path(at), path.derivative(1)(at), path.derivative(2)(at))
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line may say."""
-
-    seed: int = 0
-    logs: int = 30
-    clean: int = 10
-    only: Sequence[str] = ANOMALIES
-    workers: int = 2
-    folder: str = "outputs/worn"
 
 
 @dataclass(frozen=True)
@@ -222,22 +197,19 @@ def _usual(finding: Finding) -> bool:
     return finding.status == "ambiguous" and any(set(one) <= set(STANDARD) for one in finding.alternatives)
 
 
-def count(seed: int, name: str) -> Counted | str:
-    """One log; a traceback where it ends in one."""
-    try:
-        scene, log, worn, anomaly, said, times = drawn(seed, name)
-        started = time.perf_counter()
-        diagnosis = diagnose(log, scene.robot)
-        seconds = time.perf_counter() - started
-        found = claims(diagnosis)
-        result, false = spoken(anomaly, found)
-        names = tuple(_said(f) for f in found if f.effect not in STANDARD)
-        errors = tuple(term_errors(scene, worn, anomaly, diagnosis))
-        hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
-        false = tuple(map(_said, false))
-        return Counted(seed, said, hidden, times, result, names, false, errors, diagnosis.verdict, seconds)
-    except Exception:
-        return f"seed {seed}, {name}: {traceback.format_exc()}"
+def count(seed: int, name: str) -> Counted:
+    """What a diagnosis says of one log."""
+    scene, log, worn, anomaly, said, times = drawn(seed, name)
+    started = time.perf_counter()
+    diagnosis = diagnose(log, scene.robot)
+    seconds = time.perf_counter() - started
+    found = claims(diagnosis)
+    result, false = spoken(anomaly, found)
+    names = tuple(_said(f) for f in found if f.effect not in STANDARD)
+    errors = tuple(term_errors(scene, worn, anomaly, diagnosis))
+    hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
+    false = tuple(map(_said, false))
+    return Counted(seed, said, hidden, times, result, names, false, errors, diagnosis.verdict, seconds)
 
 
 def _said(finding: Finding) -> str:
@@ -245,61 +217,55 @@ def _said(finding: Finding) -> str:
     return f"{finding.effect}{other}@{finding.joint}"
 
 
-def table(counted: Sequence[Counted]) -> str:
-    """A row per anomaly, as Markdown, and what holds for all logs."""
-    lines = ["| anomaly | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
-    for name in dict.fromkeys(c.hidden.split("@")[0] for c in counted):
-        own = [c for c in counted if c.hidden.split("@")[0] == name]
-        cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
-        lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
-    errors = np.array([e for c in counted for e in c.errors])
-    worn = [c for c in counted if c.hidden != "none"]
-    loud = [c for c in worn if c.times > LOUD]
-    right, plain = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud))
-    seconds = sorted(c.seconds for c in counted)
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
-            f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise; "
-            f"{sum(bool(c.false) for c in counted)} of {len(counted)} logs with a false one beside it.",
-            f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
-            f"{100 * np.median(errors) if len(errors) else 0:.2g} %.",
-            f"Seconds a log: median {seconds[len(seconds) // 2]:.0f}, longest {seconds[-1]:.0f}.",
-        ]
-    )
+@dataclass(frozen=True)
+class Worn(AbstractExperiment):
+    """Anomalies on worn arms, in turn, and worn arms without one."""
 
+    row: ClassVar[type] = Counted
 
-def main(argv: Sequence[str]) -> int:
-    """Run as the docstring says."""
-    options = options_of(argv, Options(), __doc__)
-    names = only_of("only", options.only, SIZES)
-    folder, counted = Path(options.folder), []
-    folder.mkdir(parents=True, exist_ok=True)
-    plan = [(1000 * options.seed + k, names[k % len(names)]) for k in range(options.logs)]
-    plan += [(1000 * options.seed + 500 + k, "") for k in range(options.clean)]
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(count, *one) for one in plan]):
-            one = done.result()
-            if isinstance(one, str):
-                print(one, flush=True)
-                continue
-            counted.append(one)
-            print(
-                f"{one.result}: {one.seed} {one.hidden} ({one.times:.1f} times the noise) -> {one.named} "
-                f"({one.said}; {one.seconds:.0f} s, "
-                f"{one.verdict}, terms {100 * max(one.errors, default=0):.0f} %)",
-                flush=True,
-            )
-    counted.sort(key=lambda c: c.seed)
-    if counted:
-        tell(folder, "worn", f"seed {options.seed}", table(counted), counted)
-    return 0
+    seed: int = 0
+    logs: int = 30
+    clean: int = 10
+    only: Sequence[str] = ANOMALIES
 
+    def plan(self, rows: Sequence[Counted]) -> Iterable[tuple]:
+        """A job per log: its seed and its anomaly."""
+        names = chosen("only", self.only, SIZES)
+        plan = [(1000 * self.seed + k, names[k % len(names)]) for k in range(self.logs)]
+        return plan + [(1000 * self.seed + 500 + k, "") for k in range(self.clean)]
 
-if __name__ == "__main__":
-    from invdyn_cli.verbs.screen import use_compilation_cache
+    def run(self, folder: Path, seed: int, name: str) -> Iterable[Counted]:
+        """Draw, diagnose, judge one log."""
+        yield count(seed, name)
 
-    use_compilation_cache()
-    sys.exit(main(sys.argv[1:]))
+    def line(self, row: Counted) -> str:
+        """What was hidden and what was named."""
+        return (
+            f"{row.result}: {row.seed} {row.hidden} ({row.times:.1f} times the noise) -> {row.named} "
+            f"({row.said}; {row.seconds:.0f} s, {row.verdict}, terms {100 * max(row.errors, default=0):.0f} %)"
+        )
+
+    def table(self, rows: Sequence[Counted]) -> str:
+        """A row per anomaly, as Markdown, and what holds for all logs."""
+        lines = ["| anomaly | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
+        for name in dict.fromkeys(c.hidden.split("@")[0] for c in rows):
+            own = [c for c in rows if c.hidden.split("@")[0] == name]
+            cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
+            lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
+        errors = np.array([e for c in rows for e in c.errors])
+        worn = [c for c in rows if c.hidden != "none"]
+        loud = [c for c in worn if c.times > LOUD]
+        right, plain = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud))
+        seconds = sorted(c.seconds for c in rows)
+        return "\n".join(
+            [
+                *lines,
+                "",
+                f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
+                f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise; "
+                f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",
+                f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
+                f"{100 * np.median(errors) if len(errors) else 0:.2g} %.",
+                f"Seconds a log: median {seconds[len(seconds) // 2]:.0f}, longest {seconds[-1]:.0f}.",
+            ]
+        )

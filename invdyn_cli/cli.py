@@ -15,11 +15,17 @@ VERBS = {
     "diagnose": "find what the simulation gets wrong on a log, the causes, and the gain of each correction",
     "excite": "design a trajectory within the joint limits that distinguishes given causes, ready to play",
     "tables": "make the published tables from experiments/*.yaml, with the paper's statements",
+    "experiment": "run one of the experiments, or one of your own, and write its table (without a name: list them)",
     "figures": "draw the published figures, and a page that compares all results with the paper",
     "simulate": "write the log of a simulated arm that stands in for the real one, with hidden effects",
     "control": "test a learned model, adapted or not, in the control loop of the simulated arm",
     "report": "draw the figures and the page of a run again, from its run.h5",
+    "effects": "list the physical effects that a diagnosis looks for, or tell all about one of them",
+    "models": "list the models and adaptations, or tell all about one of them",
+    "completion": "print a script that completes this command line in bash, zsh or fish",
 }
+UNCONFIGURED = ("experiment", "effects", "models", "completion")
+"""Verbs without a config in conf/: they take plain words."""
 
 HELP = """invdyn: learn, adapt and compare inverse dynamics models tau = f(q, qd, qdd)
 
@@ -35,6 +41,7 @@ usage: invdyn VERB [option=value ...]
   invdyn excite robot=urdf robot.path=arm.urdf diagnosis=FOLDER/diagnosis.json
   invdyn control model=pest_friction adaptation=payload
   invdyn run --help                                   all options of a verb
+  invdyn effects coulomb_friction                     its equation, parameters, units, and how to distinguish it
   invdyn --version
 
 Exit code: 0; 1 where a check failed under strict=true; 2 for wrong use or where a job of a sweep failed; 3 for an
@@ -70,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code, as HELP says."""
     argv = list(sys.argv[1:] if argv is None else argv)
     if not argv or argv[0] in ("-h", "--help", "help"):
-        print(HELP.format(verbs="\n".join(f"  {name:<9} {said}" for name, said in VERBS.items())), end="")
+        print(HELP.format(verbs="\n".join(f"  {name:<10} {said}" for name, said in VERBS.items())), end="")
         return 0
     if argv[0] == "--version":
         from importlib.metadata import version
@@ -83,4 +90,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         print(f"invdyn: no verb {verb!r}; allowed: {listed(VERBS)}{closest(verb, VERBS)}", file=sys.stderr)
         return 2
+    if any(a.startswith(("-sc", "--shell-completion")) for a in rest):
+        print(f"invdyn: {verb} has no shell completion of its own. Try: invdyn completion bash", file=sys.stderr)
+        return 2
+    if {"-h", "--help"} & set(rest) and verb not in UNCONFIGURED:
+        return import_module("invdyn_cli.verbs.usage").show(verb, rest)
     return import_module(f"invdyn_cli.verbs.{verb}").main(rest)

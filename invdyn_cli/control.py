@@ -41,12 +41,12 @@ class Sweep:
     """The feedback, and what it is tried on.
 
     Attributes:
-        gains: [1/rad] Kp of a joint is a gain times the standard deviation of its torque in what was learned from.
+        gains: [1/rad] gains to try: Kp of a joint is a gain times the standard deviation of its training torque.
         damping_time: [s] Kd / Kp.
-        velocity_cutoff: [Hz] of the low-pass on the measured velocity.
-        settle: [s] of holding the first posture by the loop itself before the task begins and counts.
-        largest_error: [rad] beyond which the arm is out of control and is stopped.
-        repetitions: of the task, for each.
+        velocity_cutoff: [Hz] cut-off of the first-order low-pass filter on the measured velocity.
+        settle: [s] time for which the loop holds the first posture before the task begins and counts.
+        largest_error: [rad] tracking error at which the arm counts as out of control and is stopped.
+        repetitions: repetitions of the task for each gain, feedforward and object.
     """
 
     gains: Sequence[float] = (100.0, 50.0, 25.0, 12.5, 6.25)

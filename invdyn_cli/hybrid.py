@@ -16,7 +16,12 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 @dataclass(frozen=True)
 class Hybrid(AbstractModel):
-    """Any two models: `base` learns the torque, `learner` its residual."""
+    """Any two models, the second on the residual of the first.
+
+    Attributes:
+        base: model that learns the torque.
+        learner: model that learns the residual of the base.
+    """
 
     base: AbstractModel
     learner: AbstractModel

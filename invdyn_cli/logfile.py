@@ -47,6 +47,8 @@ class RawTrajectory:
         stage: (T,) names or numbers of stages, None where there are none.
         payload_mass: [kg], NaN if unknown.
         notes: what the reader should know.
+        rows: (T,) where its rows stood in the log as recorded, counted over all trajectories; None where nobody counted
+            (`diagnosis.marks`). Not written.
     """
 
     name: str
@@ -60,6 +62,7 @@ class RawTrajectory:
     stage: np.ndarray | None = None
     payload_mass: float = float("nan")
     notes: str = ""
+    rows: np.ndarray | None = None
 
 
 @dataclass(frozen=True, repr=False)

@@ -46,16 +46,17 @@ def load_urdf(
     Joints that are not chosen to move are locked at zero, or at the limit nearest to it, and named in `Robot.notes`.
 
     Args:
-        path: a `.urdf` or `.xacro` file (which may run Python of its own), or the name of a built-in robot.
-        joints: the joints that move, in this order of columns, parents before children.
-        tip: a link or joint; the joints between it and the base move. Without `joints` and `tip` all joints move but
-            those of grippers: mimic joints and what they follow, names as in GRIPPER, short branches at the arm's end.
-        dofs: keep the first so many of these joints and drop all bodies behind them (paper, section V-A).
-        gravity: (3,) [m/s^2] in the base frame; DOWN by default.
-        base_rpy: (3,) [rad] roll, pitch, yaw of a base that does not stand upright, instead of `gravity`.
-        payload: a body on the link behind the last moving joint, in that joint's frame: "mass" [kg], "com" (3,) [m],
-            and, if it is no point mass, "inertia" about its com [kg m^2], (3, 3) or (6,) as in URDF: xx xy xz yy yz zz.
-        dynamics_tags: "use" fills `Robot.damping` and `Robot.friction` from `<dynamics>`, "ignore" leaves them zero.
+        path: a .urdf or .xacro file (xacro may run Python code), or the name of a built-in robot.
+        joints: names of the joints that move, in the order of the columns, parents before children; None: all except a
+            gripper's (mimic joints and what they follow, names as in GRIPPER, short branches at the arm's end).
+        tip: a link or joint; the joints between it and the base move.
+        dofs: keeps that many of these joints, from the base, and drops all bodies behind them (paper, section V-A).
+        gravity: [m/s^2] (3,) in the base frame; None: [0,0,-9.81].
+        base_rpy: [rad] (3,) roll, pitch and yaw of a base that does not stand upright, instead of gravity.
+        payload: body on the last moving link: {mass: kg, com: [x,y,z] m in the last moving joint's frame}, and inertia:
+            [xx,xy,xz,yy,yz,zz] about its com [kg m^2] (or (3, 3)) if it is no point mass.
+        dynamics_tags: use fills `Robot.damping` and `Robot.friction` from the URDF's <dynamics> tags; ignore leaves
+            them zero.
 
     Raises:
         RobotError: if the file cannot be read, or cannot be the robot that is asked for.

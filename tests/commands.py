@@ -8,8 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-ENVIRONMENT = {"XDG_CACHE_HOME": str(ROOT / ".cache"), "JAX_PLATFORMS": "cpu", "COLUMNS": "200"}
-"""What makes commands quick and alike: compiled programs stay in the checkout's .cache, which git ignores."""
+ENVIRONMENT = {
+    "XDG_CACHE_HOME": str(ROOT / ".cache"),
+    "JAX_PLATFORMS": "cpu",
+    "COLUMNS": "200",
+    "INVDYN_PROGRESS": "off",
+}
+"""What makes commands quick and alike: compiled programs stay in the checkout's .cache, which git ignores, and a slow
+machine adds no lines of progress to stderr."""
 
 TINY = ("data.duration=2", "robot.dofs=2")
 """Simulated data that are made at once: two joints, half a second of each task after trimming 500 samples."""

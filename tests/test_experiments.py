@@ -1,26 +1,241 @@
-"""The experiments' own bookkeeping: what is counted as found, where a climb ends, what a command line may say."""
+"""The experiments: their contract and files, how they are run and resumed, and what each counts as found."""
 
+import csv
 import json
-from dataclasses import dataclass
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields
 
 import pytest
+import yaml
 from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 
 from experiments.bench import PARTS
 from experiments.detection import ENOUGH, HIGHEST, STEP, climb, is_found
-from experiments.excite import Settled, least_distance, open_finding
-from experiments.excite import table as excite_table
-from experiments.marked import put
+from experiments.excite import Excite, Settled, least_distance, open_finding
 from experiments.multiple import Counted, f1
-from experiments.options import only_of, options_of
 from experiments.real_diagnosis import JOBS
-from experiments.replay import NOT_HELD, Replayed, names_of
-from experiments.replay import table as replay_table
+from experiments.replay import NOT_HELD, Replay, Replayed, names_of
 from experiments.worn import spoken
+from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Examination, Finding
-from invdyn_cli.verbs.launch import config_folder
-from tests.commands import ROOT, python
+from invdyn_cli.verbs import listing
+from invdyn_cli.verbs.experiment import SHARED, _value, put
+from invdyn_cli.verbs.launch import config_folder, instantiate
+from tests.commands import ENVIRONMENT, ROOT, invdyn, script, tree
+
+SPECS = {name: listing.read(name) for name in sorted(path.stem for path in (ROOT / "experiments").glob("*.yaml"))}
+CLASSES = [name for name, spec in SPECS.items() if "_target_" in spec]
+SUM = """
+import time
+from dataclasses import dataclass
+from invdyn_cli.abstract_experiment import AbstractExperiment
+
+@dataclass(frozen=True)
+class Row:
+    number: int
+    square: float
+
+@dataclass(frozen=True)
+class Sum(AbstractExperiment):
+    row = Row
+    numbers: int = 3
+    broken: int = -1
+    seconds: float = 0.0
+
+    def plan(self, rows):
+        return [(k, self.broken, self.seconds) for k in range(self.numbers)]
+
+    def run(self, folder, k, broken, seconds):
+        if k == broken:
+            raise ValueError("this one is broken")
+        time.sleep(seconds)
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "calls.csv").open("a") as file:
+            file.write(f"{k}\\n")
+        yield Row(k, float(k) ** 2)
+
+    def table(self, rows):
+        return f"sum {sum(x.square for x in rows):g} of {[x.number for x in rows]}"
+"""
+SUM_YAML = """# one of a user's own
+title: Squares
+_target_: experiments.squares.Sum
+numbers: 3    # how many
+broken: -1    # which one fails
+seconds: 0.0  # that each takes
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    """A working folder with an experiment of a user's own; gives a function that runs it."""
+    (tmp_path / "experiments").mkdir()
+    (tmp_path / "experiments" / "squares.py").write_text(SUM)
+    (tmp_path / "experiments" / "squares.yaml").write_text(SUM_YAML)
+    return lambda *argv: invdyn("experiment", "squares", "folder=out", *argv, cwd=tmp_path)
+
+
+def class_of(name):
+    """The class of an experiment."""
+    module, _, found = SPECS[name]["_target_"].rpartition(".")
+    return getattr(__import__(module, fromlist=[found]), found)
+
+
+def calls(folder):
+    """The jobs that were run, in their order."""
+    return [int(row[0]) for row in csv.reader((folder / "out" / "calls.csv").read_text().splitlines())]
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_yaml_and_class_agree(name, monkeypatch):
+    """The YAML of an experiment names each option of its class with its default, and beside them only shared ones."""
+    monkeypatch.delenv("INVDYN_REAL_DATA", raising=False)
+    shared = yaml.safe_load(SHARED)
+    said = {key: value for key, value in SPECS[name].items() if key not in ("title", *shared)}
+    kind = class_of(name)
+    assert set(said) == {"_target_", *(field.name for field in fields(kind))}
+    made = instantiate(OmegaConf.create(said))
+    assert all(_plain(getattr(made, f.name)) == _plain(getattr(kind(), f.name)) for f in fields(kind))
+
+
+def _plain(value):
+    return tuple(value) if isinstance(value, list | tuple) else value
+
+
+@pytest.mark.parametrize("name", sorted(set(CLASSES) - {"transfer", "real_diagnosis"}))
+def test_plans_are_plain_and_refuse_names(name):
+    """A plan has jobs that JSON can hold, no two alike; a name that is not allowed is refused before the first."""
+    kind = class_of(name)
+    jobs = [json.dumps(job) for job in kind().plan(())]
+    assert jobs and len(set(jobs)) == len(jobs)
+    for option in {"only", "effects"} & {field.name for field in fields(kind)}:
+        with pytest.raises(UsageError, match=f"{option}=nothing"):
+            list(kind(**{option: ["nothing"]}).plan(()))
+
+
+def test_experiments_are_listed_with_their_options(own, tmp_path):
+    """`invdyn experiment` lists every experiment, also a user's own, and --help says what an option is."""
+    lines = invdyn("experiment", cwd=tmp_path).stdout.splitlines()
+    listed = " ".join(" ".join(lines).split())
+    assert max(map(len, lines)) <= 80
+    assert all(f" {name} {spec['title']}" in listed for name, spec in SPECS.items())
+    assert " squares Squares" in listed
+    said = own("--help")
+    assert said.returncode == 0 and "numbers: 3    # how many" in said.stdout and "workers: 1" in said.stdout
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_own_experiment_is_resumed(own, tmp_path):
+    """A user's own YAML and class: table, rows and page are written; what has finished is not run again, but with
+    fresh=true; more jobs run only those; changed code runs all."""
+    done = own("numbers=3")
+    assert done.returncode == 0, done.stderr
+    assert "sum 5 of [0, 1, 2]" in done.stdout and "sum 5 of [0, 1, 2]" in (tmp_path / "out/squares.md").read_text()
+    assert json.loads((tmp_path / "out/squares.json").read_text())[2] == {"number": 2, "square": 4.0}
+    assert "sum 14 of [0, 1, 2, 3]" in own("numbers=4").stdout
+    assert calls(tmp_path) == [0, 1, 2, 3]
+    own("numbers=1", "fresh=true")
+    assert calls(tmp_path) == [0, 1, 2, 3, 0]
+    code = tmp_path / "experiments" / "squares.py"
+    code.write_text(code.read_text().replace("** 2", "** 3"))
+    assert "sum 1 of [0, 1]" in own("numbers=2").stdout and calls(tmp_path)[-2:] == [0, 1]
+
+
+def test_the_page_of_own_experiments_is_true(tmp_path):
+    """The example of docs/own_experiments.md runs as it stands, and reports torques in N mm, not those in N m."""
+    blocks = re.findall(r"```(?:yaml|python)\n# (\S+)\n(.*?)```", (ROOT / "docs/own_experiments.md").read_text(), re.S)
+    (tmp_path / "experiments").mkdir()
+    for name, text in blocks:
+        (tmp_path / name).write_text(text)
+    done = invdyn("experiment", "units", "seed=3", "factors=1,1000", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "outputs/units/units.json").read_text())
+    assert [row["reported"] for row in rows] == [False, True]
+
+
+def test_processes_change_nothing_but_time(own, tmp_path):
+    """Two processes give the same table, in the order of the plan."""
+    done = own("numbers=5", "workers=2", "seconds=0.05")
+    assert done.returncode == 0, done.stderr
+    assert "sum 30 of [0, 1, 2, 3, 4]" in done.stdout and sorted(calls(tmp_path)) == [0, 1, 2, 3, 4]
+
+
+def test_a_job_that_fails_leaves_the_others(own):
+    """The failure is told, the other rows are in the table, the exit code is 2."""
+    done = own("broken=1")
+    assert done.returncode == 2 and "this one is broken" in done.stderr and "1 job failed" in done.stderr
+    assert "sum 4 of [0, 2]" in done.stdout
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_keeps_what_has_finished(own, tmp_path, workers):
+    """Ctrl-C ends with exit code 130 and one line; no file is half written, and the finished jobs are not run again."""
+    argv = [sys.executable, script(), "experiment", "squares", "folder=out", "numbers=6", "seconds=0.4"]
+    process = subprocess.Popen(
+        [*argv, f"workers={workers}"],
+        cwd=tmp_path,
+        env={**os.environ, **ENVIRONMENT},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    kept = tmp_path / "out" / "jobs"
+    while process.poll() is None and (not kept.is_dir() or not list(kept.glob("*.json"))):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130 and errors.splitlines() == ["invdyn: stopped"]
+    finished = {json.loads(path.read_text())["rows"][0]["number"] for path in kept.iterdir()}
+    assert finished and not (tmp_path / "out/squares.md").exists()
+    before = tree(kept)
+    assert "sum 55 of" in own("numbers=6", "seconds=0.4").stdout
+    assert before.items() <= tree(kept).items()
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["confusio"], "did you mean 'confusion'?"),
+        (["confusion", "sed=3"], "did you mean 'seed'?"),
+        (["confusion", "logs=x"], "logs=x; allowed: a whole number"),
+        (["confusion", "logs=-1"], "logs=-1; allowed: a number of 0 or more"),
+        (["confusion", "only=payload+payloaf"], "did you mean 'payload'?"),
+        (["worn", "docs=true"], "worn has no table or figure in the docs"),
+        (["worn", "workers=0"], "workers=0; allowed: 1 and more"),
+        (["seed=3"], "seed=3 is no experiment"),
+        (["transfer", "data=nowhere"], "data=nowhere holds none of"),
+        (["batch_simulatd"], "did you mean 'batch_simulated'?"),
+    ],
+)
+def test_wrong_use_is_one_line(argv, said, command, tmp_path):
+    """An unknown experiment, option or value is one line with exit code 2, and nothing is written."""
+    done = command("experiment", *argv)
+    assert done.code == 2 and len(done.err) == 1 and said in done.err[0]
+    assert not list(tmp_path.rglob("*"))
+
+
+def test_lists_and_text_are_read_as_their_defaults_are(command, tmp_path):
+    """noises=0.1,2 are numbers, and a text stays text: what the plan of an experiment gets."""
+    assert _value("0.1,2", [0.003]) == [0.1, 2] and _value("[a,b+c]", []) == ["a", "b+c"]
+    assert _value("3", "../data") == "3" and _value("1e-3", 1.0) == 0.001 and _value("true", False) is True
+
+
+def test_make_passes_options_on():
+    """make confusion seed=3 logs=2, and names with a dash, are the command with these options."""
+    if not shutil.which("make"):
+        pytest.skip("make is not installed")
+    for target, said in (("confusion", "confusion"), ("taken-up", "taken-up"), ("real-diagnosis", "real-diagnosis")):
+        argv = ["make", "-n", "INSTALLED=", target, "seed=3", "only=a,b"]
+        done = subprocess.run(argv, cwd=ROOT, capture_output=True, text=True, check=True)
+        (line,) = done.stdout.splitlines()
+        assert f"invdyn experiment {said} " in line and {"seed=3", "only=a,b"} == set(line.split()[3:])
 
 
 @pytest.mark.parametrize("first", [0.0005, 0.4])
@@ -69,10 +284,11 @@ def test_a_standard_term_is_no_anomaly():
 
 def test_every_part_of_the_benchmark_runs(tmp_path):
     """With few samples: a part prints a ratio, or what has to be installed for it."""
-    done = python(str(ROOT / "experiments" / "bench.py"), "--tiny", "--json", "bench.json", cwd=tmp_path)
+    done = invdyn("experiment", "bench", "tiny=true", "folder=out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    parts = json.loads((tmp_path / "bench.json").read_text())["parts"]
-    assert len(parts) == len(PARTS) and all(x.get("ratio", 0) > 0 or "torch" in x["skipped"] for x in parts.values())
+    parts = json.loads((tmp_path / "out" / "bench.json").read_text())
+    assert [x["part"] for x in parts] == list(PARTS)
+    assert all((x["ratio"] or 0) > 0 or "torch" in x["what"] for x in parts)
 
 
 def test_replays_are_counted():
@@ -81,7 +297,7 @@ def test_replays_are_counted():
         one, other = names_of(0, k)
         assert one != other and not {one, other} & set(NOT_HELD)
     logs = [Replayed(0, ("a@1", "b@2"), (), 1.0, after, 0.1, 1.0, 1.0, 1.0) for after in (0.1, 0.2, 0.3, 1.5)]
-    assert "2 of 4 logs" in replay_table(logs) and "| -50 % |" in replay_table(logs)
+    assert "2 of 4 logs" in Replay().table(logs) and "| -50 % |" in Replay().table(logs)
 
 
 def test_open_cases_are_those_that_hold_the_hidden_effect():
@@ -105,25 +321,7 @@ def test_open_cases_are_those_that_hold_the_hidden_effect():
 def test_the_count_is_of_right_names():
     """Of two cases one is named rightly."""
     rows = [Settled(k, "a@j", ("a|b@j",), 20.0, ("a@j",), how, 1.0) for k, how in ((0, "named"), (1, "ambiguous"))]
-    assert "1 of 2 ambiguous cases are named rightly" in excite_table(rows, [], 5)
-
-
-@dataclass(frozen=True)
-class _Options:
-    seed: int = 0
-    noises: tuple[float, ...] = (0.1,)
-    docs: bool = False
-
-
-def test_options_are_read_and_wrong_ones_refused(capsys):
-    """name=value as the defaults' types have it; anything else ends with one line and exit code 2."""
-    assert options_of(["seed=3", "noises=0.1,2", "docs=true"], _Options(), None) == _Options(3, (0.1, 2.0), True)
-    for wrong in ("sed=3", "seed=x", "docs=yes", "seed"):
-        with pytest.raises(SystemExit) as stopped:
-            options_of([wrong], _Options(), None)
-        assert stopped.value.code == 2 and len(capsys.readouterr().err.splitlines()) == 1
-    with pytest.raises(SystemExit):
-        only_of("only", ["c"], "ab")
+    assert "1 of 2 ambiguous cases are named rightly" in Excite().table(rows)
 
 
 def test_results_are_put_between_markers(tmp_path):
@@ -132,13 +330,14 @@ def test_results_are_put_between_markers(tmp_path):
     page.write_text("a\n<!-- x -->\nold\n<!-- /x -->\nb\n")
     put(page, "x", "new\n")
     assert page.read_text() == "a\n<!-- x -->\nnew\n<!-- /x -->\nb\n"
-    with pytest.raises(ValueError):
+    with pytest.raises(UsageError):
         put(page, "y", "new")
 
 
-@pytest.mark.parametrize("page, name", [("docs/diagnosis.md", "detection"), ("experiments/real_diagnosis.md", "found")])
-def test_pages_have_the_markers_that_are_written(page, name, tmp_path):
-    """What `make detection` and `make real-diagnosis` write in place has its place."""
+@pytest.mark.parametrize("name", [name for name in CLASSES if class_of(name).page])
+def test_pages_have_the_markers_that_are_written(name, tmp_path):
+    """What docs=true writes in place has its place."""
+    page = class_of(name).page
     copy = tmp_path / "page.md"
     copy.write_text((ROOT / page).read_text())
     put(copy, name, "new")

@@ -33,7 +33,8 @@ def test_holds_configs_experiments_and_robots(wheel):
 
 
 def test_works_from_an_empty_folder(wheel, tmp_path):
-    """Installed elsewhere, `invdyn run` works in an empty folder, with the wheel's own code and configs."""
+    """Installed elsewhere, `invdyn run` works in an empty folder, with the wheel's own code and configs, and so does an
+    experiment of the wheel, in processes of its own."""
     installed, empty = tmp_path / "installed", tmp_path / "empty"
     empty.mkdir()
     done = python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), str(wheel), cwd=empty)
@@ -44,3 +45,10 @@ def test_works_from_an_empty_folder(wheel, tmp_path):
     done = python(script(installed / "bin"), "run", "model=pest", *TINY, cwd=empty, PYTHONPATH=str(installed))
     assert done.returncode == 0, done.stderr
     assert (empty / done.stdout.splitlines()[-1] / "metrics.json").is_file()
+    argv = ("experiment", "gear_play", "workers=2")
+    done = python("-P", script(installed / "bin"), *argv, cwd=empty, PYTHONPATH=str(installed))
+    assert done.returncode == 0, done.stderr
+    assert (empty / "outputs" / "gear_play" / "gear_play.png").is_file()
+    code = "from invdyn_cli.verbs.listing import path_of; print(path_of('gear_play'))"
+    where = python("-c", code, cwd=empty, PYTHONPATH=str(installed))
+    assert Path(where.stdout.strip()).is_relative_to(installed)

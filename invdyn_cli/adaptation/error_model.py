@@ -15,9 +15,9 @@ class ErrorModel(AbstractAdapter):
     """tau = model + learner, equations 9 and 10: the model is learned once, the learner goes on.
 
     Attributes:
-        learner: of the residual.
-        adapted: whether the learner goes on learning, or stays as it was pretrained.
-        incremental: how.
+        learner: model that learns the residual of the main model.
+        adapted: whether the learner goes on learning; otherwise it stays as pretrained.
+        incremental: how the learner goes on learning, see adaptation=incremental.
     """
 
     learner: AbstractModel

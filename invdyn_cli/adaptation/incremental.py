@@ -19,10 +19,12 @@ class Incremental(AbstractAdapter):
     """The delta rule (Widrow and Hoff 1960): steps down the gradient of the squared error, on new samples alone.
 
     Attributes:
-        rate: new samples after which the nets learn from them, and forget them (the paper's lambda).
-        batch_size, epochs: of that learning; a last batch that is not full waits for the next epoch's shuffle.
-        learning_rate: of a step, errors in units of the learned torques' standard deviation.
-        seed: of the shuffles.
+        rate: [samples] number of new samples that are learned from at once and then discarded (lambda in the paper).
+        batch_size: [samples] size of a batch; a last, incomplete one waits for the next epoch's shuffle.
+        epochs: passes over the new samples.
+        learning_rate: [-] step size of gradient descent, for errors in units of the training torques' standard
+            deviation.
+        seed: random seed of the shuffles.
     """
 
     rate: int = 100

@@ -44,13 +44,14 @@ class Payload(AbstractAdapter):
     """A bank of three: no load, the load as estimated, the last load that was put down.
 
     Attributes:
-        mass, size: what loads are like: [kg] of a heavy one, [m] from the last joint's frame to its far end, roughly.
-        window: [samples] of the stretch in which a load is looked for.
-        rest_speed: [rad/s; m/s] at which a joint's friction hides a third of what it hides at rest.
-        surety: log-likelihood ratio [nats] beyond which a change is believed, at least.
-        margin: the same, as a multiple of the highest that motions without a load reached.
-        observer: [samples] in which the disturbance is followed; None: not at all.
-        rate: samples for which predictions come from one and the same state.
+        mass: [kg] mass of a heavy load, roughly.
+        size: [m] distance from the last joint's frame to the far end of a load, roughly.
+        window: [samples] length of the window in which a load is detected.
+        rest_speed: [rad/s; m/s] speed at which friction hides a third of what it hides at rest.
+        surety: [nats] smallest log-likelihood ratio at which a change is accepted.
+        margin: [-] the same, as a multiple of the largest ratio in motions without a load.
+        observer: [samples] time constant of the disturbance observer on the residual; None: no observer.
+        rate: [samples] predictions within that many samples use the same state.
     """
 
     mass: float = 3.0

@@ -45,16 +45,23 @@ class PickPlace(AbstractSource):
     """Recordings unloaded_1, … and loaded_1, … of one arm, stages and all.
 
     Attributes:
-        repetitions: so many of each kind.
-        watched: so many more without the object, to watch what is learned (validation).
-        mass, com: of the object [kg], in the last link's frame [m].
-        ramp: [s] in which the object comes, and goes, drawn between these.
-        friction, elastic, ripple: whether the arm has them; sizes in `ARM`.
-        torque_side: command: of the motors, friction and all; link: of sensors behind friction and gears.
-        position_noise, torque_noise: [rad], [N m] rms, white, torques as shares of each joint's Coulomb friction.
-        seed: of motions, noise and grasps.
-        cache: folder where the log is kept, written once; None simulates it anew each time.
-        filter_cutoff, filter_order, causal, torque_lag, decimate: as in data=real_log; torque_lag=1 is the paper's.
+        repetitions: number of repetitions of the task without the object (training), and again with it (test).
+        watched: number of further repetitions without the object, for validation.
+        mass: [kg] mass of the object.
+        com: [m] centre of mass of the object in the last link's frame.
+        ramp: [s] shortest and longest time in which the object's weight comes and goes; drawn at random in between.
+        friction: whether every joint has Coulomb, Stribeck and viscous friction (sizes: `ARM`).
+        elastic: whether the gears are elastic, with rotors before them.
+        ripple: whether the gears have torque ripple.
+        torque_side: where the torque is measured: command (motors, with friction) or link (sensors behind friction and
+            gears).
+        position_noise: [rad] RMS of white noise on the measured positions, which the controller sees too.
+        torque_noise: [-] RMS of white noise on the logged torque, as a share of each joint's Coulomb friction.
+        seed: random seed of motions, grasps and noise.
+        cache: folder in which the simulated log is kept; None: it is simulated anew each time.
+        filter_cutoff, filter_order, causal: as in data=real_log.
+        torque_lag: [samples] the state at t is paired with the torque that many samples earlier (1: paper, V-A.3).
+        decimate: as in data=real_log.
     """
 
     repetitions: int = 10

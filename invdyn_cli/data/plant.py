@@ -27,21 +27,26 @@ class Plant(AbstractSource):
     """Recordings trajectory_1, trajectory_2, … of one simulated arm.
 
     Attributes:
-        effects: what is hidden in it, each {"effect": name, "joint": name, parameter: value, …}, see docs/plant.md;
-            what comes and goes also has a "window": [from, to] [s], and may have a "trajectory".
-        reference: "multisine", "pick_place", "constant_speed", or such an object with options of its own.
-        trajectories, duration: how many, of how long [s].
-        rate: [Hz] of the controller and the log.
-        substeps: steps of the physics per sample.
-        position_noise, velocity_noise, torque_noise: [rad; m], [rad/s; m/s], [N m; N] rms, white, one number or one for
-            each joint; velocity_noise=None logs no velocities.
-        position_quantum, torque_quantum: [rad; m], [N m; N] whole steps of what is measured; 0: none.
-        torque_side: command, motor (what was asked for) or link (behind friction and gear).
-        position_side: motor, link (behind the gear) or unknown (the motor's, too).
-        link_encoder: log the links' angles beside the motors'.
-        control_frequency: [Hz] bandwidth of the feedback; None: 4, less where torques come late.
-        controller_knows: "arm" (what is hidden, too) or "nominal".
-        seed: of references and noise; trajectories count on from it.
+        effects: hidden effects, a list of {effect: name, joint: name, parameter: value, …} (docs/plant.md); one that
+            comes and goes also has window: [from, to] in seconds, and may have a trajectory.
+        reference: reference motion: multisine, pick_place or constant_speed, or such an object with options of its own.
+        trajectories: number of recordings, each with its own random motion.
+        duration: [s] length of each recording.
+        rate: [Hz] rate of the controller and of the log.
+        substeps: physics steps per sample.
+        position_noise: [rad; m] RMS of white noise on the positions, which the controller sees too; one number, or one
+            for each joint.
+        velocity_noise: [rad/s; m/s] RMS of white noise of a velocity sensor; None: velocities are not logged.
+        torque_noise: [N m; N] RMS of white noise on the logged torque.
+        position_quantum: [rad; m] resolution of the encoders; 0: none.
+        torque_quantum: [N m; N] resolution of the logged torque; 0: none.
+        torque_side: where the torque is measured: command or motor (the same here), or link (behind friction and gear).
+        position_side: where the position is measured: motor or unknown (the same here), or link (behind an elastic
+            gear).
+        link_encoder: whether the links' angles are logged too, as q_link (for position_side=motor).
+        control_frequency: [Hz] bandwidth of the feedback; None: 4, or less with delayed torques.
+        controller_knows: model of the feedforward: arm (with the hidden effects) or nominal (tracking is then worse).
+        seed: random seed of motions and noise; the trajectories count on from it.
         train, validation, test, train_share, validation_share, derivatives, filter_cutoff, filter_order, causal,
             torque_lag, decimate: as in data=real_log.
     """

@@ -25,21 +25,31 @@ class RealLog(AbstractSource):
     With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
 
     Attributes:
-        path: the log, or several.
-        train, validation, test: selections, or None.
-        reference: what `invdyn diagnose` compares with, selections of trajectories or another log; a run ignores it.
-        train_share, validation_share: shares of time, where nothing was selected.
-        derivatives: "logged"; "positions": central differences of filtered positions; "auto": logged where possible.
-        filter_cutoff: [Hz] of the zero-phase low-pass on all channels, None for no filter.
-        filter_order: order of that Butterworth filter, which goes forth and back.
-        causal: nothing looks ahead, as in a control loop: the filter goes forth alone.
-        torque_lag: pairs the state at t with the torque so many samples before (1: paper, section V-A) [uniform clock].
-        decimate: keeps every n-th sample, after the filter.
-        drive_gain: (n,) [N m/A], in place of the logs'.
-        rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
-        max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
-        max_size: [GB] that a log's trajectories may hold.
-        columns: the column map of files in other formats than invdyn's, a YAML file or its entries; None: guessed.
+        path: the log, or a list of logs of one robot.
+        train: trajectories to learn from, a list of name or name[t0:t1] in seconds (an end may be left open); None: see
+            train_share.
+        validation: trajectories that are watched during training and never learned from; None: see validation_share.
+        test: trajectories that the scores are computed on; None: all that train does not name, or see train_share.
+        reference: earlier log of the same robot, or selected trajectories of this log; `invdyn diagnose` reports only
+            what has changed since, `invdyn run` ignores it.
+        train_share: [-] first share of each trajectory's time to learn from if nothing is selected; the rest is the
+            test set.
+        validation_share: [-] last share in time of every training block that is used for validation instead; 0: none.
+        derivatives: source of velocity and acceleration: logged, positions (central differences of filtered positions)
+            or auto (logged if there are any).
+        filter_cutoff: [Hz] cut-off of the zero-phase low-pass filter on positions, derivatives and torques; None: no
+            filter.
+        filter_order: [-] order of that Butterworth filter, which runs forward and backward.
+        causal: whether the filter runs forward only, as in a control loop, so that no sample depends on later ones.
+        torque_lag: [samples] the state at t is paired with the torque that many samples earlier, on a uniform clock (1:
+            paper, section V-A).
+        decimate: [samples] keeps every n-th sample, after the filter.
+        drive_gain: [N m/A] torque constants (n,), one for each joint, instead of the log's.
+        rate: [Hz] rate of the uniform clock; None: the nominal rate, or that of the median step if they differ by over
+            20 %.
+        max_gap: [s] a longer step splits a trajectory; nothing is interpolated across it.
+        max_size: [GB] largest size of the trajectories of a log.
+        columns: column map of a file in another format: a YAML file, or its entries; None: guessed, and shown.
     """
 
     path: str | Sequence[str]

@@ -59,16 +59,20 @@ class SineTasks(AbstractSource):
     """The simulated data of section V-A.
 
     Attributes:
-        noisy: whether the positions are truncated after the fifth decimal.
-        split: interpolation (tested on 0.5 and 0.6 Hz) or extrapolation (0.7 and 0.8 Hz).
-        plan: rich or paper, see `PLANS`.
-        filter: backward, central or savgol; None takes the plan's.
-        savgol_window, savgol_order: of filter=savgol [samples; degree].
-        validation_share: the middle part of every learned task is watched instead, as a block.
-        duration, rate, trim: length of a task [s], sampling [Hz], samples dropped at either end.
-        decimals: kept by the truncation.
-        jitter: spread [rad] by which every task's phases differ from the others'. Without it all tasks run along one
-            path through q, faster or slower, and a model that knows the path needs no accelerations.
+        noisy: whether the positions are truncated after `decimals` decimals (paper, V-A.2).
+        split: test frequencies: interpolation (0.5 and 0.6 Hz) or extrapolation (0.7 and 0.8 Hz; paper, Table II).
+        plan: rich (amplitudes of 0.8 to 1 rad, central differences) or paper (0.4 to 0.6 rad, backward differences),
+            see `PLANS`.
+        filter: differentiation: backward, central or savgol (Savitzky-Golay); None: the one of the plan.
+        savgol_window: [samples] length of the window, for filter=savgol.
+        savgol_order: [-] degree of the polynomial, for filter=savgol.
+        validation_share: [-] middle share of every training task that is used for validation instead.
+        duration: [s] length of a task.
+        rate: [Hz] sampling rate.
+        trim: [samples] dropped at either end of a task.
+        decimals: [-] decimals of the positions that the truncation keeps.
+        jitter: [rad] spread by which the phases of the tasks differ. With 0 all tasks run along one path through q, at
+            eight speeds, and a model that knows the path needs no accelerations.
     """
 
     noisy: bool = False

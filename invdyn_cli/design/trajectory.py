@@ -300,6 +300,11 @@ def _contest(robot: Robot, questions, known, usual: Usual, noise, cutoffs) -> Co
     return Contest(robot, questions, known, usual, weights, bands, contest.pairs_of(questions))
 
 
+def usual_of(robot: Robot) -> Usual:
+    """What the joints of a robot usually do, over postures within their limits."""
+    return _room_and_usual(robot, np.random.default_rng(0))[1]
+
+
 def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usual, Postures]:
     middle, half, speed = room(robot)
     q = draw.uniform((middle - half)[:, None], (middle + half)[:, None], (robot.dofs, POSTURES))

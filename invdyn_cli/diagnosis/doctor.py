@@ -1,10 +1,10 @@
 """The doctor: is this log sane, what can be mended in it, and what does it excite?
 
-Checks are asked in turn, and each sees the log as those before it have mended it: torques are judged when the clock and
-the units are right. `mend` goes through the same mendings by what an examination found, and says each in one sentence.
+Checks are asked in turn, and each sees the log as those before it have corrected it: torques are judged when the clock
+and the units are right.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -64,7 +64,25 @@ FAULT = "a fault of invdyn, not of the log"
 def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS) -> Examination:
     """What there is to say of a log; without a robot, what can be told without one.
 
-    `usable` is true where nothing that fails remains after mending, and the mended log can be computed with.
+    `usable` is true where nothing that fails remains after correction, and the corrected log can be computed with.
+
+    Raises:
+        RobotError: if the robot has another number of joints than the log.
+    """
+    return correct(log, robot, checks)[1]
+
+
+def correct(
+    log: Log,
+    robot: Robot | None,
+    checks: Sequence[AbstractCheck] = CHECKS,
+    follow: Callable[[Log, Sequence[Check]], None] | None = None,
+    mends: bool = True,
+) -> tuple[Log, Examination]:
+    """The log with all that is certain put right and hopeless trajectories left out, and what there is to say of it.
+
+    The corrected log passes `logfile.refuse_defects` where the examination calls it usable. `follow` is told every
+    check's findings, and the log that it saw. Without `mends` nothing is put right.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.
@@ -72,51 +90,33 @@ def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHE
     _refuse_other(log, robot)
     found: list[Check] = []
     hopeless = False
-    patient, notes = _worded(log)
+    log, notes = _worded(log) if mends else (log, [])
     corrections = [{"check": "header", "done": note} for note in notes]
     with np.errstate(all="ignore"):
         for check in checks:
-            seen = _asked(check, patient, robot)
+            seen = _asked(check, log, robot)
             found += seen if seen or check.again else [Check(check.name, "ok", seen="nothing seen")]
-            patient, notes = check.mend(patient, _mendable(seen), robot)
-            corrections += [{"check": check.name, "done": note} for note in notes]
-            if any(one.severity == "fail" for one in seen):
-                hopeless |= any(one.severity == "fail" for one in _asked(check, patient, robot))
+            mine = _mendable(seen)
+            if follow is not None:
+                follow(log, mine)
+            failed = any(one.severity == "fail" for one in seen)
+            if mends:
+                log, notes = check.mend(log, mine, robot)
+                corrections += [{"check": check.name, "done": note} for note in notes]
+            hopeless |= failed and (not mends or any(one.severity == "fail" for one in _asked(check, log, robot)))
         try:
-            refuse_defects(patient, "the mended log")
+            refuse_defects(log, "the corrected log" if mends else "the log")
         except LogError as error:
             found.append(_unreadable(error))
             hopeless = True
-        usable = not hopeless and bool(patient.trajectories)
-        excitation = Excitation().measure(patient, robot) if patient.trajectories else {}
-    return Examination(usable, _ordered(found), excitation, tuple(corrections))
+        usable = not hopeless and bool(log.trajectories)
+        excitation = Excitation().measure(log, robot) if log.trajectories and (mends or usable) else {}
+    return log, Examination(usable, _ordered(found), excitation, tuple(corrections))
 
 
-def mend(
-    log: Log, examination: Examination, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS
-) -> tuple[Log, tuple[str, ...]]:
-    """The log with all that is certain put right, hopeless trajectories left out, and a sentence for every mending.
-
-    What comes back passes `logfile.refuse_defects` where the examination calls it usable.
-    """
-    corrected, notes = _worded(log)
-    for _, _, corrected, said in mendings(log, examination, robot, checks):  # noqa: B007
-        notes += said
-    return corrected, tuple(notes)
-
-
-def mendings(
-    log: Log, examination: Examination, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS
-) -> Iterator[tuple[Log, list[Check], Log, list[str]]]:
-    """For every check the log that it sees, its findings, the log as it corrects it, and a sentence for each
-    correction."""
-    log, _ = _worded(log)
-    for check in checks:
-        mine = _mendable([one for one in examination.checks if one.check == check.name])
-        with np.errstate(all="ignore"):
-            corrected, said = check.mend(log, mine, robot)
-        yield log, mine, corrected, said
-        log = corrected
+def done(examination: Examination) -> tuple[str, ...]:
+    """A sentence for every correction."""
+    return tuple(one["done"] for one in examination.corrections)
 
 
 def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:

@@ -54,24 +54,27 @@ class Mark:
     label: str
 
 
-def located(log: Log, examination: Examination, robot: Robot | None) -> tuple[Log, tuple[Mark, ...]]:
-    """The log as corrected, and a mark for every finding that has a place in it.
+def located(log: Log, robot: Robot | None, *, correct: bool = True) -> tuple[Log, Examination, tuple[Mark, ...]]:
+    """The log as corrected, what the doctor says of it, and a mark for every finding that has a place in it; nothing is
+    corrected where `correct` is False.
 
-    `stage` of the corrected trajectories holds the rows that they had in the log as recorded, counted over all of its
-    trajectories.
+    `rows` of the corrected trajectories says where their rows stood in the log as recorded.
+
+    Raises:
+        RobotError: if the robot has another number of joints than the log.
     """
     ends = np.cumsum([len(raw.t) for raw in log.trajectories], dtype=int)
-    log = replace(log, trajectories=tuple(
-        replace(raw, stage=np.arange(end - len(raw.t), end)) for raw, end in zip(log.trajectories, ends, strict=True)
-    ))  # fmt: skip
-    found, told, corrected = [], [], log
-    for before, mine, after, _ in doctor.mendings(log, examination, robot):
-        corrected = after
-        for one in mine:
-            if not any(one is x for x in told):
-                told.append(one)
-                found += _marks(before, one)
-    return corrected, (*_merged(found), *_at_rest(corrected))
+    counted = tuple(
+        replace(raw, rows=np.arange(end - len(raw.t), end)) for raw, end in zip(log.trajectories, ends, strict=True)
+    )
+    found: list[Mark] = []
+
+    def follow(seen: Log, findings: Sequence[Check]) -> None:
+        for one in findings:
+            found.extend(_marks(seen, one))
+
+    corrected, examination = doctor.correct(replace(log, trajectories=counted), robot, follow=follow, mends=correct)
+    return corrected, examination, (*_merged(found), *(_at_rest(corrected) if correct or examination.usable else ()))
 
 
 def _marks(log: Log, one: Check) -> Iterator[Mark]:
@@ -90,9 +93,9 @@ def _marks(log: Log, one: Check) -> Iterator[Mark]:
             mine = [
                 raw
                 for raw in log.trajectories
-                if raw.stage is not None and (one.trajectory in (None, raw.name) or one.check == "saturation")
+                if raw.rows is not None and (one.trajectory in (None, raw.name) or one.check == "saturation")
             ]  # of it only the worst is told
-            chosen = [np.asarray(raw.stage)[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
+            chosen = [np.asarray(raw.rows)[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
             rows = np.concatenate([np.arange(0), *chosen])
         yield Mark(one.check, one.severity, channel, joint, rows, _label(one))
 
@@ -134,7 +137,7 @@ def _label(one: Check) -> str:
         "duplicates": "stamps out of order" if one.severity == "fail" else "repeated rows",
         "sign_error": "opposite sign" if one.severity == "fail" else "sign in doubt",
         "unit_error": one.meaning.split(":")[0],
-        "gravity_removed": "without gravity",
+        "gravity_removed": "without gravity" if one.severity == "fail" else "perhaps without gravity",
         "command_copies_measurement": "a copy",
         "too_short": f"{number} s: too short",
         "derivative_consistency": "not q's derivative" if one.severity == "fail" else "differs from q's derivative",
@@ -194,6 +197,6 @@ def _at_rest(log: Log) -> Iterator[Mark]:
             still = np.ptp(blocks, axis=1) < Excitation().rest * REST
             for a, b in runs(still):
                 if b - a > 1:
-                    rows.append(np.asarray(raw.stage)[a * size : b * size])
+                    rows.append(np.asarray(raw.rows)[a * size : b * size])
         if rows:
             yield Mark("at_rest", "", "q", joint, np.concatenate(rows), "at rest")

@@ -76,10 +76,10 @@ def diagnose(
     """
     options = options or Options()
     gained, log, reference = _gained(log, reference, robot, windows, options)
-    examination = doctor.examine(log, robot)
+    log, examination = doctor.correct(log, robot)
     if not examination.usable:
         return _unusable(examination, ())
-    log, notes = doctor.mend(log, examination, robot)
+    notes = doctor.done(examination)
     corrected = (*log.history, *notes)
     notes = notes if gained is None else (gained.note(), *notes)
     progress(0.1, "checked")
@@ -185,7 +185,7 @@ def _gained(
     wrong gain is not looked for then: all of them are fitted."""
     if not gains.lacks(log):
         return None, log, reference
-    mended, _ = doctor.mend(log, doctor.examine(log, robot), robot)
+    mended, _ = doctor.correct(log, robot)
     try:
         found = gains.estimated(mended, robot, _typical_inertia(robot), windows, options.conditioning)
     except (LogError, ValueError):
@@ -257,11 +257,10 @@ def _typical_inertia(robot: Robot) -> np.ndarray:
 
 def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
     """The log with the reference's trajectories beside its own, in a role of their own."""
-    examination = doctor.examine(reference, robot)
+    reference, examination = doctor.correct(reference, robot)
     if not examination.usable:
         failed = [c.seen for c in examination.checks if c.severity == "fail"]
         raise LogError(f"the reference cannot be used: {listed(failed)}", advice="another data.reference")
-    reference, notes = doctor.mend(reference, examination, robot)
     reference, log = in_newton_metres(reference), in_newton_metres(log)
     if windows is None:
         share = options.conditioning.train_share
@@ -272,7 +271,7 @@ def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
         }
     renamed = tuple(replace(x, name=f"reference/{x.name}") for x in reference.trajectories)
     windows = {**windows, "reference": [(x.name, -np.inf, np.inf) for x in renamed]}
-    return replace(log, trajectories=(*log.trajectories, *renamed)), windows, notes
+    return replace(log, trajectories=(*log.trajectories, *renamed)), windows, doctor.done(examination)
 
 
 def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:

@@ -10,7 +10,7 @@ from rich.text import Text
 from invdyn_cli import store
 from invdyn_cli.data import raw
 from invdyn_cli.diagnosis import doctor
-from invdyn_cli.diagnosis.marks import located
+from invdyn_cli.diagnosis.marks import Mark, located
 from invdyn_cli.functions.arrays import Arrays
 from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import Progress, silent
@@ -34,7 +34,7 @@ class CheckResult(Shown):
         robot: None where there is none.
         examination: every check, what the motion excites.
         corrected: the log with all corrections, as a diagnosis takes it.
-        corrections: one sentence for each.
+        marks: where in the log the findings are.
         notes: what the reader should know beside.
     """
 
@@ -42,7 +42,7 @@ class CheckResult(Shown):
     robot: Robot | None
     examination: Examination
     corrected: Log
-    corrections: tuple[str, ...]
+    marks: tuple[Mark, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -55,18 +55,21 @@ class CheckResult(Shown):
         """Every check with severity, place, value and advice."""
         return self.examination.checks
 
+    @property
+    def corrections(self) -> tuple[str, ...]:
+        """A sentence for every correction."""
+        return doctor.done(self.examination)
+
     def __rich__(self) -> Group:
-        return Group(*(Text(x, "dim") for x in self.notes), shown(self.examination, self.corrections))
+        return Group(*(Text(x, "dim") for x in self.notes), shown(self.examination))
 
     def save(self, folder: str | Path, progress: Progress = silent) -> Path:
         """Write check.json, report.html and figures/ into the folder, as `invdyn check` does; the page's path."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        corrected, marks = located(self.log, self.examination, self.robot)
         progress(0.8, "report")
-        figures, lacking = check_figures.draw_all(
-            CheckedLog(self.log, corrected, marks, self.robot), folder / "figures"
-        )
+        checked = CheckedLog(self.log, self.corrected, self.marks, self.robot)
+        figures, lacking = check_figures.draw_all(checked, folder / "figures")
         notes = [*self.notes, *lacking]
         page = check_page.write_page(self.examination, self.log, self.robot, figures, folder / REPORT, notes)
         store.write_check(self.examination, folder / CHECK)
@@ -74,24 +77,26 @@ class CheckResult(Shown):
         return page
 
 
-def check(log: LogLike | None = None, robot: RobotLike | None = None, **arrays: Unpack[Arrays]) -> CheckResult:
+def check(
+    log: LogLike | None = None, robot: RobotLike | None = None, *, correct: bool = True, **arrays: Unpack[Arrays]
+) -> CheckResult:
     """Check a recording; nothing in it is too broken to be described.
 
     Args:
         log: a log or the path of a file in any format; or arrays: `q=, tau=, t=, urdf=` as in `from_arrays`.
         robot: a robot or the path of its URDF; None: the one that the log names, or none.
+        correct: False: the log is examined as recorded; nothing is corrected.
 
     Raises:
         UsageError, LogError, RobotError: for what cannot be read at all, or does not belong together.
     """
     found = log_of(log, **arrays)
-    return examine([found], robot_of(robot, found, arrays))
+    return examine([found], robot_of(robot, found, arrays), correct=correct)
 
 
-def examine(logs: list[Log], robot: Robot | None) -> CheckResult:
+def examine(logs: list[Log], robot: Robot | None, *, correct: bool = True) -> CheckResult:
     """Check logs of one robot together."""
     notes = list(robot.notes) if robot else [NO_ROBOT]
     log = raw.merged(logs, robot, notes)
-    examination = doctor.examine(log, robot)
-    corrected, corrections = doctor.mend(log, examination, robot)
-    return CheckResult(log, robot, examination, corrected, tuple(corrections), tuple(notes))
+    corrected, examination, marks = located(log, robot, correct=correct)
+    return CheckResult(log, robot, examination, corrected, marks, tuple(notes))

@@ -75,7 +75,7 @@ class DiagnosisResult(Shown):
         parts: list = [Text(note, "dim") for note in self.notes]
         parts.append(diagnosis_tables.verdict_line(diagnosis))
         if diagnosis.verdict == "log_unusable":
-            parts.append(shown(diagnosis.examination, ()))
+            parts.append(shown(diagnosis.examination))
         else:
             tables = (diagnosis_tables.finding_table, diagnosis_tables.standard_table, diagnosis_tables.error_table)
             parts += [x for x in (table(diagnosis) for table in tables) if x is not None]

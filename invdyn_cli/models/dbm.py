@@ -33,20 +33,22 @@ class Dbm(AbstractModel):
     whose cores are the displacements of an unknown chain (`maths.chains`).
 
     Attributes:
-        form: naive, structured or shared, dense tensors of 5^n; chain, a train of 16 n numbers. "auto" takes shared up
-            to five joints and chain beyond.
-        basis: of dense tensors, trig, or bezier centred on the angles that were learned from.
-        solver: of dense tensors, lstsq (plain, singular values down to rounding), tsvd (fewer of them), or ridge.
-        strength: of tsvd (share of the largest singular value) or ridge (of its square); None chooses it by leaving out
-            each trajectory in turn (of a single one, each fifth).
-        weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque where joints share
-            coefficients; "none" does not.
-        friction: "coulomb_viscous" adds the columns sign(qd), a ramp within `regression.REST_SPEED`, and qd for every
-            joint.
-        offset: adds a constant torque per joint.
-        rotor_inertia: adds a column qdd per joint to a chain; dense tensors have it, a constant of H_ii.
-        searches: for a chain, at most; they end when two came to the same one.
-        memory: what solving dense tensors may take [GB].
+        form: naive, structured or shared (dense tensors of 5^n numbers, from the largest to the smallest), chain (a
+            tensor train of 16 n numbers), or auto: shared up to five joints, chain beyond.
+        basis: basis functions of dense tensors: trig, or bezier, centred on the training angles (better conditioned,
+            extrapolates less).
+        solver: least squares of dense tensors: ridge, tsvd (truncated), or lstsq (plain, diverges where the data
+            contain no information).
+        strength: [-] regularisation: of tsvd a share of the largest singular value, of ridge of its square; None:
+            chosen by leaving out each trajectory in turn (of a single one, each fifth).
+        weighting: torque_spread divides the rows of each joint by the standard deviation of its torque if joints share
+            coefficients; none does not.
+        friction: coulomb_viscous adds the columns sign(qd), a ramp within `regression.REST_SPEED`, and qd for each
+            joint; or none.
+        offset: whether a constant torque per joint is fitted.
+        rotor_inertia: whether a term in qdd per joint is fitted, for form=chain; the dense forms contain it.
+        searches: largest number of searches for a chain; they end when two agree.
+        memory: [GB] memory that the solution of dense tensors may take.
     """
 
     needs_robot = False

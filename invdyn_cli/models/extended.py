@@ -99,6 +99,10 @@ class Extended(AbstractModel):
 def read(path: str, effects: Sequence[AbstractEffect] = ()) -> Extended:
     """The model of an extended_model.json, with the user's own effects that it names.
 
+    Args:
+        path: the extended_model.json that `invdyn diagnose` wrote.
+        effects: your own effects that the file names, each {_target_: module.Class}, as in diagnosis.effects.
+
     Raises:
         UsageError: if there is no such file, or it holds no such model.
     """

@@ -37,12 +37,14 @@ class Ffnn(AbstractModel):
     """Per-joint nets (3 n inputs, hidden layers with ReLU, 1 output), inputs and targets standardised, Adam.
 
     Attributes:
-        hidden, learning_rate: of a joint that `joints` does not name.
-        joints: what differs for single joints: {joint number from 1: {"hidden": [...], "learning_rate": x}}; numbers
-            that the robot does not have are passed over, so that Table I serves arms of any length.
-        epochs, batch_size: as Table I.
-        seeds: how many independently started and shuffled nets per joint are trained in the same program; `predict`
-            gives their mean, `members` each of them.
+        hidden: widths of the hidden layers, of a joint that `joints` does not name.
+        learning_rate: [-] step size of Adam, of a joint that `joints` does not name.
+        joints: exceptions for single joints, {joint number from 1: {hidden: [...], learning_rate: x}}; numbers that the
+            robot does not have are ignored, so that the default (Table I) serves arms of any length.
+        epochs: passes over the training data (Table I).
+        batch_size: [samples] size of a training batch (Table I).
+        seeds: networks per joint, initialised and shuffled independently, trained in one program; `predict` gives their
+            mean, `members` each of them.
     """
 
     needs_robot = False

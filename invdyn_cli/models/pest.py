@@ -30,20 +30,22 @@ class Pest(AbstractModel):
     """Inertial parameters by least squares, the directions that the data do not excite left out.
 
     Attributes:
-        threshold: singular values of K at or below it are set to zero (paper, III-A: 0.001).
-        relative: whether the threshold is a share of the largest singular value. The paper's is absolute; a relative
-            one deletes real base parameters when the motion is small.
-        weighting: "torque_spread" divides every joint's rows by the standard deviation of its torque, so that the noise
-            of a strong joint does not drown a weak one; "none" is the paper's.
-        friction: "coulomb_viscous" adds the columns sign(qd), a ramp within `rest_speed`, and qd for every joint;
-            "stribeck" also such that fade with speed (`regression.STRIBECK`); "none" is the paper's.
-        offset: adds a constant torque per joint (a sensor's or a drive's zero).
-        rotor_inertia: adds a column qdd per joint (reflected rotor inertia; only where torque is taken at the motor).
-        consistent: psi is that of links that bodies can be, as near to the URDF's as the data let them, in the place of
-            the smallest psi that fits: a simulator takes it.
-        rest_speed: [rad/s; m/s] below which the sign of a measured velocity is noise.
-        least_speed: [rad/s; m/s] of a joint whose torques are learned from: near rest friction may be anything.
-        ripples: adds sin(c q), cos(c q) for every joint, so many lines, c being sought in what is left without them.
+        threshold: [-] singular values of the regressor at or below it are set to zero (paper, III-A: 0.001).
+        relative: whether the threshold is a share of the largest singular value; the paper's is absolute, a relative
+            one removes real base parameters when the motion is small.
+        weighting: torque_spread divides the rows of each joint by the standard deviation of its torque, so that the
+            noise of a strong joint does not dominate a weak one; none is the paper's.
+        friction: friction columns of each joint: none (the paper's), coulomb_viscous (sign(qd) and qd) or stribeck
+            (also terms that decay with speed, `regression.STRIBECK`).
+        offset: whether a constant torque per joint is fitted (zero error of a sensor or drive).
+        rotor_inertia: whether a term in qdd per joint is fitted (reflected rotor inertia; only if the torque is
+            measured at the motor).
+        consistent: whether the links are physically consistent, as near to the URDF's as the data allow, as a simulator
+            needs them; otherwise psi is the smallest solution of the fit.
+        rest_speed: [rad/s; m/s] speed below which the sign of a measured velocity is noise.
+        least_speed: [rad/s; m/s] samples of a joint below this speed are not learned from: friction near rest is
+            indeterminate.
+        ripples: number of torque-ripple frequencies per joint, each found in the residual: sin(c q), cos(c q).
     """
 
     threshold: float = 1e-3

@@ -29,9 +29,10 @@ class Standard(AbstractModel):
     training data hold several that differ, else by the evidence.
 
     Attributes:
-        share: of a link's scales by which the URDF is off; None: learned.
-        rotor_inertia: adds an inertia of the rotor per joint (only where torque is taken at the motor).
-        rest_speed: [rad/s; m/s] below which the sign of a measured velocity is noise.
+        share: [-] standard deviation of the URDF's inertial parameters, as a share of a link's scales; None: learned
+            from the data.
+        rotor_inertia: whether a rotor inertia per joint is fitted (only if the torque is measured at the motor).
+        rest_speed: [rad/s; m/s] speed below which the sign of a measured velocity is noise.
     """
 
     share: float | None = None

@@ -1,6 +1,6 @@
 """A check on the terminal: what is not ok and what to do, what can be corrected, what the log excites."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -11,6 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from invdyn_cli.diagnosis import doctor
 from invdyn_cli.errors import listed
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Check, Examination
@@ -20,7 +21,7 @@ MOST = 3
 """Lines of one check and severity on the screen; the file has them all."""
 
 
-def shown(examination: Examination, corrected: Iterable[str]) -> Group:
+def shown(examination: Examination) -> Group:
     """What is not ok, what was skipped and why, what can be corrected, what the log excites; folds at any width."""
     parts: list[Any] = []
     seen = [one for one in examination.checks if one.severity not in ("ok", "skipped")]
@@ -42,7 +43,7 @@ def shown(examination: Examination, corrected: Iterable[str]) -> Group:
     quiet = dict.fromkeys(one.check for one in examination.checks if one.severity == "ok")
     if quiet:
         parts.append(Text(f"ok ({len(quiet)}): {', '.join(quiet)}", STYLE["ok"]))
-    notes = list(corrected)
+    notes = doctor.done(examination)
     parts += [Text(f"correctable: {note}") for note in notes[: 3 * MOST]]
     if len(notes) > 3 * MOST:
         parts.append(Text(f"correctable: {len(notes) - 3 * MOST} more"))

@@ -31,7 +31,7 @@ class CheckedLog:
         """(rows of the log,) [s] on the corrected clock; several recordings stand one after another."""
         known = {}
         for raw in self.corrected.trajectories:
-            known |= {int(raw.stage[0]): raw} if raw.stage is not None and len(raw.t) else {}
+            known |= {int(raw.rows[0]): raw} if raw.rows is not None and len(raw.t) else {}
         out, start, at = [], 0, 0.0
         for raw in self.log.trajectories:
             n = len(raw.t)
@@ -39,7 +39,7 @@ class CheckedLog:
             for first in sorted(x for x in known if start <= x < start + n):
                 piece = known[first]
                 shift = max(0.0, latest - piece.t[0])
-                t[np.asarray(piece.stage, int) - start] = piece.t + shift
+                t[np.asarray(piece.rows, int) - start] = piece.t + shift
                 latest = piece.t[-1] + shift
             if not np.isfinite(t).any():
                 good = forward_rows(raw.t) & (np.abs(np.nan_to_num(raw.t)) < 1e10)
@@ -90,7 +90,7 @@ class CheckedLog:
             x = getattr(raw, channel)
             if x is None or np.ndim(x) != 2 or np.shape(x) != (len(raw.t), len(log.joints)):
                 continue
-            rows = np.arange(len(raw.t)) + start if log is self.log else np.asarray(raw.stage, int)
+            rows = np.arange(len(raw.t)) + start if log is self.log else np.asarray(raw.rows, int)
             good = np.isfinite(x[:, joint]) & (np.abs(x[:, joint]) < 1e100)
             steps = np.diff(self.time[rows])
             breaks = np.flatnonzero(steps > max(MAX_GAP, 5 * np.median(steps))) + 1 if len(steps) else []

@@ -26,22 +26,26 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """Read, examine, write, tell; exit code 1 where a check failed under strict=true."""
-    if not isinstance(config.strict, bool):
-        raise UsageError(f"strict={config.strict}; allowed: true or false")
+    for option in ("strict", "correct"):
+        if not isinstance(config[option], bool):
+            raise UsageError(f"{option}={config[option]}; allowed: true or false")
     refuse_target(config)
     folder, console = Path(job().runtime.output_dir), Screen()
     screen.use_compilation_cache()
     source = raw.refuse_other(instantiate(config.data))
-    logs = read(source)
-    imports.show_all(source, folder, console)
+    with screen.stages() as stage:
+        stage("read")
+        logs = read(source)
+    maps = imports.show_all(source, console)
     header = Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
     robot = make_robot(config, header, optional=True, console=console)
     with screen.stages() as stage:
         report = stage("check")
         report(0.0, f"{sum(len(log.trajectories) for log in logs)} trajectories")
-        result = checking.examine(logs, robot)
+        result = checking.examine(logs, robot, correct=config.correct)
         notes = written(result, config)
         page = result.save(folder, report)
+    imports.keep(maps, folder, console)
     console.print(replace(result, notes=(*result.notes, *notes)))
     console.whole(f"page: {relative(folder) / page.name}")
     console.whole(relative(folder))
@@ -53,6 +57,8 @@ def refuse_target(config: DictConfig) -> None:
     """Raise a UsageError where `write` is no new log."""
     if config.write is None:
         return
+    if not config.correct:
+        raise UsageError(f"write={config.write} needs correct=true", advice="leave one of both out")
     target = Path(str(config.write)).expanduser()
     sources = {Path(str(x)).expanduser().resolve() for x in raw.refuse_other(instantiate(config.data)).path}
     if not isinstance(config.write, str) or target.suffix not in (".h5", ".hdf5"):

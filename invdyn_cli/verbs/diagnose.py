@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
@@ -41,7 +40,6 @@ KINDS = (
 
 def main(argv: Sequence[str]) -> int:
     """Run with the overrides in argv; the exit code."""
-    OmegaConf.register_new_resolver("log_name", log_name, replace=True)
     return launch("diagnose", argv, task)
 
 
@@ -65,8 +63,10 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
     if config.data is None or "_target_" not in config.data:
         raise UsageError(f"data={config.data}; allowed: real_log, plant")
     source = instantiate(config.data)
-    brought = material_of(source)
-    imports.show_all(source, folder, console)
+    with screen.stages(quiet=console.quiet) as stage:
+        stage("read")
+        brought = material_of(source)
+    maps = imports.show_all(source, console)
     robot = make_robot(config, brought.header(), optional=False, console=console)
     if robot is None:
         got = "a diagnosis needs the robot's kinematics, and these data bring no URDF"
@@ -90,6 +90,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
             notes=[f"data: {note}" for note in material.notes],
         )
         result.save(folder, stage("write"))
+    imports.keep(maps, folder, console)
     console.print(result)
     console.whole(check.relative(folder))
     return result.diagnosis
@@ -155,10 +156,3 @@ def learner_of(config: DictConfig) -> AbstractModel | None:
         got = f"diagnosis.learner: {node._target_} gives a {type(learner).__name__}"
         raise UsageError(f"{got}; allowed: an AbstractModel", advice="model@diagnosis.learner=ffnn")
     return learner
-
-
-def log_name(path: Any) -> str:
-    """What the folder of a diagnosis is called after: the log, the first of several, or the source that has none."""
-    paths = [str(x) for x in path] if isinstance(path, list | tuple | ListConfig) else [str(path)]
-    more = f"+{len(paths) - 1}" if len(paths) > 1 else ""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in Path(paths[0]).stem) + more

@@ -13,8 +13,9 @@ from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
 from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
-from invdyn_cli.verbs import published, tables
+from invdyn_cli.verbs import published, screen, tables
 from invdyn_cli.verbs.launch import launch, trusted
+from invdyn_cli.verbs.listing import read
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
 from invdyn_cli.verbs.screen import Screen
@@ -47,12 +48,14 @@ def task(config: DictConfig) -> None:
         try:
             done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust)
         except LogError as error:
-            spec = published.read(name)
+            spec = read(name)
             console.warn(f"{name} is left out: {error}")
             exhibits.append(Exhibit(spec["title"], spec["source"], _command(name), absent=str(error)))
             continue
         tables.write(done, own)
-        drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
+        with screen.stages() as stage:
+            stage(f"draw {name}")
+            drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
         for path in (path for one in drawn for path in one.paths):
             console.whole(path)
         exhibits.append(_exhibit(done, drawn))
@@ -101,7 +104,7 @@ def _exhibit(done: Published, drawn: Sequence[Drawn]) -> Exhibit:
 
 
 def _command(name: str) -> str:
-    return f"invdyn tables experiment={name}"
+    return f"invdyn experiment {name}"
 
 
 def _paper_tables(done: Published, picked: dict[str, str]) -> tuple[Grid, Grid]:

@@ -17,18 +17,29 @@ from invdyn_cli.formats.reading import import_one, is_foreign
 from invdyn_cli.logfile import CHANNELS, Log
 from invdyn_cli.verbs.screen import Screen
 
+Maps = list[tuple[Path, ColumnMap]]
+"""Files, and how each was read."""
 
-def show_all(source: Any, folder: Path, console: Screen) -> None:
-    """Tell of every file of a source that is no invdyn log how it is read; its map goes into `folder`."""
+
+def show_all(source: Any, console: Screen) -> Maps:
+    """Tell of every file of a source that is no invdyn log how it is read."""
     if not isinstance(source, RealLog):
-        return
+        return []
+    maps = []
     for path in (Path(x).expanduser() for x in source.path):
         if is_foreign(path):
             made = import_one(path, source.columns, source.limit)
             console.whole(f"{path} is read as:")
             show(made.log, made.columns, console)
-            saved = write_file(folder / f"{path.stem}.columns.yaml", to_yaml(made.columns, path.name, folder))
-            console.whole(f"column map: {saved} (data.columns= takes it)")
+            maps.append((path, made.columns))
+    return maps
+
+
+def keep(maps: Maps, folder: Path, console: Screen) -> None:
+    """Write the maps into the folder of the results, where there are any: a refused command leaves none."""
+    for path, columns in maps:
+        saved = write_file(folder / f"{path.stem}.columns.yaml", to_yaml(columns, path.name, folder))
+        console.whole(f"column map: {saved} (data.columns= takes it)")
 
 
 def show(log: Log, columns: ColumnMap, console: Screen) -> None:

@@ -34,6 +34,7 @@ from invdyn_cli.errors import LONGEST, InvdynError, UsageError, closest, listed,
 from invdyn_cli.fields import in_words, suits
 from invdyn_cli.files import write_file
 from invdyn_cli.interruption import closed_pipe
+from invdyn_cli.verbs import folders as named
 
 TRACEBACK = "traceback.txt"
 
@@ -56,14 +57,9 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     """
     argv = list(argv)
     try:
-        cwd = Path.cwd()
+        argv += search_path(argv)
     except OSError:
         return complain("the working directory is gone. Try: cd to one that is there")
-    # Whatever a user keeps beside them is found too: ./model/mine.yaml, or ./conf/model/mine.yaml. The package's own
-    # configs come first, so that a folder of somebody else's changes none of them.
-    if not any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
-        places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
-        argv.append("hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]")
     logging.getLogger("hydra").addHandler(logging.NullHandler())  # what cannot be imported is told in our own line
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
     overrides = [a for a in argv if "=" in a and not a.startswith("-")]
@@ -71,11 +67,12 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     before = _existing(overrides)
     failures: list[Exception] = []
     folders: list[Path] = []
+    finished: list[Path] = []
 
     @functools.wraps(task)
     def guarded(config: DictConfig) -> None:
-        if not in_sweep():
-            folders.append(Path(job().runtime.output_dir))
+        folders.append(Path(job().runtime.output_dir))
+        finished[:] = [Path(job().sweep.dir) if in_sweep() else folders[0]]
         try:
             _refuse_no_options(config, OmegaConf.to_container(OmegaConf.load(config_folder() / f"{verb}.yaml")))
             task(config)
@@ -87,8 +84,11 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=verb)(guarded)()
         if failures:
             raise failures[0]
+        _point_to(finished)
         return 0
     except SystemExit as end:  # what a verb decides, or a callback at the end of a sweep
+        if end.code == 1:
+            _point_to(finished)
         return end.code if isinstance(end.code, int) else 2
     except KeyboardInterrupt:
         _remove_empty(folders, before)
@@ -103,6 +103,19 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         code = complain(line) if line else _own_error(error, folders[0] if folders else None)
     _remove_empty(folders, before)
     return code
+
+
+def search_path(argv: Sequence[str]) -> list[str]:
+    """The override by which Hydra finds what users keep beside them: ./model/mine.yaml, or ./conf/model/mine.yaml.
+
+    The package's own configs come first, so that a folder of somebody else's changes none of them. [] where argv has
+    such an override already.
+    """
+    if any(a.startswith(("hydra.searchpath", "+hydra.searchpath")) for a in argv):
+        return []
+    cwd = Path.cwd()
+    places = [f"file://{place}".replace("'", r"\'") for place in (cwd, cwd / "conf") if place.is_dir()]
+    return ["hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]"]
 
 
 def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
@@ -121,6 +134,16 @@ def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
     return ""
 
 
+def failed(verb: str, error: Exception, argv: Sequence[str]) -> int:
+    """Tell what ended a command that is not composed by Hydra; the exit code. Ctrl-C goes on as KeyboardInterrupt."""
+    if interruption.was_asked():
+        raise KeyboardInterrupt from error
+    if isinstance(error, BrokenPipeError):
+        return closed_pipe()
+    line = told(verb, error, argv)
+    return complain(line) if line else _own_error(error, None)
+
+
 def _raised_by(error: Exception) -> str:
     """The top-level package in which an exception was raised."""
     frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
@@ -137,6 +160,11 @@ def _own_error(error: Exception, folder: Path | None) -> int:
             break
     what = shortened(" ".join(f"{type(error).__name__}: {error}".split()), 200)
     return complain(f"an error of invdyn's own ({what}). Please report it, with {kept}", 3)
+
+
+def _point_to(finished: Sequence[Path]) -> None:
+    for folder in finished:
+        named.point_to(folder)
 
 
 def _existing(overrides: Sequence[str]) -> set[Path]:
@@ -165,6 +193,8 @@ def _remove_one(folder: Path, before: set[Path]) -> None:
         if place.absolute() in before:
             return
         try:
+            if [path.name for path in place.iterdir()] == ["multirun.yaml"]:  # a sweep of refused jobs
+                (place / "multirun.yaml").unlink()
             place.rmdir()
         except OSError:
             return

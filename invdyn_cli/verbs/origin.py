@@ -6,6 +6,7 @@ import hashlib
 import importlib.metadata
 import platform
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +33,14 @@ def origin(started: datetime.datetime) -> dict[str, Any]:
 @functools.cache
 def fingerprint() -> str:
     """A hash of all of the package that a run's figures depend on: while it is the same, a complete run stays so."""
+    return hash_of(x for x in PACKAGE.rglob("*.py") if x.relative_to(PACKAGE).parts[0] not in SHOWING)
+
+
+def hash_of(files: Iterable[Path]) -> str:
+    """A hash of the names and contents of files."""
     found = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        name = path.relative_to(PACKAGE)
-        if name.parts[0] not in SHOWING:
-            found.update(f"{name}\0".encode() + path.read_bytes())
+    for path in sorted(files):
+        found.update(f"{path.name}\0".encode() + path.read_bytes())
     return found.hexdigest()[:16]
 
 

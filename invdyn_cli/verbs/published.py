@@ -7,21 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-import yaml
-from omegaconf import OmegaConf, open_dict
+from omegaconf import open_dict
 
 from invdyn_cli import store, untrusted
 from invdyn_cli.data.recorded import RealLog
-from invdyn_cli.errors import LogError, RunFileError, UsageError, closest, listed
+from invdyn_cli.errors import LogError, RunFileError, UsageError, listed
 from invdyn_cli.maths import metrics
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid, Job
 from invdyn_cli.types import RunRecord
-from invdyn_cli.verbs import run, screen, sweep
-from invdyn_cli.verbs.launch import config_folder
-
-NEEDED = ("title", "source", "columns", "jobs")
-"""What the file of any experiment says."""
+from invdyn_cli.verbs import listing, run, screen, sweep
 
 
 @dataclass(frozen=True)
@@ -55,7 +50,9 @@ def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False, tr
         LogError: if there is a log that the experiment needs and `real_data` does not hold.
         UsageError: if there is no such experiment.
     """
-    spec = read(name)
+    spec = listing.read(name)
+    if "_target_" in spec:
+        raise UsageError(f"experiment={name} is no sweep of runs", advice=f"invdyn experiment {name}")
     jobs = [(labels, _substituted(overrides, real_data)) for labels, overrides in expand(spec)]
     missing = sorted({path for _, overrides in jobs for path in _logs(overrides) if not path.is_file()})
     if missing:
@@ -71,38 +68,6 @@ def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False, tr
             done.append((labels, _metrics_of(overrides, own, fresh=fresh)))
     verdicts = comparison.judge(spec["statements"], done) if spec.get("statements") else None
     return Published(name, spec, tuple(done), tuple(folders), _grid(spec, done, real_data), verdicts, tuple(trust))
-
-
-def read(name: str) -> dict[str, Any]:
-    """The experiment of that name: experiments/NAME.yaml in the package or the checkout, or else beside the user.
-
-    Raises:
-        UsageError: if there is none, naming those that there are.
-    """
-    places = [config_folder().with_name("experiments"), Path.cwd() / "experiments"]  # nobody's folder changes ours
-    for place in places:
-        if (place / f"{name}.yaml").is_file():
-            return _read(place / f"{name}.yaml")
-    names = sorted({path.stem for place in places for path in place.glob("*.yaml")})
-    raise UsageError(f"experiment={name}; allowed: {listed(names)}{closest(name, names)}")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        spec = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise UsageError(f"{path} cannot be read as an experiment: {error}") from error
-    for names, one in ((NEEDED, spec), *((("name", "overrides"), job) for job in _jobs(spec))):
-        if lacking := [name for name in names if not isinstance(one, dict) or name not in one]:
-            raise UsageError(
-                f"{path} lacks {listed(lacking)}; an experiment needs {listed(NEEDED)}, each job a name and overrides"
-            )
-    return spec  # pyright: ignore[reportReturnType]
-
-
-def _jobs(spec: Any) -> list:
-    jobs = spec.get("jobs") if isinstance(spec, dict) else None
-    return jobs if isinstance(jobs, list) else []
 
 
 def expand(spec: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], list[str]]]:

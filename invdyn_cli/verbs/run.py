@@ -10,12 +10,13 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from invdyn_cli import experiment, registry
+from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import RobotError, UsageError, listed
 from invdyn_cli.files import write_file
 from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.functions.inputs import named_by, with_joints
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress
+from invdyn_cli.tracking.contract import AbstractTracker, Tracked, flat, mean_curves, numbers
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
 from invdyn_cli.verbs.launch import TRACEBACK, in_sweep, instantiate, job, launch, told
@@ -62,8 +63,9 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
     source = make_object(config, "data", AbstractSource)
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)
+    tracker = make_tracker(config)
     header = source.header()
-    imports.show_all(source, folder, console)
+    maps = imports.show_all(source, console)
     robot = make_robot(config, header, optional=not (source.needs_robot or model.needs_robot), console=console)
     for note in robot.notes if robot else ():
         console.note(f"robot: {note}")
@@ -72,9 +74,46 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
         record = _with_origin(made, config, started, view or job())
         result = FitResult(record)
         result.save(folder, tuple(config.figures.formats), stage("write"))
+        untracked = track(tracker, record, config, folder, stage("track"))
+    imports.keep(maps, folder, console)
     console.print(result)
+    if untracked:
+        screen.tell(f"invdyn: the run is complete, but was not tracked: {untracked}")
     console.whole(relative(folder))
     return record
+
+
+def make_tracker(config: DictConfig) -> AbstractTracker:
+    """The tracker that the config describes, its library being there.
+
+    Raises:
+        UsageError: for anything else.
+    """
+    node = config.get("tracker")
+    if not isinstance(node, DictConfig) or "_target_" not in node:
+        raise UsageError(f"tracker={node}; allowed: a choice of the group, see invdyn run --help")
+    made = instantiate(node)
+    if not isinstance(made, AbstractTracker):
+        raise UsageError(f"tracker: {node._target_} gives a {type(made).__name__}; allowed: an AbstractTracker")
+    made.refuse_missing()
+    return made
+
+
+def track(tracker: AbstractTracker, record: RunRecord, config: DictConfig, folder: Path, progress: Progress) -> str:
+    """Hand the run on to the tracker; why that was not possible, or ""."""
+    progress(0.0, type(tracker).__name__)
+    plain = OmegaConf.to_container(config, resolve=True)
+    metrics = json.loads((folder / store.METRICS).read_text(encoding="utf-8"))
+    files = [*sorted((folder / "figures").glob("*")), folder / "report.html"]
+    parts = folder.absolute().parts
+    name = "-".join(parts[parts.index("outputs") + 2 :] if "outputs" in parts[:-2] else parts[-1:])
+    params = {key: str(value) for key, value in flat(plain)}
+    run = Tracked(name, folder, params, numbers(metrics), mean_curves(record.fit.history), files)
+    try:
+        tracker.track(run)
+    except Exception as error:  # a server that is away, a full disk: of another's library it may be anything
+        return f"{type(error).__name__}: {error}"
+    return ""
 
 
 def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Screen) -> Robot | None:

@@ -1,16 +1,26 @@
 """What a verb shows while it works (progress on stderr), and the compilation cache that makes the second run quick."""
 
 import os
+import sys
+import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import jax
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from invdyn_cli.errors import shortened
 from invdyn_cli.interfaces import silent
+
+QUIET, INTERVAL = 2.0, 5.0
+"""[s] that work may take before a line is written where stderr is no terminal, and between lines of one step."""
+
+SWITCH = "INVDYN_PROGRESS"
+"""The environment variable that turns progress off (off)."""
 
 
 class Screen(Console):
@@ -40,8 +50,12 @@ class Screen(Console):
 def stages(*, quiet: bool = False) -> Iterator[Callable]:
     """Gives a function that opens a stage by name and returns what to report its share and note to."""
     console = Screen(stderr=True)
-    if quiet or not console.is_terminal:
+    if quiet or os.environ.get(SWITCH) == "off":
         yield lambda name: silent
+        return
+    if not console.is_terminal:
+        with Lines() as lines:
+            yield lines.stage
         return
     columns = (
         TextColumn("{task.description:>8}"),
@@ -63,6 +77,62 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
             return report
 
         yield stage
+
+
+class Lines:
+    """Progress as lines on stderr, for pipes and files: the step, its share, the time left; no control characters.
+
+    A thread of its own writes them: a compiled program that reports nothing for minutes is told of, too.
+    """
+
+    def __init__(self) -> None:
+        self._began, self._step, self._over = time.monotonic(), ("", 0.0, 0.0, ""), threading.Event()
+        self._thread = threading.Thread(target=self._write, daemon=True)
+
+    def __enter__(self) -> "Lines":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def stage(self, name: str) -> Callable[[float, str], None]:
+        """Begin a step; gives what to report its share and note to."""
+        began = time.monotonic()
+        self._step = (name, began, 0.0, "")
+
+        def report(done: float, note: str) -> None:
+            self._step = (name, began, done, note)
+
+        return report
+
+    def _write(self) -> None:
+        told, last = ("", 0.0), 0.0
+        while not self._over.wait(0.2):
+            name, began, done, note = self._step
+            now = time.monotonic()
+            due = now - last >= (INTERVAL if (name, began) == told else 0.5)
+            if name and due and now - self._began >= QUIET:
+                told, last = (name, began), now
+                with suppress(OSError, ValueError, AttributeError):
+                    sys.stderr.write(f"invdyn: {progress_line(name, done, now - began, note)}\n")
+                    sys.stderr.flush()
+
+
+def progress_line(name: str, done: float, seconds: float, note: str) -> str:
+    """A step in words: its share if it reports one, the time left if that can be estimated, else the time so far."""
+    if done <= 0:
+        text = f"{name}, {seconds:.0f} s so far"
+    elif done >= 1:
+        text = f"{name} 100 %"
+    else:
+        text = f"{name} {100 * done:.0f} %, about {_duration(seconds * (1 - done) / done)} left"
+    return text + (f" ({shortened(note)})" if note else "")
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
 def tell(line: str) -> None:

@@ -1,6 +1,5 @@
 """Sweeps: a folder that the same command finds again, complete jobs that are kept, and a table of all at the end."""
 
-import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,19 +12,22 @@ from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
 from invdyn_cli.files import write_file
 from invdyn_cli.report import tables
-from invdyn_cli.verbs import origin
+from invdyn_cli.verbs import folders, origin
+from invdyn_cli.verbs.launch import config_folder
 from invdyn_cli.verbs.screen import Screen
 
 STATUS = "status.json"
 
 
 def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
-    """argv with a sweep folder named after the overrides, unless it names one: run again, the same sweep goes on."""
+    """argv with a sweep folder named after the jobs, unless it names one: run again, the same sweep goes on."""
     argv = list(argv)
     if not {"-m", "--multirun"} & set(argv) or any(a.startswith("hydra.sweep.dir=") for a in argv):
         return argv
-    overrides = sorted(a for a in argv if not a.startswith(("-", "hydra.", "hydra/")))
-    return [*argv, f"hydra.sweep.dir=outputs/sweeps/{verb}-{hashlib.sha256(repr(overrides).encode()).hexdigest()[:8]}"]
+    overrides = [a for a in argv if not a.startswith(("-", "hydra.", "hydra/"))]
+    listed: Any = OmegaConf.to_container(OmegaConf.load(config_folder() / f"{verb}.yaml"), resolve=False)
+    defaults = {k: v for one in listed["defaults"] if isinstance(one, dict) for k, v in one.items()}
+    return [*argv, f"hydra.sweep.dir='{folders.sweep_folder(overrides, defaults)}'"]
 
 
 def is_complete(config: DictConfig, folder: Path) -> bool:
@@ -69,6 +71,8 @@ class Summary(Callback):
         console = Screen()
         console.print(tables.sweep_table([{**row, "overrides": _without(row["overrides"], shared)} for row in rows]))
         console.whole(folder)
+        if any(row["status"] != "failed" for row in rows):
+            folders.point_to(folder)
         if any(row["status"] == "failed" for row in rows):
             raise SystemExit(2)
 

@@ -39,11 +39,11 @@ def log(arm):
 
 def test_a_sound_log_is_sound(log, arm):
     """Nothing to warn of; every name of docs/checks.md is there, so that a reader sees what was looked at."""
-    examination = doctor.examine(log, arm)
+    mended, examination = doctor.correct(log, arm)
     assert examination.usable
     assert alarms(examination) == {}
     assert {c.check for c in examination.checks} == NAMES
-    mended, notes = doctor.mend(log, examination, arm)
+    notes = doctor.done(examination)
     assert notes == ()
     assert mended.trajectories == log.trajectories
 
@@ -133,12 +133,12 @@ def test_units_signs_and_orders_are_found_and_mended(how, log, arm):
     """Each is found with its size, nothing else is made of it, and mending gives the sound log back, with one word."""
     name, value = SPOILED[how]
     bad = spoiled(log, arm, how)
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {name}
     (found,) = seen(examination, name)
     assert found.value == pytest.approx(value, rel=0.05)
     assert examination.usable
-    mended, notes = doctor.mend(bad, examination, arm)
+    notes = doctor.done(examination)
     assert len(notes) == 1
     for channel in ("t", "q", "qd", "tau"):
         now, before = getattr(mended.trajectories[0], channel), getattr(log.trajectories[0], channel)
@@ -185,9 +185,8 @@ def test_a_spring_is_no_sign_error(seed, tmp_path):
         Hidden("link_inertia_error", "j2", {"mass": -0.9, "inertia": -0.95}),
     ]
     log = record(robot, [Multisine(base=base, harmonics=1)], hidden, noise=Noise(torque=1e-3), duration=25)
-    examination = doctor.examine(log, robot)
+    mended, examination = doctor.correct(log, robot)
     assert [(c.joint, c.severity) for c in seen(examination, "sign_error")] == [("j2", "warn")]
-    mended, _ = doctor.mend(log, examination, robot)
     np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
     (raw,) = record(robot, [Multisine()], noise=Noise(torque=1e-3), duration=25).trajectories
     turned = replace(log, trajectories=(replace(raw, tau=raw.tau * [1, -1]),))
@@ -199,9 +198,9 @@ def test_gravity_is_missed_in_exchanged_columns(log, arm):
     swapped = order((1, 3))
     raw = log.trajectories[0]
     bad = changed(log, q=raw.q[:, swapped], qd=raw.qd[:, swapped], tau=without_gravity(log, arm)[:, swapped])
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"gravity_removed", "joint_order"}
-    mended, notes = doctor.mend(bad, examination, arm)
+    notes = doctor.done(examination)
     assert mended.compensated == ("gravity",) and len(notes) == 2
     np.testing.assert_array_equal(mended.trajectories[0].q, raw.q)
 
@@ -209,9 +208,8 @@ def test_gravity_is_missed_in_exchanged_columns(log, arm):
 def test_gravity_that_is_removed_is_declared(log, arm):
     """Torques without gravity are found; mending leaves them, and says so in the log's `compensated`."""
     bad = spoiled(log, arm, "no gravity")
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"gravity_removed"}
-    mended, _ = doctor.mend(bad, examination, arm)
     assert mended.compensated == ("gravity",)
     assert alarms(doctor.examine(mended, arm)) == {}
 
@@ -229,10 +227,9 @@ def test_an_offset_of_all_torques_is_found_and_mended(seconds, log, arm):
     """30 ms late or 12 ms early: found within 1 ms, gone after mending."""
     raw = log.trajectories[0]
     bad = changed(log, tau=delayed(raw.tau, raw.t, seconds))
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     (found,) = seen(examination, "time_offset", least="warn")
     assert found.value == pytest.approx(seconds, abs=1e-3)
-    mended, _ = doctor.mend(bad, examination, arm)
     assert seen(doctor.examine(mended, arm), "time_offset", least="warn") == []
 
 
@@ -242,7 +239,7 @@ def test_currents_look_like_currents(log, arm):
     examination = doctor.examine(bad, arm)
     (found,) = seen(examination, "unit_error")
     assert found.severity == "warn" and "currents" in found.meaning
-    assert doctor.mend(bad, examination, arm)[1] == ()
+    assert doctor.done(examination) == ()
 
 
 def test_currents_without_gains_get_some_suggested(log, arm):
@@ -297,8 +294,7 @@ def test_hopeless_logs_are_described(how, known, log, arm):
     """No readable log makes the doctor raise or stumble; what cannot be computed with is not usable and says why."""
     bad = changed(log, **hopeless(log.trajectories[0])[how])
     robot = arm if known else None
-    examination = doctor.examine(bad, robot)
-    mended, _ = doctor.mend(bad, examination, robot)
+    mended, examination = doctor.correct(bad, robot)
     assert [c for c in examination.checks if c.meaning == doctor.FAULT] == []
     assert any(c.severity == "fail" for c in examination.checks) or how == "huge"
     if how != "huge":
@@ -364,10 +360,10 @@ def test_the_unit_of_one_joint(seed, log, arm):
     joint = int(np.random.default_rng(seed).integers(1, 6))
     by = np.where(np.arange(7) == joint, 1e3, 1.0)
     bad = changed(log, tau=log.trajectories[0].tau * by)
-    examination = doctor.examine(bad, arm)
+    mended, examination = doctor.correct(bad, arm)
     found = seen(examination, "unit_error", least="warn")
     assert [(c.joint, c.threshold["factor"]) for c in found] == [(arm.joints[joint], 1e3)]
-    np.testing.assert_allclose(doctor.mend(bad, examination, arm)[0].trajectories[0].tau, log.trajectories[0].tau)
+    np.testing.assert_allclose(mended.trajectories[0].tau, log.trajectories[0].tau)
 
 
 @pytest.mark.parametrize("unit", ["kgf cm", "percent"])
@@ -379,7 +375,7 @@ def test_other_units_of_torque(unit, log, arm):
     examination = doctor.examine(bad, robot)
     (found,) = seen(examination, "unit_error", least="warn")
     assert unit in found.meaning + found.seen
-    assert doctor.mend(bad, examination, robot)[1] == ()
+    assert doctor.done(examination) == ()
 
 
 @pytest.mark.parametrize("seed", range(2))

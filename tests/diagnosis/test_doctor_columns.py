@@ -64,10 +64,9 @@ def test_exchanged_joints(drawn):
         order = straight.copy()
         order[[a, b]] = order[[b, a]]
         bad = put(log, order) if whole else put(log, columns=order)
-        found = doctor.examine(bad, robot, COLUMNS)
+        mended, found = doctor.correct(bad, robot, COLUMNS)
         assert right_or_ambiguous(found.checks, order if whole else straight, order), found.checks
         if any(c.check == "joint_order" and c.severity == "fail" for c in found.checks):
-            mended, _ = doctor.mend(bad, found, robot, COLUMNS)
             np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
             np.testing.assert_array_equal(mended.trajectories[0].q, log.trajectories[0].q)
 
@@ -143,3 +142,40 @@ def test_a_tool_that_the_robot_lacks(drawn):
         text = text.replace(f'{name}="', f'{name}="0" {name}_was="', 1)
     found = doctor.examine(log, replace(robot, urdf=text), (Description(),)).checks
     assert [c.joint for c in found if "zero inertia" in c.seen] == [robot.joints[0]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gravity_that_is_removed_from_three_joints(seed, tmp_path):
+    """On an arm of three joints, 15 % off its URDF, that gravity loads more than its motion: gravity removed by the
+    URDF's model is found; the same log with gravity raises nothing."""
+    draw = np.random.default_rng(70 + seed)
+    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
+    robot = load_urdf(tmp_path / "arm.urdf")
+    truth = replace(robot, inertial=robot.inertial * draw.uniform(0.85, 1.15, 3)[:, None])
+    log = sound(robot, seed, seconds=20, truth=truth)
+    raw = log.trajectories[0]
+    _, gravity = nominal_torque(robot, Motion(raw.q, 0 * raw.q, 0 * raw.q))
+    for bad, said in ((log, ["ok"]), (changed(log, tau=raw.tau - gravity), ["fail"])):
+        found = doctor.examine(bad, robot, (GravityRemoved(),))
+        assert [c.severity for c in found.checks] == said
+
+
+def test_what_is_ambiguous_has_the_best_order_first(tmp_path):
+    """Joints that move in phase, two of them exchanged: orders as likely are listed, the best of them first, and the
+    log is left as it is."""
+    draw = np.random.default_rng(3)
+    (tmp_path / "arm.urdf").write_text(random_arm(draw, 5))
+    robot = load_urdf(tmp_path / "arm.urdf")
+    t = np.arange(4000) / 200
+    size = draw.uniform(0.2, 0.5, 5)
+    q, qd, qdd = (x[:, None] * size for x in (np.sin(t), np.cos(t), -np.sin(t)))
+    truth = replace(robot, inertial=robot.inertial * draw.uniform(0.7, 1.3, 5)[:, None])
+    tau, _ = nominal_torque(truth, Motion(q, qd, qdd))
+    tau += tau.std(0) * (0.3 * np.tanh(qd / 0.01) + 0.02 * draw.normal(size=tau.shape))
+    order = np.array([0, 1, 2, 4, 3])
+    log = changed(sound(robot, seconds=20), q=q[:, order], qd=qd[:, order], tau=tau[:, order])
+    mended, found = doctor.correct(log, robot, (JointOrder(),))
+    (one,) = [c for c in found.checks if c.severity in ("note", "warn")]
+    assert one.seen.startswith("ambiguous") and len(one.threshold["alike"]) > 1
+    assert right_or_ambiguous(found.checks, order, order), one
+    assert mended.trajectories[0].q is log.trajectories[0].q

@@ -39,14 +39,14 @@ def test_lag_unit_and_sign_come_together(seed, arm):
     joint = int(draw.integers(4))
     sign = np.where(np.arange(4) == joint, -1.0, 1.0)
     bad = changed(log, q_ref=factor * sign * earlier(lag))
-    examination = doctor.examine(bad, None)
+    mended, examination = doctor.correct(bad, None)
     (unit,) = seen(examination, "unit_error", least="warn")
     assert (unit.threshold["channel"], unit.threshold["factor"]) == ("q_ref", pytest.approx(factor))
     (turned,) = seen(examination, "sign_error", least="warn")
     assert turned.joint == arm.joints[joint]
     (late,) = seen(examination, "time_offset")
     assert late.value == pytest.approx(lag, abs=2e-3)
-    mended, notes = doctor.mend(bad, examination, None)
+    notes = doctor.done(examination)
     assert len(notes) == 2
     np.testing.assert_allclose(np.asarray(mended.trajectories[0].q_ref), earlier(lag), atol=1e-9)
 

@@ -26,13 +26,13 @@ def test_no_false_alarm(name, real_data):
     the LWR, whose joints move in phase, other orders are as likely, and are told."""
     log = read_log(real_data(f"{name.split()[0]}.h5"), LOGS[name])
     robot = load_urdf(log.urdf, joints=list(log.joints)) if log.urdf else None
-    examination = doctor.examine(log, robot)
+    mended, examination = doctor.correct(log, robot)
     assert [c for c in examination.checks if c.severity == "fail" or c.meaning == doctor.FAULT] == []
     doubted = [c for kind in ABOUT_THE_TORQUE for c in seen(examination, kind)]
     doubted = [c for c in doubted if (c.threshold or {}).get("channel") != "q_ref"]
     assert [c for c in doubted if (name, c.check, c.severity) != ("kuka_lwr4", "joint_order", "note")] == []
     assert examination.usable
-    refuse_defects(doctor.mend(log, examination, robot)[0])
+    refuse_defects(mended)
 
 
 def test_what_is_known_of_them(real_data):

@@ -90,9 +90,9 @@ def test_logs(changes, folder):
     log = answers(lambda: read_log(path, check=False))
     if log is None:
         return
-    examination = answers(lambda: doctor.examine(log, None))
-    assert examination is not None
-    mended, _ = doctor.mend(log, examination, None)
+    answer = answers(lambda: doctor.correct(log, None))
+    assert answer is not None
+    mended, examination = answer
     if examination.usable:
         answers(lambda: refuse_defects(mended))
 

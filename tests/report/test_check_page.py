@@ -30,8 +30,8 @@ def log(arm):
 
 
 def drawn_of(log, robot):
-    examination = doctor.examine(log, robot)
-    return examination, CheckedLog(log, *located(log, examination, robot), robot)
+    corrected, examination, marks = located(log, robot)
+    return examination, CheckedLog(log, corrected, marks, robot)
 
 
 def spoiled(log):
@@ -95,7 +95,7 @@ def test_spikes_survive_thinning(log, arm):
 
 def long_numbered(log):
     raw = log.trajectories[0]
-    return replace(log, trajectories=(replace(raw, stage=np.arange(len(raw.t))),))
+    return replace(log, trajectories=(replace(raw, rows=np.arange(len(raw.t))),))
 
 
 def test_every_mark_has_words(defective):

@@ -70,6 +70,27 @@ def test_the_page(command, arm):
     assert "The log is usable" in text
 
 
+def test_nothing_is_corrected_on_request(command, arm):
+    """correct=false: a clock in ms stays a failure and makes the log not usable, nothing is listed as corrected, broken
+    logs are described, and write= is refused."""
+    log = sound(arm, seconds=15)
+    raw = log.trajectories[0]
+    write_log(changed(log, t=1e3 * raw.t), Path("log.h5"))
+    said = command("check", *LOG, *ARM, "correct=false")
+    assert said.code == 0, said.err
+    found = report(said)
+    assert (found["usable"], found["corrections"]) == (False, [])
+    assert [x["value"] for x in found["checks"] if x["check"] == "unit_error" and x["severity"] == "fail"]
+    assert report(command("check", *LOG, *ARM))["usable"] is True
+    make_log(
+        Path("nan.h5"), {"run": {c: x if c == "t" else np.full_like(x, np.nan) for c, x in motion().items()}}, urdf=""
+    )
+    said = command("check", "data.path=nan.h5", "correct=false")
+    assert said.code == 0 and not report(said)["usable"], said.err
+    said = command("check", *LOG, *ARM, "correct=false", "write=fixed.h5")
+    assert said.code == 2 and "needs correct=true" in "".join(said.err) and not Path("fixed.h5").exists()
+
+
 def test_broken_logs_have_a_page(command):
     """NaN everywhere, one row, and no robot: exit 0 and a page that says that the log is not usable."""
     every = motion()
@@ -89,7 +110,7 @@ def test_tables_fold(width, arm):
     names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
     examination = doctor.examine(replace(sound(arm, seconds=8), joints=names), None)
     console = Console(width=width, record=True, file=io.StringIO())
-    console.print(check_terminal.shown(examination, ()))
+    console.print(check_terminal.shown(examination))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= width
     for head in ("reversals", "rest %", "slow %", "max |qdd|", "cannot"):

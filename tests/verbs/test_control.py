@@ -16,7 +16,7 @@ def test_leaves_its_files(command):
     said = command("control", *TINY)
     assert (said.code, said.err) == (0, [])
     folder = Path(said.out[-1])
-    assert folder.parts[:2] == ("outputs", "control") and folder.name.endswith("pest-payload")
+    assert folder.parts[:2] == ("outputs", "control") and folder.name.endswith("pest-pick_place-payload-seed0")
     assert {p.name for p in folder.iterdir() if p.name[0] != "."} == {"control.json", "control.csv", "figures"}
     assert [p.name for p in (folder / "figures").iterdir()] == ["control.png"]
     made = json.loads((folder / "control.json").read_text())

@@ -39,7 +39,7 @@ def test_leaves_its_files(finished):
 
 
 def test_says_nothing_on_stderr(finished):
-    """Where stderr is no terminal, progress leaves no trace on it: logs of other programs stay readable."""
+    """Where progress is turned off, a run leaves no trace on stderr: logs of other programs stay readable."""
     assert finished[0].stderr == ""
 
 
@@ -302,15 +302,10 @@ def test_a_new_run_in_an_old_folder_starts_incomplete(command, monkeypatch):
         assert file.attrs["schema"] == "invdyn-run/1"
 
 
-def test_help_is_readable(command, tmp_path):
-    """`invdyn run --help` lists every group with its choices and every option, and no path of this machine."""
-    said = command("run", "--help")
-    text = "\n".join(said.out)
-    assert said.code == 0
-    for group in (p for p in (ROOT / "conf").iterdir() if p.is_dir()):
-        choices = ", ".join(sorted(p.stem for p in group.glob("*.yaml")))
-        assert f"{group.name}: {choices}" in text
-    assert "  epochs: 100" in text
+def test_help_holds_no_path_of_this_machine(command, tmp_path):
+    """`invdyn run --help` reads the same on every machine; what it says is tested in test_options.py."""
+    text = "\n".join(command("run", "--help").out)
+    assert "model.epochs=100" in text
     assert str(ROOT) not in text
     assert str(tmp_path) not in text
 

@@ -18,7 +18,7 @@ def test_every_experiment_has_its_page(name):
     """Beside NAME.yaml stands NAME.md with question, command, what is expected and what was found."""
     text = (ROOT / "experiments" / f"{name}.md").read_text()
     assert all(f"**{head}.**" in text for head in ("Question", "Command", "Expected", "Found"))
-    assert f"experiment={name}" in text
+    assert f"invdyn experiment {name}" in text
 
 
 def test_a_sweep_is_spelled_out():

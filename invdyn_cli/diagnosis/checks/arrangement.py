@@ -37,8 +37,12 @@ BEYOND, PAST = 0.1, 4.0
 MOVED = 0.02
 """[rad; m] RMS of a position about its mean below which nothing shows whose it is."""
 
-MOST = 0.7
-"""Share of the joints that change places in a known order that have to move (ours)."""
+MOST = 0.5
+"""More than this share of the joints that change places in a known order have to move; and of all joints, before one
+that rests changes places with one that moves (ours)."""
+
+ROUNDS = 3
+"""How often the search begins anew with the noise of what was found."""
 
 UNITS = (1.0, 1e3, 1e-3)
 """Logged torque over N m while orders and signs are looked for; else every column has a factor of its own."""
@@ -74,12 +78,14 @@ class Arrangement:
 
 @dataclass(frozen=True)
 class Verdict:
-    """`logged`: the columns as they stand; `best`: the likeliest; `alike`: others as likely as the best; `judged` (n,):
-    whether the torque of each joint, so arranged, is explained by its rigid body."""
+    """`logged`: the columns as they stand; `best`: the likeliest; `alike`: others as likely as the best by all three
+    likelihoods; `rivals`: these, and others as simple that one of the three does not exclude; `judged` (n,): whether
+    the torque of each joint, so arranged, is explained by its rigid body."""
 
     logged: Arrangement
     best: Arrangement
     alike: tuple[Arrangement, ...]
+    rivals: tuple[Arrangement, ...]
     judged: np.ndarray
 
     @property
@@ -115,28 +121,24 @@ def _search(rows: Rows, robot: Robot) -> Verdict:
 def _searched(rows: Rows, robot: Robot, unit: float, mode: int, effective: np.ndarray) -> tuple[Verdict, Fitness]:
     """The verdict with a common unit (mode 0) or factors of the columns' own (-1), and the fitness of its motion."""
     n = robot.dofs
-    start = (tuple(range(n)), (1.0,) * n)
-    look = _Look(rows, robot, unit, mode, effective)
-    best = logged = look.at(start)[0]
-    for _ in range(n):
-        for motion in _near((best.order, best.signs), rows, robot) if n > 1 else ():
-            look.at(motion)
-        top = look.best(best)
-        if top.key == best.key:
+    found: tuple | None = None
+    for _ in range(ROUNDS):  # noise is judged where the columns stand, and that is known only in the end
+        look = _Look(rows, robot, unit, mode, effective)
+        logged, best = look.climbed(found)
+        if best.key == (logged.key if found is None else found):
             break
-        best = top
-    if best.key != logged.key:  # the noise was judged in wrong places
-        home = fitness(rows.arranged(best.order, best.signs), robot, (unit,), None, best.columns).effective
-        look = _Look(rows, robot, unit, mode, home)
-        logged = look.at(start)[0]
-        for motion in [(best.order, best.signs), *_near((best.order, best.signs), rows, robot)]:
-            look.at(motion)
-        best = look.best(logged)
-    alike = [x for x in look.tried.values() if x.key != best.key and x.beside(best) + x.cost - best.cost > -ALIKE]
+        found = best.key
+        home = rows.arranged(best.order, best.signs)
+        effective = fitness(home, robot, (unit,), None, best.columns).effective
+    others = [x for x in look.tried.values() if x.key != best.key]
+    alike = [x for x in others if x.beside(best) + x.cost - best.cost > -ALIKE]
+    simple = max(best.cost, _of_order((1, 0, *range(2, n)), robot))
+    rivals = [x for x in others if x in alike or (x.cost <= simple and best.beside(x) + best.cost - x.cost < ALIKE)]
     fit = look.fits[(best.order, best.signs)]
     at = np.arange(n), np.array(best.columns)
     judged = (fit.explained[at] > 0.5) & (fit.likelihood[at][..., mode].max(1) > fit.lost[at] + 3.0)
-    return Verdict(logged, best, tuple(sorted(alike, key=lambda x: -x.likelihood)), judged), fit
+    alike, rivals = (tuple(sorted(found, key=lambda x: -x.likelihood)) for found in (alike, rivals))
+    return Verdict(logged, best, alike, rivals, judged), fit
 
 
 class _Look:
@@ -158,6 +160,24 @@ class _Look:
         for one in made:
             self.tried.setdefault(one.key, one)
         return made
+
+    def climbed(self, found: tuple | None) -> tuple[Arrangement, Arrangement]:
+        """The columns as logged, and the best arrangement that steps from there, and from what was found, lead to."""
+        n = self.robot.dofs
+        start = (tuple(range(n)), (1.0,) * n)
+        logged = best = self.at(start)[0]
+        if found is not None:
+            for motion in (found[:2], *_near(start, self.rows, self.robot)):
+                self.at(motion)
+            best = self.tried.get(found, logged)
+        for _ in range(n if n > 1 else 0):
+            for motion in _near((best.order, best.signs), self.rows, self.robot):
+                self.at(motion)
+            top = self.best(logged)
+            if top.key == best.key:
+                break
+            best = top
+        return logged, best
 
     def best(self, start: Arrangement) -> Arrangement:
         """The start, or one whose odds beside it are FOUND: of these the simplest, unless another one has such odds
@@ -181,10 +201,13 @@ def _unit(rows: Rows, robot: Robot) -> float:
 
 
 def _near(motion: tuple, rows: Rows, robot: Robot) -> Iterator[tuple]:
-    """Arrangements of positions one step from one: exchanges, known orders, single signs; of joints that move."""
+    """Arrangements of positions one step from one: exchanges, known orders, single signs; where something moves."""
     order, signs = motion
     moves = rows.motion.q.std(0) > MOVED
-    for a, b in itertools.combinations(np.flatnonzero(moves[list(order)]).tolist(), 2):
+    for a, b in itertools.combinations(range(len(order)), 2):
+        able = (moves[order[a]], moves[order[b]])
+        if not any(able) or (not all(able) and np.mean(moves) <= MOST):  # too little moves to tell a joint by its rest
+            continue
         changed = list(order)
         changed[a], changed[b] = changed[b], changed[a]
         yield tuple(changed), signs

@@ -26,8 +26,8 @@ class JointOrder(AbstractCheck):
     """Torque columns, or all columns, in another order of joints than the robot's.
 
     The value lists, for every joint of the robot, the column that belongs to it; `threshold` has the order of the
-    positions ("order"), of the torques ("columns"), and the log of the odds that are asked for. What others are as
-    likely is said, and then nothing is corrected.
+    positions ("order"), of the torques ("columns"), and the log of the odds that are asked for. Where others are as
+    likely, all of them are listed ("alike", the best first), and nothing is corrected.
     """
 
     name: ClassVar[str] = "joint_order"
@@ -50,11 +50,11 @@ class JointOrder(AbstractCheck):
             found.append(self.skipped(why + ", ".join(unjudged), "tau"))
         if (best.order, best.columns) == (straight, straight):
             if others:
-                found.append(self._ambiguous("note", log, robot, "the columns as they stand", others))
+                found.append(self._ambiguous("note", log, robot, "the columns as they stand", best, others))
             return found or [Check(self.name, "ok", value=list(straight), seen="no other order is as likely")]
         words = _words(log, robot, best.order, best.columns)
         if others:
-            return [*found, self._ambiguous("warn", log, robot, words, others)]
+            return [*found, self._ambiguous("warn", log, robot, words, best, others)]
         gain = best.beside(verdict.logged)
         return [*found, self._seen(robot, best, words, gain)]
 
@@ -79,10 +79,10 @@ class JointOrder(AbstractCheck):
         return log, []
 
     def _others(self, verdict: Verdict) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-        """Other orders (of positions, of torques) that are as likely as the best, but for joints without a torque that
-        shows: of these two may always be exchanged."""
+        """Other orders (of positions, of torques) that the physics does not exclude beside the best, but for joints
+        without a torque that shows: of these two may always be exchanged."""
         best, kept = verdict.best, []
-        for one in verdict.alike:
+        for one in verdict.rivals:
             pair = one.order, one.columns
             if pair == (best.order, best.columns) or pair in kept:
                 continue
@@ -106,16 +106,17 @@ class JointOrder(AbstractCheck):
             source=SOURCE,
         )
 
-    def _ambiguous(self, severity: str, log: Log, robot: Robot, words: str, others: list) -> Check:
+    def _ambiguous(self, severity: str, log: Log, robot: Robot, words: str, best: Arrangement, others: list) -> Check:
         said = [_words(log, robot, *one) for one in others[:3]]
         more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+        alike = [(best.order, best.columns), *others]
         joints = sorted({j for order, columns in others for j in (*_moved(order), *_moved(columns))})
         names = " and ".join(log.joints[j] for j in joints[:3])
         return Check(
             self.name,
             severity,
             value=None,
-            threshold={"log_odds": ALIKE, "alike": [{"order": list(a), "columns": list(b)} for a, b in others]},
+            threshold={"log_odds": ALIKE, "alike": [{"order": list(a), "columns": list(b)} for a, b in alike]},
             seen=f"ambiguous: {words}; as likely: {'; '.join(said)}{more}",
             meaning="this motion does not show which column is which; nothing is changed",
             advice=f"a recording in which {names} move one after another, where gravity loads them",

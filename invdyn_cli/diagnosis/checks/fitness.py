@@ -6,8 +6,9 @@
 m_j is the URDF's torque. Inertial parameters are off by a share of their scales (`maths.standard.link_scales`) and by a
 tool that the URDF lacks, gains by g, time by d, all Gaussian; friction, offset, spring and rotor have flat priors, and
 friction and rotor are positive: the posterior chance of that is part of the likelihood. So neither a spring nor an
-inertia of a placeholder can pass for a sign. A row counts for 1 / autocorrelation time of what is left. A column that
-no rigid body explains is as likely on every joint (`LOST`).
+inertia of a placeholder can pass for a sign. Gravity that is taken out is that of a model of its own: errors of the
+inertial parameters show through gravity then, too. A row counts for 1 / autocorrelation time of what is left, or of the
+torque. A column that no rigid body explains is as likely on every joint (`LOST`).
 """
 
 from dataclasses import dataclass, replace
@@ -48,7 +49,7 @@ HEAVY = -25.0
 """Log chance of a negative inertia about a joint's axis, rotor and links together, friction and spring beside it."""
 
 MOST_ROWS = 100.0
-"""Independent rows that a joint counts for at most: errors of the model repeat with the motion (ours)."""
+"""Independent rows that a joint counts for at most (ours)."""
 
 NOISE = np.geomspace(1e-4, 2.0, 16)
 """Variances of what is left, over that of the torque."""
@@ -116,19 +117,15 @@ def fitness(
     n = rows.tau.shape[1]
     taken, columns = regressor_rows(robot, rows.motion)
     motion = Motion(*(np.asarray(x)[taken] for x in (rows.motion.q, rows.motion.qd, rows.motion.qdd)))
-    if rows.without_gravity:
-        still = np.zeros_like(motion.q)
-        columns = columns - regressor_rows(robot, Motion(motion.q, still, still))[1]
     later = Motion(motion.q + STEP * motion.qd, motion.qd + STEP * motion.qdd, motion.qdd + STEP * rows.jerk[taken])
-    change = (nominal_torque(robot, later)[0] - nominal_torque(robot, motion)[0]) / STEP
+    model = _nominal(rows, robot, motion)
+    change = (_nominal(rows, robot, later) - model) / STEP
     tau = rows.tau[taken]
     spread = tau.std(0)
     tau = (tau - tau.mean(0)) / np.where(spread > 0, spread, 1.0)
-    phi = np.asarray(robot.inertial, float).reshape(-1)
     thin = slice(None, None, THIN)
     joints = [
-        _Joint.of(motion[thin], j, tau[thin], columns[j][thin], columns[j][thin] @ phi, change[thin, j])
-        for j in range(n)
+        _Joint.of(motion[thin], j, tau[thin], columns[j][thin], model[thin, j], change[thin, j]) for j in range(n)
     ]
     scales = {share: np.append(_scales(robot, share), [GAIN, DELAY]) for share in SHARES}
     if effective is None:
@@ -139,6 +136,12 @@ def fitness(
     found = [_of_joint(x, spread, scales, units, effective, rows.reach[j]) for j, x in enumerate(joints)]
     likelihood, lost, plain, factor, explained = (np.array(x) for x in zip(*found, strict=True))
     return Fitness(likelihood, lost, plain, factor, explained, effective)
+
+
+def _nominal(rows: Rows, robot: Robot, motion: Motion) -> np.ndarray:
+    """(R, n) the URDF's torque; without that of gravity where the rows are without it."""
+    torque, gravity = nominal_torque(robot, motion)
+    return torque - gravity if rows.without_gravity else torque
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,8 @@ class _Joint:
         return np.sqrt(values[keep]), scale[:, None] * vectors[:, keep]
 
     def effective(self, column: int, spread: float, scale: np.ndarray) -> float:
-        """Independent rows of a column: over the autocorrelation time of what a generous fit leaves."""
+        """Independent rows of a column: over the autocorrelation time of what a generous fit leaves, or of the torque
+        itself: errors of the model are functions of the motion, and change no faster."""
         sizes, vectors = self.directions(scale)
         factor = 1 / spread if spread > 0 else 0.0
         p = len(scale)
@@ -189,7 +193,8 @@ class _Joint:
         )
         basis = span(self.own)
         rest = rest - basis @ (basis.T @ rest)
-        return float(min(MOST_ROWS, len(rest) / autocorrelation_time(rest)))
+        repeats = max(autocorrelation_time(rest), autocorrelation_time(self.tau[:, column]))
+        return float(min(MOST_ROWS, len(rest) / repeats))
 
 
 def _of_joint(joint: _Joint, spread, scales, units, effective, reach: float):

@@ -31,8 +31,7 @@ def present(raw: RawTrajectory) -> dict[str, np.ndarray]:
 def taken(raw: RawTrajectory, rows: Any, name: str | None = None) -> RawTrajectory:
     """The trajectory with these rows (a slice, indices or a mask) alone."""
     changed: dict[str, Any] = {c: x[rows] for c, x in present(raw).items()}
-    if raw.stage is not None:
-        changed["stage"] = raw.stage[rows]
+    changed |= {c: x[rows] for c in ("stage", "rows") if (x := getattr(raw, c)) is not None}
     return replace(raw, t=raw.t[rows], name=name or raw.name, **changed)
 
 

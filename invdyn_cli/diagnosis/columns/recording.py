@@ -35,17 +35,16 @@ class Conditioning:
     """How a log is made ready.
 
     Attributes:
-        rate: [Hz] of the working clock; slower logs keep their own. Columns are made at this rate and only then
+        rate: [Hz] working sampling rate; slower logs keep their own. Columns are computed at this rate and only then
             filtered, so that a reversal is placed within 2 ms.
-        cutoffs: [Hz] of a joint's low-pass to choose from: the highest at which the noise of the positions, twice
-            differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE). Beyond, it would not
-            only drown the torque: a controller answers to the noise of its encoders, and what it then asks for goes
-            with the noise of the regressor.
-        smoothing: the motion keeps so many times the bandwidth of the columns, and at least `sharpness` [Hz]: what
-            friction does near a reversal takes 20 ms.
-        max_gap: [s] a longer step parts a trajectory.
-        train_share: first share of each trajectory's time that chooses; the rest judges.
-        longest: [s] of log that is looked at; of a longer one, `stretch` [s] long stretches spread evenly over it.
+        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter: the highest at which the noise of the
+            positions, twice differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE).
+        smoothing: [-] bandwidth of the motion signals, as a multiple of that of the columns.
+        sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms.
+        max_gap: [s] a longer step splits a trajectory.
+        train_share: [-] first share of each trajectory's time for training; the rest is held out.
+        longest: [s] length of log that is used; of a longer log, evenly spread stretches.
+        stretch: [s] length of such a stretch.
     """
 
     rate: float = 250.0

@@ -1,0 +1,66 @@
+"""Progress where stderr is no terminal: lines with the step and the time left, and none of work that is soon done."""
+
+import time
+
+import pytest
+
+from invdyn_cli.verbs import screen
+from tests.commands import TINY, invdyn
+
+
+@pytest.fixture(autouse=True)
+def hurried(monkeypatch):
+    """Two tenths of a second stand for two seconds."""
+    monkeypatch.setattr(screen, "QUIET", 0.2)
+    monkeypatch.setattr(screen, "INTERVAL", 0.5)
+    monkeypatch.delenv(screen.SWITCH, raising=False)
+
+
+def test_soon_done_is_silent(capfd):
+    """Nothing is written of work that ends before."""
+    with screen.stages() as stage:
+        stage("learn")(0.5, "half")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_every_step_and_the_time_left(capfd):
+    """A line for each step that lasts, on stderr alone, with the time left where a share is known; no control
+    characters, and none after the end."""
+    with screen.stages() as stage:
+        stage("read")
+        time.sleep(0.8)
+        stage("learn")(0.5, "loss 0.1\x1b[2J")
+        time.sleep(1.3)
+    time.sleep(0.5)
+    out, err = capfd.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert lines[0].startswith("invdyn: read, ") and lines[0].endswith(" s so far")
+    assert "invdyn: learn 50 %, about 1 s left (loss 0.1?[2J)" in lines
+    assert 3 <= len(lines) <= 6 and "\x1b" not in err and "\r" not in err
+
+
+def test_time_left():
+    """In proportion to the share, in minutes where it is long; none of a step that is done."""
+    assert screen.progress_line("fit", 0.25, 10, "") == "fit 25 %, about 30 s left"
+    assert screen.progress_line("fit", 0.01, 60, "x") == "fit 1 %, about 99 min left (x)"
+    assert screen.progress_line("fit", 1.0, 60, "") == "fit 100 %"
+
+
+def test_it_can_be_turned_off(capfd, monkeypatch):
+    """INVDYN_PROGRESS=off writes nothing."""
+    monkeypatch.setenv(screen.SWITCH, "off")
+    with screen.stages() as stage:
+        stage("learn")
+        time.sleep(0.5)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_long_run_says_where_it_is(tmp_path):
+    """A piped run of some seconds tells its steps on stderr and nothing of them on stdout."""
+    argv = ("run", "model=ffnn", "model.epochs=800", *TINY)
+    done = invdyn(*argv, cwd=tmp_path, INVDYN_PROGRESS="auto")
+    assert done.returncode == 0
+    lines = [line for line in done.stderr.splitlines() if line.startswith("invdyn: learn")]
+    assert lines and any(" left" in line or " so far" in line for line in lines)
+    assert "invdyn: " not in done.stdout
