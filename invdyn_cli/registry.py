@@ -67,7 +67,7 @@ class _Planned:
 
 
 def make_model(name: str | AbstractModel, **hyperparameters: Any) -> AbstractModel:
-    """The model of a name with these hyperparameters (`invdyn models NAME` lists them); a model object with some changed.
+    """The model of a name with these hyperparameters (`invdyn models NAME`), or a model object with some changed.
 
     Raises:
         UsageError: for a name, a hyperparameter or a value that is not allowed.
