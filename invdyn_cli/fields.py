@@ -1,10 +1,13 @@
 """Whether plain values suit the annotations of the dataclass that is to take them: of configs, and of run files."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, fields
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from invdyn_cli.errors import listed
+from invdyn_cli.errors import UsageError, closest, listed
+
+T = TypeVar("T")
 
 WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", NoneType: "null"}
 """Plain types, and what they are called in a message."""
@@ -53,3 +56,23 @@ def in_words(hint: Any) -> str:
     if origin in (tuple, Sequence) and (origin is Sequence or inner[-1:] == (...,)):
         return f"a list, each {in_words(inner[0])}"
     return WORDS.get(hint) or getattr(hint, "__name__", str(hint))
+
+
+def made(kind: type[T], options: Mapping[str, Any], what: str) -> T:
+    """An object of a dataclass from options by name; numbers of numpy count as Python's.
+
+    Raises:
+        UsageError: for an option that `what` does not have, a value that does not suit, or one that lacks.
+    """
+    own, hints = {f.name: f for f in fields(kind) if f.init}, get_type_hints(kind)  # pyright: ignore[reportArgumentType]
+    plain = {name: x.item() if hasattr(x, "item") and not getattr(x, "shape", ()) else x for name, x in options.items()}
+    for name, value in plain.items():
+        if name not in own:
+            got = f"{what} has no option {name}{closest(name, own)}"
+            raise UsageError(f"{got}; allowed: {listed(own, most=30) if own else 'none'}")
+        if not suits(value, hints[name]):
+            raise UsageError(f"{what}: {name}={value!r}; allowed: {in_words(hints[name])}")
+    for name, one in own.items():
+        if name not in plain and one.default is MISSING and one.default_factory is MISSING:
+            raise UsageError(f"{what} needs the option {name}; allowed: {in_words(hints[name])}")
+    return kind(**plain)

@@ -9,13 +9,17 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from invdyn_cli import hdf5
 from invdyn_cli.errors import LogError, closest, listed, shortened
+from invdyn_cli.frames import frame
 from invdyn_cli.hdf5 import Group, Stored
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 FORMAT, VERSION = "invdyn-log", 1
 TORQUE_UNITS = ("N m", "A")
@@ -61,7 +65,7 @@ class RawTrajectory:
     rows: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Log:
     """A recording of one robot with n joints: the attributes of the log format (docs/logs.md), and its trajectories.
 
@@ -83,6 +87,16 @@ class Log:
     position_side: str = "unknown"
     compensated: tuple[str, ...] = ()
     history: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        count, rows = len(self.trajectories), sum(len(one.t) for one in self.trajectories)
+        size = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {rows} rows at {self.rate:.4g} Hz"
+        return f"Log of {self.robot}: {listed(self.joints)}; {size}; {self.torque_side} torque in {self.torque_unit}"
+
+    def to_pandas(self) -> "DataFrame":
+        """All rows under trajectory and t [s] as index, columns q_JOINT [rad; m], tau_JOINT [N m; N, or A] and so on;
+        LogError for channels of other shapes, UsageError without pandas."""
+        return frame(self, CHANNELS)
 
 
 def read_log(

@@ -14,9 +14,10 @@ from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.adaptation.error_model import ErrorModel
 from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.adaptation.payload import Payload
-from invdyn_cli.errors import RunFileError, listed, shortened
-from invdyn_cli.fields import in_words, suits
+from invdyn_cli.errors import RunFileError, UsageError, closest, listed, shortened
+from invdyn_cli.fields import in_words, made, suits
 from invdyn_cli.hybrid import Hybrid
+from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.models.dbm import Dbm
 from invdyn_cli.models.extended import Extended
 from invdyn_cli.models.ffnn import Ffnn, JointNet
@@ -37,6 +38,9 @@ CLASSES: Mapping[str, type] = {
     "payload": Payload,
 }
 """Names in files. A class may move or change its name; what stands here stays."""
+
+MODELS: Mapping[str, type[AbstractModel]] = {k: v for k, v in CLASSES.items() if issubclass(v, AbstractModel)}
+"""The models among them."""
 
 _NAMES: Mapping[type, str] = {kind: name for name, kind in CLASSES.items()}
 _PATHS: Mapping[str, type] = {
@@ -60,6 +64,22 @@ class _Planned:
 
     kind: type
     fields: Mapping[str, Any]
+
+
+def make_model(name: str | AbstractModel, **hyperparameters: Any) -> AbstractModel:
+    """The model of a name with these hyperparameters (docs/python.md lists them); a model object with some changed.
+
+    Raises:
+        UsageError: for a name, a hyperparameter or a value that is not allowed.
+    """
+    if isinstance(name, AbstractModel):
+        options = {f.name: getattr(name, f.name) for f in fields(name) if f.init}  # pyright: ignore[reportArgumentType]
+        return made(type(name), options | hyperparameters, type(name).__name__) if hyperparameters else name
+    if not isinstance(name, str) or name not in MODELS:
+        got = f"model={name!r}" if isinstance(name, str) else f"the model is a {type(name).__name__}"
+        near = closest(name, MODELS) if isinstance(name, str) else ""
+        raise UsageError(f"{got}{near}; allowed: {listed(MODELS)}, or an AbstractModel")
+    return made(MODELS[name], hyperparameters, f"the model {name}")
 
 
 def encode(value: Any) -> Any:

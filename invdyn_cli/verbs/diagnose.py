@@ -4,18 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 
-import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from invdyn_cli import store
-from invdyn_cli.design import next_motion
-from invdyn_cli.design.trajectory import Design
-from invdyn_cli.diagnosis import Options, diagnose
+from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.columns.recording import Conditioning
-from invdyn_cli.diagnosis.extension import Export, exported
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
-from invdyn_cli.files import write_file
+from invdyn_cli.functions.diagnosing import explain
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -25,22 +20,13 @@ from invdyn_cli.interfaces import (
     AbstractModel,
     AbstractMotionEffect,
     AbstractTorqueEffect,
-    Progress,
-    silent,
 )
-from invdyn_cli.report import diagnosis_figures, diagnosis_page, diagnosis_tables
-from invdyn_cli.report.better_simulation import replay_line
-from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import check, imports, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.material import material_of
 from invdyn_cli.verbs.run import make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
-
-DIAGNOSIS, MODEL, REPORT = "diagnosis.json", "extended_model.json", "report.html"
-URDF, MJCF = "extended_model.urdf", "extended_model.mjcf.xml"
-"""What the files are called; diagnosis.json is written last: where it is, the diagnosis is complete."""
 
 KINDS = (
     AbstractTorqueEffect,
@@ -89,7 +75,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
         material = brought.material(robot, stage("data"))
-        diagnosis = diagnose(
+        result = explain(
             material.log,
             robot,
             windows=material.windows,
@@ -97,77 +83,17 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
             options=options,
             effects=effects,
             learner=learner,
+            design=config.diagnosis.design,
             seed=config.seed,
             progress=stage("diagnose"),
+            designing=stage("next"),
+            notes=[f"data: {note}" for note in material.notes],
         )
-        design = None
-        if config.diagnosis.design:
-            diagnosis, design = next_motion.after(diagnosis, robot, seed=config.seed, progress=stage("next"))
-        write(diagnosis, robot.name, folder, stage("write"), design)
+        result.save(folder, stage("write"))
     imports.keep(maps, folder, console)
-    for note in material.notes:
-        console.note(f"data: {note}")
-    show(diagnosis, console)
-    if design is not None:
-        console.print(
-            f"Some causes remain ambiguous. To distinguish them, play and log {next_motion.FILE} "
-            f"({design.t[-1]:.3g} s), then diagnose both logs together."
-        )
+    console.print(result)
     console.whole(check.relative(folder))
-    return diagnosis
-
-
-def write(
-    diagnosis: Diagnosis, robot_name: str, folder: Path, progress: Progress = silent, design: Design | None = None
-) -> None:
-    """All files of a diagnosis; of a log that is unusable there is no model, and nothing to draw. `design` is what to
-    record next."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in (DIAGNOSIS, MODEL, REPORT, URDF, MJCF, next_motion.FILE):
-        (folder / name).unlink(missing_ok=True)
-    files, lacks = {"report": REPORT}, {}
-    if diagnosis.model is not None:
-        store.write_model(diagnosis.model, folder / MODEL)
-        more, lacks = _write_simulations(exported(diagnosis.model), folder)
-        files = {"model": MODEL, **more, **files}
-    if design is not None:
-        write_csv(folder / next_motion.FILE, design.t, np.asarray(design.motion.q), design.robot.joints)
-        files["trajectory"] = next_motion.FILE
-    drawn = diagnosis_figures.draw_all(diagnosis, folder / "figures") if diagnosis.signals is not None else []
-    progress(0.9, "report")
-    diagnosis_page.write_report(diagnosis, robot_name, drawn, folder / REPORT, lacks, files.get("trajectory", ""))
-    store.write_diagnosis(diagnosis, folder / DIAGNOSIS, files)
-    progress(1.0, "done")
-
-
-def _write_simulations(export: Export, folder: Path) -> tuple[dict[str, str], dict[str, Sequence[str]]]:
-    """The files for simulators, and what each of them does not hold."""
-    files, lacks = {}, {}
-    for kind, name, text, said in (
-        ("urdf", URDF, export.urdf, export.urdf_lacks),
-        ("mjcf", MJCF, export.mjcf, export.mjcf_lacks),
-    ):
-        if text:
-            write_file(folder / name, text)
-            files[kind], lacks[name] = name, said
-    return files, lacks
-
-
-def show(diagnosis: Diagnosis, console: Screen) -> None:
-    """The verdict, the causes, the errors, what the user should know; the doctor's words where the log is unusable."""
-    console.print(diagnosis_tables.verdict_line(diagnosis))
-    if diagnosis.verdict == "log_unusable":
-        console.print(check.shown(diagnosis.examination))
-    else:
-        console.print(diagnosis_tables.finding_table(diagnosis))
-        usual = diagnosis_tables.standard_table(diagnosis)
-        if usual is not None:
-            console.print(usual)
-        console.print(diagnosis_tables.error_table(diagnosis))
-    if diagnosis.replay is not None:
-        console.print(replay_line(diagnosis))
-    for note in diagnosis.notes:
-        console.note(note)
+    return result.diagnosis
 
 
 def options_of(config: DictConfig) -> Options:

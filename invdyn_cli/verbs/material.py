@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli.data import raw
 from invdyn_cli.data.conditioning import Conditioning
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.data.recorded import RealLog
@@ -16,7 +17,6 @@ from invdyn_cli.errors import LogError, UsageError, listed
 from invdyn_cli.interfaces import Progress
 from invdyn_cli.logfile import CHANNELS, Log, RawTrajectory
 from invdyn_cli.types import Header, Robot
-from invdyn_cli.verbs import raw
 
 UNUSED = ("derivatives", "filter_cutoff", "filter_order", "torque_lag", "decimate", "rate")
 """Options of data=real_log that make data ready to learn from: a diagnosis has a conditioning of its own."""

@@ -13,9 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import RobotError, UsageError, listed
 from invdyn_cli.files import write_file
-from invdyn_cli.formats.columns import numbered
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
-from invdyn_cli.report import figures, page, tables
+from invdyn_cli.functions.fitting import FitResult
+from invdyn_cli.functions.inputs import named_by, with_joints
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress
 from invdyn_cli.tracking.contract import AbstractTracker, Tracked, flat, mean_curves, numbers
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
@@ -72,16 +72,11 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
     with screen.stages(quiet=console.quiet) as stage:
         made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
         record = _with_origin(made, config, started, view or job())
-        write(record, folder, tuple(config.figures.formats), stage("write"))
+        result = FitResult(record)
+        result.save(folder, tuple(config.figures.formats), stage("write"))
         untracked = track(tracker, record, config, folder, stage("track"))
     imports.keep(maps, folder, console)
-    for note in record.split.get("notes", ()):
-        console.note(f"data: {note}")
-    console.print(tables.score_table(record))
-    if loads := tables.load_table(record):
-        console.print(loads)
-    for warning in record.fit.warnings:
-        console.warn(warning)
+    console.print(result)
     if untracked:
         screen.tell(f"invdyn: the run is complete, but was not tracked: {untracked}")
     console.whole(relative(folder))
@@ -121,18 +116,6 @@ def track(tracker: AbstractTracker, record: RunRecord, config: DictConfig, folde
     return ""
 
 
-def write(record: RunRecord, folder: Path, formats: Sequence[str] = ("png",), progress: Progress = silent) -> None:
-    """All files of a run; metrics.json comes last: where it is, the run is complete."""
-    (folder / store.METRICS).unlink(missing_ok=True)
-    store.write_run(record, folder / store.RUN)
-    progress(0.2, "figures")
-    drawn = figures.draw_all(record, folder / "figures", tuple({"png", *formats}))
-    progress(0.9, "report")
-    page.write_page(record, [path for path in drawn if path.suffix == ".png"], folder / "report.html")
-    store.write_metrics(record, folder / store.METRICS)
-    progress(1.0, "done")
-
-
 def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Screen) -> Robot | None:
     """The robot of the config; what it leaves open (path, joints) the data fill in.
 
@@ -152,15 +135,8 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     if joints is None and header is not None and node.tip is None:
         joints = list(header.joints)
     try:
-        if not node.path and Path(path).suffix == ".xacro":
-            got = f"the log names the robot description {path}; allowed there: .urdf, because a xacro file runs code"
-            raise RobotError(got, advice="robot=urdf robot.path=…, if you trust that file")
-        try:
-            robot = instantiate(node, path=str(path), joints=joints)()
-        except RobotError:
-            if joints is None or tuple(joints) != numbered(len(joints)):
-                raise
-            robot = instantiate(node, path=str(path), joints=None)()  # numbers are no names: joints in the URDF's order
+        path = str(node.path or named_by(header))
+        robot = with_joints(lambda names: instantiate(node, path=path, joints=names)(), joints)
     except RobotError as error:
         if not optional or node.path:
             raise

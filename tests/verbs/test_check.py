@@ -12,9 +12,9 @@ from rich.console import Console
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.logfile import read_log, write_log
+from invdyn_cli.report import check_terminal
 from invdyn_cli.report.tables import significant
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.verbs import check
 from tests.diagnosis.sick import changed, sound
 from tests.logs import make_log, motion
 
@@ -110,7 +110,7 @@ def test_tables_fold(width, arm):
     names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
     examination = doctor.examine(replace(sound(arm, seconds=8), joints=names), None)
     console = Console(width=width, record=True, file=io.StringIO())
-    console.print(check.shown(examination))
+    console.print(check_terminal.shown(examination))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= width
     for head in ("reversals", "rest %", "slow %", "max |qdd|", "cannot"):

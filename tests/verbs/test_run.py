@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from invdyn_cli import load_model, load_run
+from invdyn_cli.report import figures
 from invdyn_cli.verbs import run as verb
 from tests.commands import ROOT, TINY, invdyn
 from tests.logs import make_log, motion
@@ -292,7 +293,7 @@ def test_a_new_run_in_an_old_folder_starts_incomplete(command, monkeypatch):
     def dies(*args, **kwargs):
         raise OSError(28, "No space left on device", "here/figures")
 
-    monkeypatch.setattr(verb.figures, "draw_all", dies)
+    monkeypatch.setattr(figures, "draw_all", dies)
     said = command(*argv)
     assert said.code == 2
     assert "No space left on device" in said.err[0]

@@ -1,0 +1,49 @@
+"""One import offers what the docs use, and loads nothing before it is needed."""
+
+import ast
+import re
+
+import pytest
+
+import invdyn_cli as invdyn
+from tests.commands import ROOT, python
+from tests.test_cli import HEAVY
+
+
+def test_import_loads_nothing_heavy(tmp_path):
+    """`import invdyn_cli`, and asking what it offers, load no package but its own."""
+    code = "import sys, invdyn_cli; dir(invdyn_cli); print(*sys.modules)"
+    said = python("-c", code, cwd=tmp_path)
+    loaded = {name.split(".")[0] for name in said.stdout.split()}
+    assert "invdyn_cli" in loaded and not loaded & {*HEAVY, "pandas", "sklearn"}
+
+
+def test_editors_see_what_is_offered():
+    """The imports for type checkers, `__all__`, the table of modules and `dir()` name the same things, from the same
+    modules."""
+    tree = ast.parse((ROOT / "invdyn_cli" / "__init__.py").read_text())
+    typed = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {x.name: (one.module or "").removeprefix("invdyn_cli.") for one in typed.body
+            if isinstance(one, ast.ImportFrom) for x in one.names}  # fmt: skip
+    assert seen == invdyn._OFFERED and sorted(seen) == invdyn.__all__
+    assert set(invdyn.__all__) <= set(dir(invdyn))
+
+
+@pytest.mark.parametrize("name", [x for x in invdyn.__all__ if x != "InverseDynamicsRegressor"])
+def test_everything_offered_is_there(name):
+    """Every name leads to an object of that name."""
+    assert getattr(invdyn, name).__name__ == name
+
+
+def test_what_is_not_offered_is_no_attribute():
+    """A misspelt name is an AttributeError, as of any module."""
+    with pytest.raises(AttributeError, match="'invdyn_cli' has no attribute 'diagnoze'"):
+        _ = invdyn.diagnoze
+
+
+def test_the_docs_use_what_is_offered():
+    """README, page and notebook use no other name of the package, and the page leaves none out."""
+    pages = {name: (ROOT / name).read_text() for name in ("README.md", "docs/python.md", "docs/notebook.ipynb")}
+    used = {name for text in pages.values() for name in re.findall(r"\binvdyn\.([A-Za-z]\w*)", text)}
+    assert used <= set(invdyn.__all__)
+    assert [name for name in invdyn.__all__ if not re.search(rf"\b{name}\b", pages["docs/python.md"])] == []
