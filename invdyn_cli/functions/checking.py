@@ -34,7 +34,7 @@ class CheckResult(Shown):
         robot: None where there is none.
         examination: every check, what the motion excites.
         corrected: the log with all corrections, as a diagnosis takes it.
-        marks: where in the log the findings are.
+        marks: where in the log each finding is.
         notes: what the reader should know beside.
     """
 
@@ -42,8 +42,13 @@ class CheckResult(Shown):
     robot: Robot | None
     examination: Examination
     corrected: Log
-    marks: tuple[Mark, ...]
+    marks: tuple[Mark, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def corrections(self) -> tuple[str, ...]:
+        """One sentence for each."""
+        return doctor.done(self.examination)
 
     @property
     def usable(self) -> bool:
@@ -55,11 +60,6 @@ class CheckResult(Shown):
         """Every check with severity, place, value and advice."""
         return self.examination.checks
 
-    @property
-    def corrections(self) -> tuple[str, ...]:
-        """A sentence for every correction."""
-        return doctor.done(self.examination)
-
     def __rich__(self) -> Group:
         return Group(*(Text(x, "dim") for x in self.notes), shown(self.examination))
 
@@ -68,8 +68,9 @@ class CheckResult(Shown):
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         progress(0.8, "report")
-        checked = CheckedLog(self.log, self.corrected, self.marks, self.robot)
-        figures, lacking = check_figures.draw_all(checked, folder / "figures")
+        figures, lacking = check_figures.draw_all(
+            CheckedLog(self.log, self.corrected, self.marks, self.robot), folder / "figures"
+        )
         notes = [*self.notes, *lacking]
         page = check_page.write_page(self.examination, self.log, self.robot, figures, folder / REPORT, notes)
         store.write_check(self.examination, folder / CHECK)
@@ -95,7 +96,7 @@ def check(
 
 
 def examine(logs: list[Log], robot: Robot | None, *, correct: bool = True) -> CheckResult:
-    """Check logs of one robot together."""
+    """Check logs of one robot together; nothing is corrected where `correct` is False."""
     notes = list(robot.notes) if robot else [NO_ROBOT]
     log = raw.merged(logs, robot, notes)
     corrected, examination, marks = located(log, robot, correct=correct)

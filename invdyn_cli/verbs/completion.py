@@ -6,7 +6,7 @@ would need. The scripts here ask `invdyn completion candidates WORD …` instead
 
 from collections.abc import Iterable, Sequence
 
-from invdyn_cli.errors import listed
+from invdyn_cli.errors import UsageError, listed
 
 BASH = r"""# bash completion of invdyn: source <(invdyn completion bash), best in ~/.bashrc
 _invdyn() {
@@ -108,7 +108,8 @@ def verbs() -> list[str]:
     """All verbs: those with a config, and those that take plain words."""
     from invdyn_cli.verbs.launch import config_folder
 
-    return sorted(["effects", "models", "completion", *(path.stem for path in config_folder().glob("*.yaml"))])
+    plain = ["effects", "models", "completion", "experiment"]
+    return sorted([*plain, *(path.stem for path in config_folder().glob("*.yaml"))])
 
 
 def candidates(words: Sequence[str]) -> list[str]:
@@ -122,9 +123,26 @@ def candidates(words: Sequence[str]) -> list[str]:
         from invdyn_cli.verbs import effects, models
 
         return _beginning(effects.names() if verb == "effects" else models.names(), current)
+    if verb == "experiment":
+        return _of_experiment(words[1:-1], current)
     if verb not in verbs():
         return []
     return _of_config(verb, [x for x in words[1:-1] if "=" in x and not x.startswith("-")], current)
+
+
+def _of_experiment(words: Sequence[str], current: str) -> list[str]:
+    """Names of experiments, and behind one the options of its class; those of a sweep are those of `tables`."""
+    from invdyn_cli.verbs import experiment, listing
+
+    if not words:
+        return _beginning(listing.names(), current)
+    try:
+        spec = listing.read(words[0].replace("-", "_"))
+    except UsageError:
+        return []
+    if "_target_" not in spec:
+        return _of_config("tables", [], current)
+    return _beginning([f"{name}=" for name in experiment.usual(spec)], current)
 
 
 def _of_config(verb: str, overrides: Sequence[str], current: str) -> list[str]:

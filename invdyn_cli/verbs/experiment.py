@@ -136,8 +136,7 @@ def put(page: Path, name: str, text: str) -> None:
 
 def _options(name: str, spec: Mapping[str, Any], argv: Sequence[str]) -> dict[str, Any]:
     """The options of an experiment with their values: those of argv, else those of its YAML and of all experiments."""
-    shared: Any = OmegaConf.to_container(OmegaConf.create(SHARED))
-    options: dict[str, Any] = {**shared, **{x: y for x, y in spec.items() if x not in listing.CLASS}}
+    options = usual(spec)
     said = {}
     for argument in argv:
         option, equals, text = argument.partition("=")
@@ -151,6 +150,12 @@ def _options(name: str, spec: Mapping[str, Any], argv: Sequence[str]) -> dict[st
         if type(said[option]) in (int, float) and said[option] < 0:
             raise UsageError(f"{argument}; allowed: a number of 0 or more")
     return options | said
+
+
+def usual(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of an experiment that is a class, with their defaults."""
+    shared: Any = OmegaConf.to_container(OmegaConf.create(SHARED))
+    return {**shared, **{x: y for x, y in spec.items() if x not in listing.CLASS}}
 
 
 def _value(text: str, usual: Any) -> Any:

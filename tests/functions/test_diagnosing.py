@@ -88,11 +88,14 @@ def test_columns_without_names_follow_the_urdf(case):
 
 
 def test_defects_are_described(case):
-    """NaN in the arrays is no exception but a finding of the check."""
+    """NaN in the arrays is no exception but a finding of the check, which leaves such rows out unless told not to."""
     q = case.arrays["q"].copy()
     q[100:110, 0] = np.nan
     result = invdyn.check(**{**case.arrays, "q": q}, urdf=case.folder / "arm.urdf")
     assert {x.severity for x in result.checks if x.check == "not_finite"} & {"warn", "fail"}
+    assert np.isfinite(result.corrected.trajectories[0].q).all() and result.corrections
+    raw = invdyn.check(**{**case.arrays, "q": q}, urdf=case.folder / "arm.urdf", correct=False)
+    assert np.isnan(raw.corrected.trajectories[0].q).any() and not raw.usable
 
 
 def test_refuses_what_does_not_belong_together(case):

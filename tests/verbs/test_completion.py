@@ -92,6 +92,9 @@ def test_candidates(tmp_path, monkeypatch):
     assert completion.candidates(["run", "model=pest", "model.offset="]) == ["model.offset=true", "model.offset=false"]
     assert completion.candidates(["diagnose", "model@diagnosis.learner=ffnn_"]) == ["model@diagnosis.learner=ffnn_deep"]
     assert "experiment=dbm" in completion.candidates(["tables", "experiment="])
+    assert completion.candidates(["experiment", "conf"]) == ["confusion"]
+    assert completion.candidates(["experiment", "taken-up", "lo"]) == ["logs="]
+    assert completion.candidates(["experiment", "dbm", "fre"]) == completion.candidates(["tables", "fre"]) != []
     assert completion.candidates(["run", "robot.path="]) == []
     assert completion.candidates(["nonsense", "x"]) == []
 
