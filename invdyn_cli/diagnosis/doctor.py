@@ -77,12 +77,12 @@ def correct(
     robot: Robot | None,
     checks: Sequence[AbstractCheck] = CHECKS,
     follow: Callable[[Log, Sequence[Check]], None] | None = None,
-    mends: bool = True,
+    change: bool = True,
 ) -> tuple[Log, Examination]:
-    """The log with all that is certain put right and hopeless trajectories left out, and what there is to say of it.
+    """The log with every certain defect corrected and hopeless trajectories left out, and what there is to say of it.
 
     The corrected log passes `logfile.refuse_defects` where the examination calls it usable. `follow` is told every
-    check's findings, and the log that it saw. Without `mends` nothing is put right.
+    check's findings, and the log that it saw. Where `change` is False the log stays as recorded.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.
@@ -90,7 +90,7 @@ def correct(
     _refuse_other(log, robot)
     found: list[Check] = []
     hopeless = False
-    log, notes = _worded(log) if mends else (log, [])
+    log, notes = _worded(log) if change else (log, [])
     corrections = [{"check": "header", "done": note} for note in notes]
     with np.errstate(all="ignore"):
         for check in checks:
@@ -100,17 +100,17 @@ def correct(
             if follow is not None:
                 follow(log, mine)
             failed = any(one.severity == "fail" for one in seen)
-            if mends:
+            if change:
                 log, notes = check.mend(log, mine, robot)
                 corrections += [{"check": check.name, "done": note} for note in notes]
-            hopeless |= failed and (not mends or any(one.severity == "fail" for one in _asked(check, log, robot)))
+            hopeless |= failed and (not change or any(one.severity == "fail" for one in _asked(check, log, robot)))
         try:
-            refuse_defects(log, "the corrected log" if mends else "the log")
+            refuse_defects(log, "the corrected log" if change else "the log")
         except LogError as error:
             found.append(_unreadable(error))
             hopeless = True
         usable = not hopeless and bool(log.trajectories)
-        excitation = Excitation().measure(log, robot) if log.trajectories and (mends or usable) else {}
+        excitation = Excitation().measure(log, robot) if log.trajectories and (change or usable) else {}
     return log, Examination(usable, _ordered(found), excitation, tuple(corrections))
 
 

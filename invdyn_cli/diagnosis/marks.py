@@ -73,7 +73,7 @@ def located(log: Log, robot: Robot | None, *, correct: bool = True) -> tuple[Log
         for one in findings:
             found.extend(_marks(seen, one))
 
-    corrected, examination = doctor.correct(replace(log, trajectories=counted), robot, follow=follow, mends=correct)
+    corrected, examination = doctor.correct(replace(log, trajectories=counted), robot, follow=follow, change=correct)
     return corrected, examination, (*_merged(found), *(_at_rest(corrected) if correct or examination.usable else ()))
 
 

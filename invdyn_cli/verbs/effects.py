@@ -7,10 +7,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from invdyn_cli.errors import InvdynError, UsageError, closest, listed
-from invdyn_cli.verbs.launch import admit_modules, complain
+from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.verbs.launch import admit_modules
 from invdyn_cli.verbs.options import find
-from invdyn_cli.verbs.usage import entry, width
+from invdyn_cli.verbs.usage import entry, look_up, width
 
 HELP = """invdyn effects: the physical effects that a diagnosis looks for
 
@@ -31,16 +31,7 @@ class Place(NamedTuple):
 
 def main(argv: Sequence[str]) -> int:
     """Print the list, or one effect; the exit code."""
-    if {"-h", "--help"} & set(argv):
-        print(HELP, end="")
-        return 0
-    try:
-        if len(argv) > 1:
-            raise UsageError(f"effects {' '.join(argv)}; allowed: the name of one effect")
-        print("\n".join(one_in_words(argv[0]) if argv else all_in_words()))
-    except InvdynError as error:
-        return complain(str(error))
-    return 0
+    return look_up(argv, HELP, "effects", "effect", all_in_words, one_in_words)
 
 
 def names() -> list[str]:

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from invdyn_cli.errors import InvdynError, UsageError, closest, listed
+from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.verbs import options
-from invdyn_cli.verbs.launch import complain, told
-from invdyn_cli.verbs.usage import entry, setting, width
+from invdyn_cli.verbs.usage import entry, look_up, setting, width
 
 HELP = """invdyn models: the models, and the ways to adapt them while the robot works
 
@@ -23,19 +22,7 @@ PAPER = "paper: Hitzler, Meier, Schaal and Asfour, Humanoids 2019"
 
 def main(argv: Sequence[str]) -> int:
     """Print the list, or one of them; the exit code."""
-    if {"-h", "--help"} & set(argv):
-        print(HELP, end="")
-        return 0
-    try:
-        if len(argv) > 1:
-            raise UsageError(f"models {' '.join(argv)}; allowed: the name of one model or adaptation")
-        print("\n".join(one_in_words(argv[0]) if argv else all_in_words()))
-    except Exception as error:
-        line = str(error) if isinstance(error, InvdynError) else told("run", error, ())
-        if not line:
-            raise
-        return complain(line)
-    return 0
+    return look_up(argv, HELP, "models", "model or adaptation", all_in_words, one_in_words)
 
 
 def names() -> list[str]:

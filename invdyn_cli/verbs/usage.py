@@ -2,10 +2,11 @@
 
 import shutil
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from omegaconf import OmegaConf
 
+from invdyn_cli.errors import InvdynError, UsageError
 from invdyn_cli.verbs import options
 from invdyn_cli.verbs.launch import complain, config_folder, told
 from invdyn_cli.verbs.options import Described, Option
@@ -25,6 +26,31 @@ def show(verb: str, argv: Sequence[str]) -> int:
         if not line:
             raise
         return complain(line)
+
+
+def look_up(
+    argv: Sequence[str],
+    text: str,
+    verb: str,
+    what: str,
+    every: Callable[[], Iterator[str]],
+    one: Callable[[str], Iterator[str]],
+) -> int:
+    """A verb that looks things up: prints its help `text`, the lines of `every` thing, or those of `one` that argv
+    names, `what` it is called in a message; the exit code."""
+    if {"-h", "--help"} & set(argv):
+        print(text, end="")
+        return 0
+    try:
+        if len(argv) > 1:
+            raise UsageError(f"{verb} {' '.join(argv)}; allowed: the name of one {what}")
+        print("\n".join(one(argv[0]) if argv else every()))
+    except Exception as error:
+        line = str(error) if isinstance(error, InvdynError) else told("run", error, ())
+        if not line:
+            raise
+        return complain(line)
+    return 0
 
 
 def lines(verb: str, found: Described) -> Iterator[str]:

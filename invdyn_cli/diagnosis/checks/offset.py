@@ -19,10 +19,11 @@ from invdyn_cli.types import Check, Robot
 class TimeOffset(AbstractCheck):
     """How much later the torque of all joints comes than the motion that it drives, positive: torque late.
 
-    For every shift the torque is fitted by nominal torque, friction and rotor inertia, which would look early without a
-    column of its own; the shift with the least residual wins, joint by joint, refined by a parabola. An offset of the
-    channel is the median of the joints, each weighted by how sharply its residual grows beside its shift; its standard
-    error follows from how far the joints lie from it. What one joint has alone is an effect of its drive, found later.
+    For every shift the torque is fitted by nominal torque, friction (quadratic, too) and rotor inertia: without its
+    column a rotor looks like an early torque. The shift with the least residual wins, joint by joint, refined by a
+    parabola. An offset of the channel is the median of the joints, each weighted by how sharply its residual grows
+    beside its shift; its standard error follows from how far the joints lie from it. What one joint has alone is an
+    effect of its drive, found later.
 
     Attributes:
         samples: that are normal (first order: half a sample for a controller's hold, one for the order of reading).
@@ -188,8 +189,7 @@ class TimeOffset(AbstractCheck):
         offsets, gains, weights = {}, {}, {}
         for joint in judged.tolist():
             qd, qdd = evidence.motion.qd[:, joint], evidence.motion.qdd[:, joint]
-            own = [evidence.columns(joint), evidence.nominal[:, joint], qdd, qd * np.abs(qd)]
-            basis = span(np.column_stack(own))
+            basis = span(np.column_stack([evidence.columns(joint), evidence.nominal[:, joint], qdd, qd * np.abs(qd)]))
 
             def residual(shift: int, joint: int = joint, basis: np.ndarray = basis) -> float:
                 tau = _torque_at(parts, evidence.stretch, evidence.row + most + 2, joint, shift)
