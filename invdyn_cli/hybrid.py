@@ -72,6 +72,14 @@ class Hybrid(AbstractModel):
         """The learner with other weights on the same base."""
         return {**params, "learner": self.learner.with_weights(params["learner"], weights)}
 
+    def linear(self, params: PyTree) -> PyTree:
+        """The base's."""
+        return self.base.linear(params["base"])
+
+    def with_linear(self, params: PyTree, linear: PyTree) -> PyTree:
+        """The base with other linear parameters under the same learner."""
+        return {**params, "base": self.base.with_linear(params["base"], linear)}
+
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The members of the learner, each with the same base."""
         learners = self.learner.members(replace(fit, params=fit.params["learner"]))

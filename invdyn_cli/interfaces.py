@@ -15,6 +15,7 @@ import numpy as np
 from invdyn_cli.chunks import CHUNK, in_chunks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.joints import NO_PLACE, NO_TIME, JointState, SimulatorTerms, UsualJoint
+from invdyn_cli.log import Log, Recorded
 from invdyn_cli.types import Array, Check, Dataset, EffectText, Fit, Header, Motion, PyTree, Robot, Splits
 
 Progress = Callable[[float, str], None]
@@ -30,6 +31,10 @@ class AbstractModel(abc.ABC):
 
     needs_robot: bool = True
     """Whether `apply` uses the robot's kinematics; a model that does not still runs on a log without a URDF."""
+    by_joint: bool = False
+    """Whether row j of each `linear` parameter changes the torque of joint j alone."""
+    has_memory: bool = False
+    """Whether `predict` goes along a recording; `apply` is then the torque of its first sample."""
 
     @abc.abstractmethod
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
@@ -54,17 +59,22 @@ class AbstractModel(abc.ABC):
         return CHUNK
 
     def weights(self, params: PyTree) -> PyTree:
-        """The part of the parameters that steps down a gradient may move while the robot works.
-
-        Raises:
-            UsageError: where there is none.
-        """
+        """The part that steps down a gradient may move while the robot works; UsageError where there is none."""
         got = f"{type(self).__name__} has no weights that can be adapted"
         raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep")
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
         """The parameters with other weights."""
         raise NotImplementedError
+
+    def linear(self, params: PyTree) -> PyTree:
+        """The part of the parameters in which the torque is linear, or nearly so; UsageError where there is none."""
+        got = f"{type(self).__name__} has no linear parameters"
+        raise UsageError(got, advice="model=pest, standard, extended or rff")
+
+    def with_linear(self, params: PyTree, linear: PyTree) -> PyTree:
+        """The parameters with others in the place of the linear ones."""
+        return {**params, **linear}
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The single models that a fit of several seeds holds; most fits hold one: themselves."""
@@ -121,8 +131,7 @@ class AbstractAdapter(abc.ABC):
         return {}
 
     def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The state after a whole block of measured samples (block, n), from a state between blocks: what as many
-        calls of `update` give, and faster where it can be."""
+        """The state after a whole block of samples (block, n): what as many calls of `update` give, or faster."""
 
         def step(state: PyTree, sample: tuple[Motion, Array]) -> tuple[PyTree, None]:
             return self.update(model, state, *sample), None
@@ -135,6 +144,8 @@ class AbstractSource(abc.ABC):
 
     needs_robot: bool = True
     """Whether data can only be made with a robot's kinematics."""
+    has_log: bool = False
+    """Whether there is a log as it was recorded, for `invdyn check` and `invdyn diagnose`."""
 
     def header(self) -> Header | None:
         """What the data know about their robot; None for data that any robot can make."""
@@ -143,6 +154,10 @@ class AbstractSource(abc.ABC):
     @abc.abstractmethod
     def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
         """The data, split. Raises LogError for a log that cannot be used as asked."""
+
+    def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
+        """The log as recorded, columns in the robot's order; asked for where `has_log`. Raises LogError as `load`."""
+        raise NotImplementedError(f"{type(self).__name__} has no log")
 
 
 class Parameter(NamedTuple):
@@ -404,28 +419,29 @@ class AbstractForceEffect(AbstractEffect):
 
 
 class AbstractCheck(abc.ABC):
-    """One thing that the doctor looks at in a log. Its fields are thresholds, each with its source beside it.
-
-    Checks are asked in turn, each on the log as those before it have mended it: what comes late may trust the clock and
-    the units.
-    """
+    """One thing that the doctor looks at in a log; its fields are thresholds, each with its source beside it. Checks
+    are asked in turn, each on the log as those before have corrected it."""
 
     name: ClassVar[str] = ""
     """What its lines in check.json are called."""
     again: bool = False
     """Whether it is asked a second time, and says only what it finds then."""
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if hasattr(cls, "mend"):
+            raise TypeError(f"{cls.__name__}.mend would never be called: the method is called correct")
+
     @abc.abstractmethod
-    def examine(self, log: Any, robot: Robot | None) -> list[Check]:
-        """What was seen in a `logfile.Log`, nothing where all is well; without a robot, what needs none. What could not
-        be looked at is `skipped`, never left out."""
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """What was seen in a log; without a robot, what needs none. What could not be looked at is `skipped`."""
 
     def skipped(self, why: str, channel: str | None = None, trajectory: str | None = None) -> Check:
         """The line that says that this check, or its part about a channel, was not made, and why."""
         return Check(self.name, "skipped", trajectory, threshold={"channel": channel} if channel else None, seen=why)
 
-    def mend(self, log: Any, found: Sequence[Check], robot: Robot | None) -> tuple[Any, list[str]]:
-        """The log with this check's own findings put right where that is certain, and a sentence for each mending."""
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """The log with its own findings corrected where that is certain, and a sentence for each correction."""
         return log, []
 
 

@@ -65,7 +65,13 @@ def check_model(model: AbstractModel, dataset: Dataset, *, key: jax.Array | None
     said = model.predict(fit, samples)
     _claim(isinstance(said, np.ndarray), f"{who}.predict gives {type(said).__name__}; allowed: a numpy array")
     _claim(said.shape == each.shape, f"{who}.predict gives {said.shape} for a motion {each.shape}")
-    _close(f"{who}.predict and apply on every sample", said, each, torque)
+    if model.has_memory:
+        rows = [model.predict(fit, samples[slice(row, row + 1)]) for row in range(len(samples))]
+        _close(f"{who}.predict and apply on every first sample", np.concatenate(rows), each, torque)
+        half = model.predict(fit, samples[slice(0, len(samples) // 2)])
+        _close(f"{who}.predict with and without the samples that follow", half, said[: len(half)], torque)
+    else:
+        _close(f"{who}.predict and apply on every sample", said, each, torque)
     members = model.members(fit)
     mean = np.mean([model.predict(member, samples) for member in members], axis=0)
     _close(f"{who}.predict and the mean over its {len(members)} members", said, mean, torque)

@@ -82,6 +82,10 @@ class Extended(AbstractModel):
         count = sum(np.size(x) for x in jax.tree.leaves(params))
         return Fit(params=params, robot=self.model.robot, joints=joints, parameters=int(count))
 
+    def linear(self, params: PyTree) -> PyTree:
+        """The effects'; in some of them (a Stribeck speed) the torque is not linear."""
+        return params
+
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n) of one recording, delays and lags included; the clock is the one that makes qd the derivative
         of q, and starts with the motion."""

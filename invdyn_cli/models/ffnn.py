@@ -11,6 +11,7 @@ import numpy as np
 from invdyn_cli import training
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.maths.scaling import standardisation, standardised
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 MOST_WEIGHTS = 10_000_000
@@ -89,7 +90,7 @@ class Ffnn(AbstractModel):
         """Fresh nets and the standardisation of this dataset."""
         motion, tau = dataset.motion, dataset.tau
         nets = [training.initial(g, 3 * tau.shape[1], self._keys(key)) for g in self.groups(tau.shape[1])]
-        return {**_standardisation(motion, tau), "nets": _named(nets)}
+        return {**standardisation(motion, tau), "nets": _named(nets)}
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample: the mean over the members."""
@@ -111,7 +112,7 @@ class Ffnn(AbstractModel):
         the standardised torque."""
         motion, tau = dataset.motion, dataset.tau
         n = tau.shape[1]
-        scales = _standardisation(motion, tau)
+        scales = standardisation(motion, tau)
         data = _standardised(scales, motion, tau)
         watched = _standardised(scales, validation.motion, validation.tau) if validation else None
         groups = self.groups(n)
@@ -178,16 +179,5 @@ def _named(nets: list[PyTree]) -> dict[str, PyTree]:
     return {f"group{i}": params for i, params in enumerate(nets)}
 
 
-def _standardisation(motion: Motion, tau: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean and standard deviation of inputs (3 n,) and targets (n,); a column that never changes keeps its unit."""
-    inputs = (motion.q, motion.qd, motion.qdd)
-    means = np.concatenate([x.mean(0) for x in inputs]), tau.mean(0)
-    scales = np.concatenate([x.std(0) for x in inputs]), tau.std(0)
-    scales = [np.where(s > 1e-12 * (1 + np.abs(m)), s, 1.0) for m, s in zip(means, scales, strict=True)]
-    return {"input_mean": means[0], "input_scale": scales[0], "target_mean": means[1], "target_scale": scales[1]}
-
-
-def _standardised(scales: dict[str, np.ndarray], motion: Motion, tau: np.ndarray) -> training.Data:
-    x = (np.concatenate([motion.q, motion.qd, motion.qdd], axis=1) - scales["input_mean"]) / scales["input_scale"]
-    y = (tau - scales["target_mean"]) / scales["target_scale"]
-    return training.Data(jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32))
+def _standardised(scales: Mapping[str, Array], motion: Motion, tau: np.ndarray) -> training.Data:
+    return training.Data(*(jnp.asarray(part, jnp.float32) for part in standardised(scales, motion, tau)))

@@ -102,6 +102,10 @@ class Pest(AbstractModel):
             tau = tau + jnp.reshape(value, (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
         return tau
 
+    def linear(self, params: PyTree) -> PyTree:
+        """psi and the extra columns' coefficients."""
+        return {name: params[name] for name in ("psi", "extras")}
+
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n); the rigid body works on whole rows of samples, which is faster than vmap over samples."""
         return in_chunks(lambda part: _apply_rows(self, fit.params, part, fit.robot), motion)
@@ -129,10 +133,10 @@ class Pest(AbstractModel):
             design, dataset, solution, lambda done, note: progress(0.6 + 0.4 * done, f"rank {solution.rank}, {note}")
         )
         params = _params(solution.psi, design)
-        few = details["blocks"] < regression.FEW_BLOCKS
-        warnings = (
-            f"The residuals hold only {details['blocks']} independent stretches: standard deviations are rough.",
-        ) * few
+        blocks = details["blocks"]
+        held = f"{blocks} independent stretch{'es' * (blocks != 1)}"
+        few = blocks < regression.FEW_BLOCKS
+        warnings = (f"The residuals hold only {held}: standard deviations are rough.",) * few
         if self.consistent:
             psi, cost, chance = links.consistent(robot, solution, covariance)
             if cost > chance:

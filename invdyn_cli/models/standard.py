@@ -65,6 +65,10 @@ class Standard(AbstractModel):
             tau = tau + jnp.reshape(params[name], (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
         return tau
 
+    def linear(self, params: PyTree) -> PyTree:
+        """All of them."""
+        return params
+
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n)."""
         return in_chunks(lambda part: _rows(self, fit.params, part, fit.robot), motion)

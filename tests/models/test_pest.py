@@ -290,7 +290,16 @@ def test_few_independent_stretches_are_warned_of(apollo4):
     motion = sines(4, 20_000)
     tau = rigid_torque(apollo4, motion) + np.random.default_rng(0).normal(size=(20_000, 4))
     short, long = (Pest().fit(dataset(apollo4, motion[slice(0, n)], tau[:n]), KEY) for n in (1500, 20_000))
-    assert "independent stretches" in short.warnings[0] and not long.warnings
+    assert "independent stretches:" in short.warnings[0] and not long.warnings
+
+
+def test_one_independent_stretch_is_singular(apollo4):
+    """A log of a hundred samples is one stretch, and the sentence is in the singular."""
+    motion = sines(4, 100)
+    tau = rigid_torque(apollo4, motion) + np.random.default_rng(0).normal(size=(100, 4))
+    data = dataset(apollo4, motion, tau)
+    warnings = Pest().fit(replace(data, trajectories=data.trajectories[:1]), KEY).warnings
+    assert warnings[0].startswith("The residuals hold only 1 independent stretch: ")
 
 
 def test_trajectories_may_come_in_any_pieces(apollo4):

@@ -1,0 +1,176 @@
+"""adaptation=rls: recursive least squares with forgetting on the parameters in which a model's torque is linear.
+
+Ljung 1999, "System Identification", section 11.2 (equations 11.12 to 11.16); with parameters in which the torque is not
+linear, as some of model=extended, the same with the gradient in the place of the columns (section 11.4, recursive
+prediction errors). Forgetting stops while the covariance's trace is that of the prior, so that directions without
+excitation do not grow without bound (Goodwin and Sin 1984, section 3.3).
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.chunks import CHUNK
+from invdyn_cli.errors import UsageError
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.maths.regression import torque_spread
+from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
+
+LEAST_NOISE = 1e-3
+"""Of a joint's torque: a residual on the training data that is smaller counts as that large (data without noise)."""
+
+UNSEEN = 1e-9
+"""Of the largest column: a smaller one is rounding, and its parameter stays."""
+
+
+@dataclass(frozen=True)
+class Rls(AbstractAdapter):
+    """theta <- theta + K (tau - prediction), for model=pest, standard, extended and rff.
+
+    Attributes:
+        forgetting: [-] factor per sample on what was learned before; 1 forgets nothing, 0.999 has a memory of 1,000
+            samples.
+        memory: [samples] so many samples the training data count for at the start, all of them at most.
+    """
+
+    forgetting: float = 0.999
+    memory: float = 1000.0
+
+    if_diverged = "adaptation.forgetting nearer to 1 may help"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.forgetting <= 1:
+            raise UsageError(f"adaptation.forgetting={self.forgetting}; allowed: above 0, at most 1")
+        if not self.memory >= 0:
+            raise UsageError(f"adaptation.memory={self.memory}; allowed: a number of samples >= 0")
+
+    def fit(
+        self,
+        model: AbstractModel,
+        dataset: Dataset,
+        key: jax.Array,
+        *,
+        validation: Dataset | None = None,
+        progress: Progress = silent,
+    ) -> Fit:
+        """The model's own fit, then what the training data know of its parameters; UsageError for a model without
+        linear parameters.
+
+        details: rls_information (blocks, q, q), rls_noise (n,) [N m; N] and rls_samples.
+        """
+        model.linear(model.init(dataset, key))
+        fit = model.fit(dataset, key, validation=validation, progress=progress)
+        spread = torque_spread(dataset)
+        left = np.concatenate([x.tau - model.predict(fit, x.motion) for x in dataset.trajectories])
+        noise = np.maximum(np.sqrt((left**2).mean(0)), LEAST_NOISE * spread)
+        information = jnp.zeros(())
+        motion = dataset.motion
+        for start in range(0, len(motion), CHUNK):
+            part = motion[slice(start, start + CHUNK)]
+            information = information + _information(model, fit.params, fit.robot, noise, part)
+        known = {"rls_information": np.asarray(information), "rls_noise": noise, "rls_samples": len(motion)}
+        return replace(fit, details={**fit.details, **known, "rls_spread": spread})
+
+    def init(self, model: AbstractModel, fit: Fit) -> PyTree:
+        """Parameters, robot, noise (n,), the covariance of the parameters (blocks, q, q) and the prior's scales
+        (blocks, q): one block for all joints, or one per joint where the model is `by_joint`."""
+        information, samples = jnp.asarray(fit.details["rls_information"]), float(fit.details["rls_samples"])
+        noise = jnp.asarray(fit.details["rls_noise"])
+        scale = self._scales(information / samples, jnp.asarray(fit.details["rls_spread"]) / noise)
+        share = min(1.0, self.memory / samples)
+        within = share * information * scale[:, :, None] * scale[:, None, :] + jnp.eye(scale.shape[1])
+        covariance = scale[:, :, None] * jnp.linalg.inv(within) * scale[:, None, :]
+        return {
+            "params": jax.tree.map(lambda leaf: jnp.asarray(leaf), fit.params),
+            "robot": fit.robot,
+            "noise": noise,
+            "covariance": covariance,
+            "scale": scale,
+        }
+
+    def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
+        """Torque (n,) of one sample, with the parameters as of the last one."""
+        return model.apply(state["params"], motion, state["robot"])
+
+    def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
+        """The parameters one sample further."""
+        said, columns = _columns(model, state["params"], motion, state["robot"])
+        blocks = len(columns)
+        errors = jnp.reshape((tau - said) / state["noise"], (blocks, -1))
+        columns = columns / jnp.reshape(state["noise"], (blocks, -1, 1))
+        step, covariance = jax.vmap(self._block)(state["covariance"], state["scale"], columns, errors)
+        before = model.linear(state["params"])
+        moved = jax.tree.map(lambda a, b: a + b.astype(a.dtype), before, _apart(before, step))
+        return {**state, "params": model.with_linear(state["params"], moved), "covariance": covariance}
+
+    def trace(self, state: PyTree) -> dict[str, Array]:
+        """certainty: 1 less the covariance's trace, as a share of the prior's: 0 where nothing is known."""
+        return {"certainty": 1 - _share(state["covariance"], state["scale"]).mean()}
+
+    def _block(self, covariance: Array, scale: Array, columns: Array, errors: Array) -> tuple[Array, Array]:
+        """Change of the parameters (q,) and their covariance (q, q) by rows `columns` (o, q) with unit noise."""
+        forgetting = jnp.where(_share(covariance, scale) <= self.forgetting, self.forgetting, 1.0)
+        reach = covariance @ columns.T
+        gain = jnp.linalg.solve(columns @ reach + forgetting * jnp.eye(len(columns)), reach.T).T
+        covariance = (covariance - gain @ reach.T) / forgetting
+        return gain @ errors, (covariance + covariance.T) / 2
+
+    def _scales(self, squares: Array, ratio: Array) -> Array:
+        """Standard deviations (blocks, q) of the parameters before any data: each alone makes as much torque as the
+        joints have in the training data; 0 for one that makes none."""
+        size = jnp.sqrt(jnp.diagonal(squares, axis1=1, axis2=2))
+        torque = jnp.sqrt(jnp.sum(jnp.reshape(ratio**2, (len(squares), -1)), 1))[:, None]
+        seen = size > UNSEEN * jnp.max(size)
+        return jnp.where(seen, torque / jnp.where(seen, size, 1.0), 0.0)
+
+
+def _share(covariance: Array, scale: Array) -> Array:
+    """Trace of a covariance in units of the prior's, over the number of parameters that can move."""
+    moves = scale > 0
+    variances = jnp.diagonal(covariance, axis1=-2, axis2=-1) / jnp.where(moves, scale, 1.0) ** 2
+    return jnp.sum(variances * moves, -1) / jnp.maximum(jnp.sum(moves, -1), 1)
+
+
+def _columns(model: AbstractModel, params: PyTree, motion: Motion, robot: PyTree) -> tuple[Array, Array]:
+    """Torque (n,) of one sample and its derivatives (blocks, outputs of a block, q) by the linear parameters."""
+
+    def torque(linear: PyTree) -> Array:
+        return model.apply(model.with_linear(params, linear), motion, robot)
+
+    linear = model.linear(params)
+    if model.by_joint:
+        said, back = jax.vjp(torque, linear)
+        return said, _together(back(jnp.ones_like(said))[0], len(said))[:, None]
+    said, back = jax.vjp(torque, linear)
+    rows = jax.vmap(lambda one: _together(back(one)[0], 1)[0])(jnp.eye(len(said), dtype=said.dtype))
+    return said, rows[None]
+
+
+def _together(tree: PyTree, blocks: int) -> Array:
+    """(blocks, q) numbers of a tree."""
+    return jnp.concatenate([jnp.reshape(leaf, (blocks, -1)) for leaf in jax.tree.leaves(tree)], axis=1)
+
+
+def _apart(tree: PyTree, numbers: Array) -> PyTree:
+    """The numbers (blocks, q) in the shape of a tree."""
+    leaves, structure = jax.tree.flatten(tree)
+    ends = np.cumsum([np.size(leaf) // len(numbers) for leaf in leaves])[:-1]
+    parts = jnp.split(numbers, ends, axis=1)
+    return jax.tree.unflatten(structure, [jnp.reshape(x, np.shape(y)) for x, y in zip(parts, leaves, strict=True)])
+
+
+@partial(jax.jit, static_argnums=0)
+def _information(model: AbstractModel, params: PyTree, robot: PyTree, noise: Array, motion: Motion) -> Array:
+    """Sum over samples of columns' columns (blocks, q, q), in units of the noise."""
+
+    def add(total: Array, one: Motion) -> tuple[Array, None]:
+        columns = _columns(model, params, one, robot)[1]
+        columns = columns / jnp.reshape(noise, (len(columns), -1, 1))
+        return total + jnp.einsum("boq,bor->bqr", columns, columns), None
+
+    shape = jax.eval_shape(lambda one: _columns(model, params, one, robot)[1], jax.tree.map(lambda x: x[0], motion))
+    start = jnp.zeros((shape.shape[0], shape.shape[2], shape.shape[2]))
+    return jax.lax.scan(add, start, jax.tree.map(jnp.asarray, motion))[0]
