@@ -15,7 +15,6 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.candidates import body_columns, trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.links import with_links
-from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
@@ -27,6 +26,7 @@ from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
 from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.maths import standard, statistics
 from invdyn_cli.maths.standard import Standard, Sums
+from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Finding, Quantity
 
 TERMS: Mapping[str, tuple[str, str]] = {
@@ -83,14 +83,27 @@ class Columns:
 
     def fit(self, left: np.ndarray, rows: np.ndarray, least: np.ndarray | None = None) -> Standard:
         """The standard model of what is `left` (R, n) on some `rows` (R,); `least` (terms, n): bounds of the terms."""
+        return standard.fit(*self._asked(left, rows, standard.link_scales(self.evidence.robot), least))
+
+    def widest(self, left: np.ndarray, rows: np.ndarray) -> float:
+        """The largest share by which links may be off beside a load, which may be any: see `maths.standard.widest`."""
+        scales = standard.link_scales(self.evidence.robot)
+        scales[-1] = 0.0  # the last link's parameters are the load's
+        return standard.widest(*self._asked(left, rows, scales))
+
+    def _asked(
+        self, left: np.ndarray, rows: np.ndarray, links: np.ndarray, least: np.ndarray | None = None
+    ) -> tuple[list[Sums], standard.Prior, np.ndarray]:
+        """Motions, prior and autocorrelation times; `links` (n, 10): scales of their parameters, zero where any will
+        do."""
         motions = standard.distinct(self._motions(left, rows))
         scales, positive, bounds = np.zeros((3, len(self.inertial)))
-        scales[self.inertial] = standard.link_scales(self.evidence.robot).ravel()
+        scales[self.inertial] = links.ravel()
         positive[~self.inertial] = np.repeat([name != "offset" for name in self.terms], self.evidence.dofs)
         bounds[~self.inertial] = 0.0 if least is None else least.ravel()
         prior = standard.prior_of(motions, scales, positive, bounds)
         first = standard.fit(motions, prior, np.ones(self.evidence.dofs), standard.USUAL)
-        return standard.fit(motions, prior, self._times(left - self.of(first.theta), rows))
+        return motions, prior, self._times(left - self.of(first.theta), rows)
 
     def line(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Coefficients (p,) of the terms alone by plain least squares: the friction line that a user would draw."""
@@ -212,6 +225,18 @@ def worn_links(columns: Columns, weights: np.ndarray, share: float) -> Hypothesi
     return (Candidate(LINK, None, {}, where, np.ones(len(moves))),) if len(moves) else ()
 
 
+def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:
+    """Links that are off by as much as a log leaves open, where a load was found on links that seem right: what a load
+    takes up of their errors does not show; nothing where none was, or links are part of every hypothesis."""
+    acting = inquiry.chosen.acting
+    others = [a for a in acting if not a.effect.load or a.when is not None]
+    if inquiry.wear or len(others) == len(acting):
+        return ()
+    choosing = inquiry.evidence.role == ROLES.index("train")
+    share = columns.behind(others).widest(inquiry.model.residual(others), choosing)
+    return worn_links(columns, inquiry.noise.weights, share)
+
+
 def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
     """Whether a hypothesis beside the standard model does better than another without. Links, all of them a little off
     or some of them by themselves, are paid for as by the marginal likelihood, by the volume that the log leaves of what
@@ -236,7 +261,7 @@ def _volume(judge: HypothesisScorer, hypothesis: Hypothesis) -> float:
     if not hypothesis:
         return 0.0
     scale = 1 / np.sqrt(np.concatenate([c.precision for c in hypothesis]))
-    normal = judge.sums(hypothesis)[2].sum(0) * np.outer(scale, scale)
+    normal = judge.equations(hypothesis)[1] * np.outer(scale, scale)
     return float(np.linalg.slogdet(np.eye(len(scale)) + normal)[1])
 
 

@@ -69,7 +69,7 @@ def identity(acting: Sequence[EffectInstance]) -> tuple:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Span:
     """Where and when a motion was: its trajectory, t (T,) [s] from its first sample, rate [Hz]."""
 
     trajectory: str | None
@@ -77,7 +77,7 @@ class Stretch:
     rate: float
 
 
-def weight(when: TimeWindow | None, stretch: Stretch) -> np.ndarray | float:
+def weight(when: TimeWindow | None, stretch: Span) -> np.ndarray | float:
     """How much (T,) of an effect is there: 1 in its window, 0 elsewhere, straight lines of a sample between."""
     if when is None:
         return 1.0
@@ -111,7 +111,7 @@ def link_torque(
     robot: Robot,
     acting: Sequence[EffectInstance],
     motion: Motion,
-    stretch: Stretch,
+    stretch: Span,
     kept: dict[tuple, Any] | None = None,
 ) -> np.ndarray:
     """Torque (n, T) [N m; N] that moves the links along a logged motion (n, T), with the motion, body, gear and force
@@ -137,7 +137,7 @@ def link_torque(
     return _moving(robot, acting, motion, stretch)
 
 
-def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stretch: Stretch) -> np.ndarray:
+def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stretch: Span) -> np.ndarray:
     """Torque (n, T) that moves the links of a robot along their motion, with what comes and goes among `acting`."""
     torque = bare = rigid_torque(robot, motion)
     for one in acting:
@@ -203,7 +203,7 @@ def in_chain(states: Sequence[JointState], parents: Sequence[int]) -> list[Joint
     return [s._replace(driver=states[p]) if p >= 0 else s for s, p in zip(states, parents, strict=True)]
 
 
-def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: Stretch) -> Array:
+def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: Span) -> Array:
     """What is logged where tau (T, …) reaches a joint."""
     for one in acting:
         if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:

@@ -11,7 +11,7 @@ from invdyn_cli import untrusted
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import (
     EffectInstance,
-    Stretch,
+    Span,
     TimeWindow,
     body_torque,
     channel,
@@ -80,7 +80,7 @@ class ExtendedModel:
         t = period_of(q, qd) * np.arange(q.shape[1]) if t is None else np.asarray(t, float)
         t = t - t[:1]
         rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
-        stretch = Stretch(trajectory, t, float(rate))
+        stretch = Span(trajectory, t, float(rate))
         body = link_torque(self.robot, self.acting, Motion(q, qd, qdd), stretch)
         out, parents = np.empty_like(body), self.robot.parents
         rows = zip(q, qd, qdd, sign_of(qd, SHARP), body, strict=True)

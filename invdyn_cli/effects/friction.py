@@ -16,8 +16,19 @@ from invdyn_cli.types import Array
 ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 1994"
 
 STICK_TIME = 0.005
-"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between: such a shift of
-the jump is allowed for, as a free column of its own."""
+"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between; and it turns
+back some milliseconds before or after the logged angle says so. `about_reversals` allows for both."""
+
+REVERSAL_COLUMNS = 2
+"""As many as `about_reversals` makes."""
+
+
+def about_reversals(jump: Array, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """What a torque (..., T) with jumps, at `rate` [Hz], lacks for each second that they come late, and for each second
+    of their spread (half of its square, over STICK_TIME): the first two terms of Taylor's series, averaged."""
+    late = np.gradient(np.asarray(jump), axis=-1) * rate
+    return late, STICK_TIME * rate * np.gradient(late, axis=-1)
+
 
 LEAST_DROP = 1.1
 """Of the Coulomb level, what the static one is at least in any gear that has two."""

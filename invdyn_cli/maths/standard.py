@@ -23,6 +23,10 @@ SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 USUAL = 0.1
 """The share where nothing tells: CAD masses of arms with cables and covers are off by about so much (Swevers 2007)."""
 
+OPEN = 5.0
+"""Nats of evidence by which a share must be worse than another to be ruled out: Kass and Raftery (1995) call more very
+strong."""
+
 WIDE = 3.0
 """Standard deviations of a coefficient that is not inertial: so many times what explains all that is left."""
 
@@ -142,6 +146,13 @@ def fit(motions: Sequence[Sums], prior: Prior, times: Array, share: float | None
     gain, of_inertial = evidence(total, prior, times, share) - np.array(gains)
     bounded = _bounded(theta, precision, prior, scale)
     return Standard(bounded, half.T @ half, share, chosen, np.sqrt(noise), float(gain), float(of_inertial))
+
+
+def widest(motions: Sequence[Sums], prior: Prior, times: Array) -> float:
+    """The largest share up to the USUAL one for which the evidence is no less than OPEN nats below the best."""
+    total, shares = _total(motions), [s for s in SHARES if s <= USUAL]
+    found = {s: evidence(total, prior, times, s) for s in shares}
+    return max(s for s in shares if found[s] > max(found.values()) - OPEN)
 
 
 def left(motions: Sequence[Sums], theta: Array) -> np.ndarray:

@@ -36,7 +36,6 @@ MISSES: dict[tuple[str, int], str] = {
         "external_contact",
         0,
     ): "ambiguous in half the noise; the force is far off where two of its directions do not show",
-    ("stribeck_friction", 0): "named, but the static level is 12 % too high (inside its interval)",
     (
         "hum",
         0,

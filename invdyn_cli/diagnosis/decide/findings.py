@@ -12,12 +12,12 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.decide import bodies, sums
+from invdyn_cli.diagnosis.decide import bodies, sums, support
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.coordinates import EDGES
-from invdyn_cli.diagnosis.search.exact import Refined
+from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.realisable import realisable
@@ -75,13 +75,20 @@ def report(
     examination: Examination,
     side: str,
     position_side: str = "unknown",
+    unsure: Hypothesis = (),
 ) -> Made:
-    """Everything that can be claimed of a log."""
+    """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
+    beside it."""
     evidence, judge = inquiry.evidence, inquiry.judge
     hypothesis, chosen, dropped = supported(inquiry)
     whole = inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
+    if unsure:
+        around = (*inquiry.beside(whole.acting), *unsure)
+        every = np.ones_like(judge.rows)
+        beside = refine(evidence, inquiry.model, whole.acting, every, inquiry.noise.weights, around, steps=0)
+        whole = replace(whole, unknown=beside.unknown)
     nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
     whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
     wanted = intervals(evidence, whole)
@@ -161,7 +168,7 @@ def report(
 def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
     """Held-out error of every joint that gains by these candidates, without and with them, which leaves `after`."""
     evidence = inquiry.evidence
-    before = left(inquiry, tuple(c for k, c in enumerate(hypothesis) if k not in without))
+    before = support.without(inquiry, hypothesis, without, after)
     own = [hypothesis[k] for k in without]
     local = all(c.effect.point in ("torque", "channel") for c in own)
     felt = {j for c in own for j in c.columns} if local else range(evidence.dofs)

@@ -1,17 +1,17 @@
 """What supports a claim: data that did not choose it gain by it, its exact formula holds there, and what stays
 unexplained on its joint does not outweigh it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence, shared_out
-from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
 from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.recording.pieces import ROLES
 
 OUTWEIGHED = 1.0
 """Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
@@ -94,7 +94,8 @@ def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, tuple[float, 
     for i, one in enumerate(hypothesis):
         like = {one.effect.name, *(name for names in one.effect.confounders for name in names)}
         rivals = naming.rivals(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool)
-        foreign = [r for r in rivals if r.equal and r.candidate.effect.name not in like]
+        others = [r for r in rivals if r.equal and not (one.effect.load and r.candidate.effect.load)]
+        foreign = [r for r in others if r.candidate.effect.name not in like]
         if foreign:
             best = min(foreign, key=lambda r: r.excess)
             found.append(
@@ -109,14 +110,13 @@ def _fails(
     """Why a candidate may not be claimed, with how much it explains; None if it may. `after` is what the hypothesis
     leaves, `chosen` its exact parameters."""
     evidence, weights = inquiry.evidence, inquiry.noise.weights
-    others = hypothesis[:i] + hypothesis[i + 1 :]
-    before = left(inquiry, others)
+    before = without(inquiry, hypothesis, (i,), after)
     rows = _judging(evidence, (((after - before) * evidence.valid) ** 2) @ weights)
     valid = evidence.valid & rows[:, None]
     own = [j in hypothesis[i].columns for j in range(evidence.dofs)]
     squares = np.sum((before**2 - after**2) * valid, axis=0) * own
     unknown = naming.structure(evidence, after, valid)
-    gain = float(np.sum(weights * squares)) + _strain(inquiry, others) - _strain(inquiry, hypothesis)
+    gain = float(np.sum(weights * squares))
     if gain <= 0:
         return gain, "it does not improve the fit on held-out data"
     everywhere = np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0) @ own  # rows at rest count too
@@ -142,9 +142,8 @@ def _fails(
 
 def _acts_at_rest(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> bool:
     """Whether an effect is there while joints rest: of one that is not they say nothing, but of what friction bears."""
-    evidence, every = inquiry.evidence, (*inquiry.always, *hypothesis)
-    own = [theta for _, theta in shared_out(every, inquiry.judge.verdict(every).theta)][len(inquiry.always) + i]
-    term = (evidence.residual((), own) - evidence.residual((hypothesis[i],), own)) ** 2 * inquiry.noise.weights
+    evidence = inquiry.evidence
+    term = _term(inquiry, hypothesis, i) ** 2 * inquiry.noise.weights
     at_rest = ~evidence.valid
     return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
@@ -175,6 +174,26 @@ def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
     """Residual (R, n) of a hypothesis fitted on the data that chose."""
     every = (*inquiry.always, *hypothesis)
     return inquiry.evidence.residual(every, inquiry.judge.verdict(every).theta)
+
+
+def without(inquiry: Inquiry, hypothesis: Hypothesis, places: Collection[int], after: np.ndarray) -> np.ndarray:
+    """Residual (R, n) of a hypothesis, which leaves `after`, without the candidates at these places: all else is fitted
+    anew. Where that is mostly links that would be off by more than is believed of them, all else stays as it is: the
+    data do not tell them from a load."""
+    others = tuple(c for k, c in enumerate(hypothesis) if k not in places)
+    fitted = left(inquiry, others)
+    strained = _strain(inquiry, others) - _strain(inquiry, hypothesis)
+    missed = (fitted**2 - after**2) * (inquiry.evidence.valid & judged(inquiry.evidence)[:, None])
+    if strained <= np.sum(missed @ inquiry.noise.weights):
+        return fitted
+    return after + np.sum([_term(inquiry, hypothesis, k) for k in places], axis=0)
+
+
+def _term(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> np.ndarray:
+    """(R, n) what one candidate of a hypothesis adds to the logged torque."""
+    evidence, every = inquiry.evidence, (*inquiry.always, *hypothesis)
+    own = [theta for _, theta in shared_out(every, inquiry.judge.verdict(every).theta)][len(inquiry.always) + i]
+    return evidence.residual((), own) - evidence.residual((hypothesis[i],), own)
 
 
 def _strain(inquiry: Inquiry, hypothesis: Hypothesis) -> float:

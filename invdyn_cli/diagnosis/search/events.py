@@ -11,11 +11,11 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import beforehand, passing_candidate, passing_columns
 from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
-from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.recording.pieces import ROLES
 
 GRID, CELL = 120, 0.1
 """Edges of windows that are tried in a trajectory, and the shortest step between them [s]."""

@@ -18,7 +18,7 @@ from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.steps import WHOLE
 from invdyn_cli.effects.composition import EffectInstance, channel, felt_by, identity, joint_terms, link_torque
-from invdyn_cli.effects.friction import STICK_TIME
+from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractGearEffect,
@@ -381,12 +381,12 @@ def _timing(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.nd
         assert isinstance(a.effect, AbstractTorqueEffect) and a.joint is not None
         states = [s[a.joint] for s in evidence.states]
         terms = [np.asarray(a.effect.term(a.parameters, s)) for s in states]
-        parts = [np.gradient(x) * evidence.recording.filter.rate for x in terms]
-        column = np.zeros(evidence.tau.shape)
-        for j in felt_by(a, evidence.robot.parents):
-            assert j is not None
-            share = 1.0 if j == a.joint else a.effect.share_on_driver(a.parameters)
-            column[:, j] = share * filtered(evidence.recording, parts, j)
-        columns.append(column)
-        precision.append(1 / STICK_TIME**2)
+        for parts in zip(*(about_reversals(x, evidence.recording.filter.rate) for x in terms), strict=True):
+            column = np.zeros(evidence.tau.shape)
+            for j in felt_by(a, evidence.robot.parents):
+                assert j is not None
+                share = 1.0 if j == a.joint else a.effect.share_on_driver(a.parameters)
+                column[:, j] = share * filtered(evidence.recording, parts, j)
+            columns.append(column)
+            precision.append(1 / STICK_TIME**2)
     return np.array(columns).reshape(len(columns), *evidence.tau.shape), np.array(precision)

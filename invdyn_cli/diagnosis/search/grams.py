@@ -47,6 +47,10 @@ class Grams:
             evidence.kept[key] = [cls(evidence, rows)]
         return evidence.kept[key][0]
 
+    def table(self, j: int) -> np.ndarray:
+        """The evidence's table (R, C) of a joint."""
+        return self._evidence.tables[j]
+
     def refresh(self) -> None:
         """Take in the columns that were added to the evidence since."""
         for j, table in enumerate(self._evidence.tables):
@@ -55,7 +59,8 @@ class Grams:
                 continue
             room = self._room[j]
             if count > room.shape[1]:
-                room = np.zeros((len(room), count + SPARE, count + SPARE))
+                room = np.moveaxis(np.zeros((count + SPARE, count + SPARE, len(room))), 2, 0)  # the folds of a pair of
+                # columns are neighbours in memory: few columns are taken from many
                 room[:, :known, :known] = self.parts[j]
                 self._room[j] = room
             for fold, gram in enumerate(room):

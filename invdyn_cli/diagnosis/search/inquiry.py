@@ -9,7 +9,6 @@ import numpy as np
 from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns.candidates import gear_candidate, load_on, trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search import events, naming, noise, resting
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
@@ -20,6 +19,7 @@ from invdyn_cli.diagnosis.search.steps import WHOLE, search
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
+from invdyn_cli.recording.pieces import ROLES
 
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
@@ -286,7 +286,10 @@ def _begun(
     simple = [c for c in pool if c.effect.point != "torque" or len(c.columns) == 1]
     if len(simple) == len(pool):
         return best(pool, starts)
-    late, early = best(pool, [best(simple, starts)]), best(pool, starts)
+    late = best(pool, [best(simple, starts)])
+    if PLAINLY * judge.loss((*always, *late)) < judge.floor:
+        return late
+    early = best(pool, starts)
     return early if judge.loss((*always, *early)) < PLAINLY * judge.loss((*always, *late)) else late
 
 

@@ -7,8 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out
-from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, held_out, solved, squares_left, summed
+from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, inverted
 from invdyn_cli.diagnosis.search.grams import Grams
+from invdyn_cli.diagnosis.search.shared_part import Equations, Hypothesis, Shared, columns_of, precision_of
+from invdyn_cli.effects.friction import REVERSAL_COLUMNS
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -36,16 +38,20 @@ other effects take back: of two that cancel each other, neither is known."""
 LOCAL = ("torque", "channel", "gear")
 """Points of effects that are worth what they are to their own joint; others to the whole arm."""
 
-Hypothesis = tuple[Candidate, ...]
-
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a hypothesis does: its `loss` with prices, the held-out loss of each block (B,), its coefficients."""
+    """How a hypothesis does: its `loss` with prices, the held-out loss (n, B) of every joint in each block, its
+    coefficients."""
 
     loss: float
-    blocks: np.ndarray
+    rows: np.ndarray
     theta: np.ndarray
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """Held-out loss (B,) of each block."""
+        return self.rows.sum(0)
 
 
 @dataclass
@@ -78,6 +84,7 @@ class HypothesisScorer:
     Attributes:
         grams: of the chosen rows, by fold; blocks are held out in turn by folds.
         count: of blocks.
+        floor: the loss that noise alone would leave.
     """
 
     def __init__(
@@ -95,8 +102,11 @@ class HypothesisScorer:
         worth = weights * np.sum((RELEVANT * evidence.tau) ** 2 * self.grams.used, axis=0)
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
         self.rows_worth = weights * self.grams.used.sum(0)
+        self.floor = float(self.rows_worth @ deviation**2)
         self.deviation = deviation
         self.always, self.worn = always, worn
+        self._always = {id(c) for c in always}
+        self._shared: dict[tuple[int, ...], Shared] = {}
         self._freedom: dict[int, float] = {}
         self._prices: dict[int, tuple[float, Candidate]] = {}
         self._alike: dict[tuple[int, int, int], _Alike] = {}
@@ -107,44 +117,32 @@ class HypothesisScorer:
         """Take in the columns that were added to the evidence since."""
         self.grams.refresh()
 
-    def sums(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, ...]:
-        """Squares s (B,), moments r (B, k) and normal matrices N (B, k, k) of a hypothesis' blocks."""
-        return summed([self._of_row(hypothesis, j) for j in range(self.evidence.dofs)])
+    def equations(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+        """Moments (k,) and normal matrix (k, k) of a hypothesis on all rows."""
+        made = Shared((), self.grams, self.weights).equations(tuple(hypothesis), whole=True)
+        return made.own[0], made.normal[0]
 
-    def _of_row(self, hypothesis: Sequence[Candidate], j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`sums` of one row of the arm."""
-        fixed, free, place, k = _columns(hypothesis, j)
-        table, used = self.evidence.tables[j], self.grams.used[:, j]
-        y = np.where(used, table[:, 0] - table[:, fixed].sum(1), 0.0)
-        x = np.where(used[:, None], table[:, free], 0.0)
-        s, r, normal = np.zeros(self.count), np.zeros((self.count, k)), np.zeros((self.count, k, k))
-        for b, rows in enumerate(self.grams.blocks):
-            s[b] = y[rows] @ y[rows]
-            r[b, place] = y[rows] @ x[rows]
-            normal[b, place[:, None], place] = x[rows].T @ x[rows]
-        return self.weights[j] * s, self.weights[j] * r, self.weights[j] * normal
-
-    def _assembled(self, hypothesis: Sequence[Candidate], grams: Sequence[np.ndarray]):
-        """`sums` from Gram matrices (..., columns, columns)."""
-        shape, k = grams[0].shape[:-2], sum(len(c.precision) for c in hypothesis)
-        s, r, normal = np.zeros(shape), np.zeros((*shape, k)), np.zeros((*shape, k, k))
-        for j, (gram, w) in enumerate(zip(grams, self.weights, strict=True)):
-            if not w:
-                continue
-            fixed, free, at, _ = _columns(hypothesis, j)
-            signs = np.array([1.0] + [-1.0] * len(fixed))
-            columns, m = np.array([0, *fixed, *free]), len(signs)
-            own = gram[..., columns[:, None], columns]
-            s += w * (own[..., :m, :m] @ signs @ signs)
-            r[..., at] += w * (own[..., m:, :m] @ signs)
-            normal[..., at[:, None], at] += w * own[..., m:, m:]
-        return s, r, normal
+    def _parted(self, hypothesis: Sequence[Candidate]) -> tuple[Shared, Hypothesis, np.ndarray]:
+        """What of a hypothesis is always there; the rest; and where the coefficients of both, one behind the other, are
+        among the hypothesis'."""
+        always = tuple(c for c in hypothesis if id(c) in self._always)
+        own = tuple(c for c in hypothesis if id(c) not in self._always)
+        key = tuple(id(c) for c in always)
+        if key not in self._shared:
+            self._shared[key] = Shared(always, self.grams, self.weights)
+        ends = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
+        at = {id(c): np.arange(a, b) for c, a, b in zip(hypothesis, ends[:-1], ends[1:], strict=True)}
+        return self._shared[key], own, np.concatenate([np.zeros(0, int), *(at[id(c)] for c in (*always, *own))])
 
     def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
         """Loss with prices on the data that fits the hypothesis, and its coefficients."""
-        s, r, normal = self._assembled(hypothesis, self.grams.totals)
-        theta = solved(normal, r, _precision(hypothesis))
-        return float(s - theta @ r) + self.price(hypothesis), theta
+        shared, own, at = self._parted(hypothesis)
+        found = shared.equations(own, whole=True)
+        first, rest = shared.solve(found, own, shared.inverse)
+        theta = np.empty(len(at))
+        theta[at] = np.concatenate([first[0], rest[0]])
+        loss = float(found.squares[0] - first[0] @ found.shared[0] - rest[0] @ found.own[0])
+        return loss + self.price(hypothesis), theta
 
     def extended(
         self, base: Sequence[Candidate], candidates: Sequence[Candidate]
@@ -155,18 +153,22 @@ class HypothesisScorer:
         What is in the hypothesis is projected out of every column (Schur's complement of its normal matrix), so that
         each candidate is a small problem of its own.
         """
-        s, r, normal = self._assembled(base, self.grams.totals)
-        prior = _precision(base)
-        inverse = np.linalg.inv(normal + np.diag(prior + LEAST_PRECISION * np.diag(normal) + 1e-300))
-        theta = inverse @ r
-        crossed, towards = self._crossed(base, theta)
+        shared, rest, _ = self._parted(base)
+        found = shared.equations(rest, whole=True)
+        first, theta = (x[0] for x in shared.solve(found, rest, shared.inverse))
+        through = shared.inverse[0] @ found.cross[0]
+        inverse = inverted(found.normal[0] - found.cross[0].T @ through, precision_of(rest))
+        crossed, towards = self._crossed(shared, rest, through, first, theta)
         losses, own_factors = np.empty(len(candidates)), [np.zeros(0)] * len(candidates)
-        before = float(s - theta @ r) + self.price(base)
+        before = float(found.squares[0] - first @ found.shared[0] - theta @ found.own[0]) + self.price(base)
         for kind, (members, numbers) in self._grouped(candidates).items():
-            joints, columns, square, precision, price = (x[numbers] for x in self._alike[kind].arrays)
+            arrays = self._alike[kind].arrays
+            square = shared.projected(kind, *arrays[:3])[numbers]
+            joints, columns, own, precision, price = (x[numbers] for x in arrays)
             _, fixed, free = kind
-            cross, moment = crossed[joints[:, :, None], columns].sum(1), towards[joints[:, :, None], columns].sum(1)
-            own = np.einsum("caa->ca", square)[:, fixed:]
+            at = joints[:, :, None]
+            cross, moment = crossed[at, :, columns].sum(1), towards[at, columns].sum(1)
+            own = np.einsum("caa->ca", own)[:, fixed:]
             square = square - cross @ inverse @ np.swapaxes(cross, 1, 2)
             gain = 2 * moment[:, :fixed].sum(1) - square[:, :fixed, :fixed].sum((1, 2))
             if free:
@@ -207,47 +209,49 @@ class HypothesisScorer:
         self._places[id(c)] = kind, len(alike.price) - 1, c
         return self._places[id(c)]
 
-    def _crossed(self, base: Sequence[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Products of every column of each row with a hypothesis' own (n, C, k), and with what it leaves (n, C)."""
-        most = max(len(gram) for gram in self.grams.totals)
-        crossed, towards = (
-            np.zeros((len(self.grams.totals), most, len(theta))),
-            np.zeros((len(self.grams.totals), most)),
-        )
+    def _crossed(
+        self, shared: Shared, own: Hypothesis, through: np.ndarray, first: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Products of a hypothesis' own columns with every column of each row (n, m, C), less what is always there
+        explains of these, and of what the hypothesis leaves (n, C)."""
+        always = shared.crossed()
+        crossed, towards = -through.T @ always, -first @ always
         for j, (gram, w) in enumerate(zip(self.grams.totals, self.weights, strict=True)):
-            fixed, free, place, _ = _columns(base, j)
+            fixed, free, place = columns_of(own, j)
             products = w * gram[free]
-            crossed[j, : len(gram), place] = products
-            towards[j, : len(gram)] = w * (gram[0] - gram[fixed].sum(0)) - theta[place] @ products
+            crossed[j, place, : len(gram)] += products
+            target = gram[0] - gram[shared.at[j][0]].sum(0) - gram[fixed].sum(0)
+            towards[j, : len(gram)] += w * target - theta[place] @ products
         return crossed, towards
 
     def loss(self, hypothesis: Sequence[Candidate]) -> float:
         """`verdict`'s, from the folds' Gram matrices."""
-        return self._judged(hypothesis, self._assembled(hypothesis, self.grams.parts), np.unique(self.grams.folds)).loss
+        shared, own, at = self._parted(hypothesis)
+        found, first, theta = shared.held_out(own)
+        left = found.squares - 2 * (np.sum(found.shared * first, 1) + np.sum(found.own * theta, 1))
+        for a, matrix, b in (
+            (first, shared.normal, first),
+            (2 * first, found.cross, theta),
+            (theta, found.normal, theta),
+        ):
+            left += (a[:, None, :] @ matrix @ b[:, :, None])[:, 0, 0]
+        whole = self._whole(shared, own, found, at)
+        return float(left.sum() + np.sum(precision_of(hypothesis) * whole**2)) + self.price(hypothesis)
 
     def verdict(self, hypothesis: Sequence[Candidate]) -> Verdict:
-        """The held-out judgement."""
-        return self._judged(hypothesis, self.sums(hypothesis), self.grams.folds)
+        """The held-out judgement, block by block."""
+        shared, own, at = self._parted(hypothesis)
+        found, first, theta = shared.held_out(own)
+        rows = shared.rows.squares(own, first, theta)
+        whole = self._whole(shared, own, found, at)
+        loss = float(rows.sum() + np.sum(precision_of(hypothesis) * whole**2)) + self.price(hypothesis)
+        return Verdict(loss, rows, whole)
 
-    def _judged(self, hypothesis: Sequence[Candidate], sums: tuple[np.ndarray, ...], folds: np.ndarray) -> Verdict:
-        """The held-out judgement by the sums of parts of the rows, which are held out by their `folds`."""
-        (s, r, normal), precision = sums, _precision(hypothesis)
-        theta = solved(normal.sum(0), r.sum(0), precision)
-        parts = np.empty(len(s))
-        for out, held in held_out(folds, r, normal, precision):
-            parts[out] = squares_left(s[out], r[out], normal[out], held)
-        loss = float(parts.sum() + np.sum(precision * theta**2)) + self.price(hypothesis)
-        return Verdict(loss, parts, theta)
-
-    def by_row(self, hypothesis: Sequence[Candidate]) -> np.ndarray:
-        """Held-out losses (n, B) of every joint's own rows, without prices."""
-        rows = [self._of_row(hypothesis, j) for j in range(self.evidence.dofs)]
-        _, r, normal = summed(rows)
-        out = np.zeros((self.evidence.dofs, self.count))
-        for at, held in held_out(self.grams.folds, r, normal, _precision(hypothesis)):
-            for j, (s, own, squares) in enumerate(rows):
-                out[j, at] = squares_left(s[at], own[at], squares[at], held)
-        return out
+    def _whole(self, shared: Shared, own: Hypothesis, parts: Equations, at: np.ndarray) -> np.ndarray:
+        """Coefficients (k,) on all rows, in the hypothesis' order."""
+        theta = np.empty(len(at))
+        theta[at] = np.concatenate(shared.solve(parts.total(), own, shared.inverse), axis=1)[0]
+        return theta
 
     def price(self, hypothesis: Sequence[Candidate]) -> float:
         """What a hypothesis must gain at least."""
@@ -308,7 +312,7 @@ class HypothesisScorer:
         if not candidate.precision.any():
             return float(len(candidate.precision))
         if id(candidate) not in self._freedom:
-            normal = self._assembled((candidate,), self.grams.totals)[2]
+            normal = self.equations((candidate,))[1]
             prior = np.diag(candidate.precision)
             self._freedom[id(candidate)] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
         return self._freedom[id(candidate)]
@@ -335,27 +339,10 @@ def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.nda
         return effect.read([float(c) for c in coefficients], evidence.robot, candidate.joint)
     assert isinstance(effect, AbstractTorqueEffect)
     known = [float(c) for c in coefficients]
-    return effect.read(known[:-1] if effect.jumps else known, shape)
+    return effect.read(known[:-REVERSAL_COLUMNS] if effect.jumps else known, shape)
 
 
 def strain(always: Hypothesis, theta: np.ndarray) -> float:
     """Squares, in their prior's variances, of the coefficients of what is always there, the first of `theta`: what they
     take over from an effect that is missing they take at this price."""
     return float(sum(c.precision @ own**2 for c, own in shared_out(always, theta)))
-
-
-def _precision(hypothesis: Sequence[Candidate]) -> np.ndarray:
-    return np.concatenate([c.precision for c in hypothesis]) if hypothesis else np.zeros(0)
-
-
-def _columns(hypothesis: Sequence[Candidate], j: int) -> tuple[list[int], list[int], np.ndarray, int]:
-    """A hypothesis' fixed and free columns in a joint's table, the latter's places among the coefficients, and how many
-    there are of these."""
-    fixed, free, place, start = [], [], [], 0
-    for c in hypothesis:
-        if j in c.columns:
-            fixed += c.columns[j][0]
-            free += c.columns[j][1]
-            place += range(start, start + len(c.precision))
-        start += len(c.precision)
-    return fixed, free, np.array(place, int), start

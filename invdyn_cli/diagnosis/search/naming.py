@@ -32,6 +32,10 @@ MEMORY, LAGS = 0.8, 6
 back within it, if only as its opposite."""
 
 
+LEAST_SHARE = 0.1
+"""Of what an effect explains, below which what is in its place does not do the same, however much blocks differ."""
+
+
 @dataclass(frozen=True)
 class Rival:
     """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, and
@@ -87,8 +91,8 @@ def rivals(
     now = judge.verdict(always + hypothesis)
     own, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
     without = judge.verdict(always + others)
-    whole = float(np.sum(without.blocks - now.blocks))
-    mine = judge.by_row(always + hypothesis)
+    believed = strain(always, now.theta)
+    whole = float(np.sum(without.blocks - now.blocks)) + strain(always, without.theta) - believed
     best: dict[tuple, tuple[float, Candidate]] = {}
     # what another joint alone feels is no rival
     free = [c for c in free_beside(others, pool) if c.key[:2] != own.key[:2]]
@@ -101,15 +105,16 @@ def rivals(
     for _, c in sorted(best.values(), key=lambda x: x[0])[:12]:
         other = judge.verdict((*always, *others, c))
         # what a rival gains on joints that the effect does not touch is not to its credit
-        rows = judge.by_row((*always, *others, c)) - mine
+        rows = other.rows - now.rows
         elsewhere = [j for j in range(len(rows)) if j not in own.columns]
         step = other.blocks - now.blocks - sum(np.minimum(rows[j].sum(), 0.0) / rows.shape[1] for j in elsewhere)
-        dearer = strain(always, other.theta) - strain(always, now.theta)
+        dearer = strain(always, other.theta) - believed
         excess = float(step.sum() + dearer + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
         equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
-        share = 1 - float(step.sum()) / whole if whole > 0 else 0.0
+        share = 1 - (float(step.sum()) + dearer) / whole if whole > 0 else 0.0
+        equal &= share > LEAST_SHARE
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
         if refused:
             why, equal = f"{refused} (it {why})", False
@@ -151,10 +156,10 @@ def blind_to_stribeck(
     if effect is None or not trials:
         return False
     typical = min(trials, key=lambda c: abs(np.log(c.shape["velocity"] / effect.usual_velocity)))
-    _, r, normal = judge.sums((*always, *hypothesis[:place], *hypothesis[place + 1 :], typical))
+    moments, normal = judge.equations((*always, *hypothesis[:place], *hypothesis[place + 1 :], typical))
     k = len(typical.precision)
-    total = normal.sum(0) + 1e-9 * np.diag(np.diag(normal.sum(0)))
-    theta = np.linalg.lstsq(total, r.sum(0), rcond=None)[0]
+    total = normal + 1e-9 * np.diag(np.diag(normal))
+    theta = np.linalg.lstsq(total, moments, rcond=None)[0]
     variance = np.linalg.pinv(total)
     coulomb, drop = theta[-k], theta[-k + 1]
     error = np.sqrt(max(variance[-k + 1, -k + 1], 0))

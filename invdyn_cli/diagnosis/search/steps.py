@@ -51,7 +51,9 @@ def _best(
         quick += [(losses[i], (*base, candidates[i]), own[i]) for i in np.flatnonzero(losses < loss)]
     quick.sort(key=lambda x: x[0])
     found, seen = None, 0
-    for _, one, own in quick:
+    for value, one, own in quick:
+        if value >= loss:  # what is held out is never predicted better than what is fitted
+            break
         if (len(own) and judge.impossible(one[-1], own)) or judge.refused(always + one, judge.quick(always + one)[1]):
             continue
         after = judge.loss(always + one)

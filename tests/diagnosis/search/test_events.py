@@ -8,11 +8,11 @@ import pytest
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.columns.recording import ROLES
 from invdyn_cli.diagnosis.search import events
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
+from invdyn_cli.recording.pieces import ROLES
 from tests.diagnosis.analytic import Term, arm, evidence_of, log_of, moved, nothing, raw
 
 NOISE = 0.02
@@ -126,7 +126,7 @@ def test_some_rows_of_a_window_judge(name):
     t, train, test = evidence.on_rows("t"), ROLES.index("train"), ROLES.index("test")
     inside = np.zeros(len(t), bool)
     for w in windows:
-        at = (t > w.start) & (t < w.end)
+        at = (t >= w.start) & (t < w.end)
         inside |= at
         assert set(evidence.role[at]) == {train, test}
     assert set(evidence.role[~inside]) == {train, test}
@@ -134,7 +134,7 @@ def test_some_rows_of_a_window_judge(name):
         rows = evidence.block == block
         assert len(set(evidence.role[rows])) == 1
         for w in windows:
-            assert len(set(((t > w.start) & (t < w.end))[rows])) == 1
+            assert len(set(((t >= w.start) & (t < w.end))[rows])) == 1
 
 
 def test_other_trajectories_keep_to_their_blocks():
