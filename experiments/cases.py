@@ -17,7 +17,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from experiments.arms import random_arm
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.hidden import Hidden, assemble

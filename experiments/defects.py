@@ -16,7 +16,8 @@ from experiments.worn import wear
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.errors import UsageError
-from invdyn_cli.logfile import Log, read_log
+from invdyn_cli.log import Log
+from invdyn_cli.logfile import read_log
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.references import Multisine

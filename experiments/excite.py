@@ -16,7 +16,7 @@ from invdyn_cli.design.next_motion import FILE, after
 from invdyn_cli.design.trajectory import Design
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.played import Played, write_csv

@@ -16,7 +16,7 @@ from invdyn_cli.adaptation.incremental import Incremental
 from invdyn_cli.adaptation.payload import Payload
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
-from invdyn_cli.logfile import RawTrajectory
+from invdyn_cli.log import RawTrajectory
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.online import online

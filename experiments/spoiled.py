@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis import doctor
-from invdyn_cli.diagnosis.checks.evidence import nominal_torque
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.diagnosis.checks.samples import nominal_torque
+from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.types import Check, Motion, Robot
 
 Change = Callable[[np.random.Generator, Log, Robot], tuple[Log, Callable[[Check], bool]]]

@@ -11,7 +11,7 @@ import numpy as np
 from experiments.confusion import claims
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.diagnosis import diagnose
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import signal
 
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
-from invdyn_cli.maths.signals import butterworth
+from invdyn_cli.maths.signals import at_rest, butterworth
 from invdyn_cli.types import Array, Fit, Motion, PyTree
 
 
@@ -55,7 +54,7 @@ def online(
     if cutoff is not None and not 0 < cutoff < rate / 2:
         raise ValueError(f"cutoff={cutoff} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
     sections = np.empty((0, 6)) if cutoff is None else butterworth(rate, cutoff, order)
-    rest = signal.sosfilt_zi(sections)[:, :, None] if len(sections) else np.empty((0, 2, 1))
+    rest = at_rest(rate, cutoff, order)[:, :, None] if cutoff is not None else np.empty((0, 2, 1))
 
     def init(q: Array, tau: Array) -> PyTree:
         q, tau = np.asarray(q, float), np.asarray(tau, float)

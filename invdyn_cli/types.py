@@ -427,7 +427,7 @@ class Diagnosis:
         model, fit: the extended model and its parameters, None where the log is unusable.
         signals: for the pictures, None where the log is unusable.
         replay: the simulated arm beside the measured motion (`simulation.replay.Replay`), None where there is none.
-        notes: what the user should know: what was mended, declared, left out.
+        notes: what the user should know: what was corrected, declared, left out.
         details: filter, rates, tries and other numbers worth keeping.
     """
 

@@ -29,7 +29,7 @@ from invdyn_cli.types import Diagnosis, Examination, Finding
 from invdyn_cli.verbs import listing
 from invdyn_cli.verbs.experiment import SHARED, _value, put
 from invdyn_cli.verbs.launch import config_folder, instantiate
-from tests.commands import ENVIRONMENT, ROOT, invdyn, script, tree
+from tests.commands import ENVIRONMENT, ROOT, invdyn, tree
 
 SPECS = {name: listing.read(name) for name in sorted(path.stem for path in (ROOT / "experiments").glob("*.yaml"))}
 CLASSES = [name for name, spec in SPECS.items() if "_target_" in spec]
@@ -178,7 +178,9 @@ def test_a_job_that_fails_leaves_the_others(own):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_keeps_what_has_finished(own, tmp_path, workers):
     """Ctrl-C ends with exit code 130 and one line; no file is half written, and the finished jobs are not run again."""
-    argv = [sys.executable, script(), "experiment", "squares", "folder=out", "numbers=6", "seconds=0.4"]
+    entry = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # as a terminal starts it
+    entry += "from invdyn_cli.cli import entry; entry()"
+    argv = [sys.executable, "-c", entry, "experiment", "squares", "folder=out", "numbers=6", "seconds=0.4"]
     process = subprocess.Popen(
         [*argv, f"workers={workers}"],
         cwd=tmp_path,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from invdyn_cli.errors import LogError
-from invdyn_cli.logfile import Log, RawTrajectory, read_log, refuse_defects, trajectory_names, write_log
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.logfile import read_log, refuse_defects, trajectory_names, write_log
 from tests.logs import make_log, motion
 
 

@@ -5,8 +5,15 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from experiments.arms import random_arm
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import record
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
 from tests.commands import ROOT, TINY, invdyn, python
 
 PAGE = (ROOT / "docs" / "extending.md").read_text()
@@ -34,12 +41,18 @@ def run(folder: Path, command: str) -> Path:
     return folder / done.stdout.splitlines()[-1]
 
 
+def told(folder: Path, command: str, name: str) -> dict:
+    """What such a command writes into the file called name."""
+    return json.loads((run(folder, command) / name).read_text())
+
+
 def test_the_page_has_what_it_promises():
-    """One file and one YAML for each of the three, two commands, one snippet of Python."""
+    """One file and one YAML for each of the four, four commands, one snippet of Python."""
     assert sorted(FILES) == [
-        "adaptation/offset.yaml", "data/pendulum.yaml", "mine.py", "model/mine.yaml", "offset.py", "pendulum.py",
+        "adaptation/offset.yaml", "data/pendulum.yaml", "data/telemetry.yaml", "mine.py", "model/mine.yaml",
+        "offset.py", "pendulum.py", "telemetry.py",
     ]  # fmt: skip
-    assert (len(COMMANDS), len(SNIPPETS)) == (2, 1)
+    assert (len(COMMANDS), len(SNIPPETS)) == (4, 1)
 
 
 @pytest.fixture(scope="module")
@@ -89,11 +102,27 @@ def test_a_third_partys_run_is_drawn_anew(folder, finished):
 
 def test_all_three_together(folder):
     """Model, data source and adaptation of one's own make a run together: a pendulum's joint, learned nearly."""
-    made = run(folder, COMMANDS[1])
+    made = run(folder, COMMANDS[3])
     metrics = json.loads((made / "metrics.json").read_text())
     assert [metrics[k] for k in ("model", "data", "adaptation")] == ["mine", "pendulum", "offset"]
     assert metrics["joints"] == ["hinge"]
     assert metrics["train"]["nmse"]["mean"] < 0.1
+
+
+def test_a_log_of_a_third_party_is_checked_and_diagnosed(folder):
+    """A source that has a log is checked, diagnosed and learned from: the Coulomb friction hidden in it is named."""
+    (folder / "arm.urdf").write_text(random_arm(np.random.default_rng(0), 2))
+    hidden = Hidden("coulomb_friction", "axis2", {"coulomb": (size := 2.0)})
+    log = record(load_urdf(folder / "arm.urdf"), [Multisine()], [hidden], duration=12, noise=Noise(torque=0.02))
+    one = log.trajectories[0]
+    np.save(folder / "telemetry.npy", np.column_stack([one.t, one.q, one.tau])[::2])
+    checked = told(folder, COMMANDS[1], "check.json")
+    assert checked["usable"] and checked["corrections"] == []
+    said = told(folder, COMMANDS[2] + " diagnosis.design=false", "diagnosis.json")["findings"]
+    (found,) = (one for one in said if one["status"] == "named")
+    assert (found["effect"], found["joint"]) == ("coulomb_friction", "axis2")
+    assert found["parameters"]["coulomb"]["value"] == pytest.approx(size, rel=0.03)  # three intervals
+    assert told(folder, "invdyn run data=telemetry model=pest", "metrics.json")["joints"] == ["axis1", "axis2"]
 
 
 def test_they_keep_their_contracts(folder):

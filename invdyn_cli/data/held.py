@@ -1,10 +1,12 @@
 """A log in memory as a data source."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from invdyn_cli.data.conditioning import Conditioning, ordered
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
-from invdyn_cli.logfile import Log, refuse_defects
+from invdyn_cli.log import Log, Recorded
+from invdyn_cli.logfile import refuse_defects
+from invdyn_cli.recording.channels import ordered
+from invdyn_cli.recording.conditioning import Conditioning
 from invdyn_cli.types import Header, Robot, Splits
 
 
@@ -13,9 +15,10 @@ class HeldLog(AbstractSource):
     """The trajectories of a log that was read or made before, split and conditioned as `how` says."""
 
     log: Log
-    how: Conditioning
+    how: Conditioning = field(default_factory=Conditioning)
 
     needs_robot = False
+    has_log = True
 
     def header(self) -> Header:
         """Robot and joints of the log, and the URDF that it names."""
@@ -35,3 +38,8 @@ class HeldLog(AbstractSource):
         description = {"source": log.source, "torque_side": log.torque_side}
         how = {"keys": records, "notes": notes, "description": description, "progress": progress}
         return self.how.splits(self.how.asked(records), records, robot, **how)
+
+    def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
+        """The log itself."""
+        notes: list[str] = []
+        return Recorded(ordered(self.log, robot, notes), notes=tuple(notes))

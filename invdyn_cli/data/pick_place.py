@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from invdyn_cli import simulation
-from invdyn_cli.data.conditioning import Conditioning
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
-from invdyn_cli.logfile import Log, RawTrajectory, read_log, write_log
+from invdyn_cli.log import Log, RawTrajectory, Recorded
+from invdyn_cli.logfile import read_log, write_log
+from invdyn_cli.recording.conditioning import Conditioning
+from invdyn_cli.recording.selection import windows
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import SOURCE, simulate
 from invdyn_cli.simulation.references import STAGES, Manipulation
@@ -83,6 +85,8 @@ class PickPlace(AbstractSource):
     torque_lag: int = 1
     decimate: int = 1
 
+    has_log = True
+
     def __post_init__(self) -> None:
         for name in ("com", "ramp"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
@@ -117,6 +121,12 @@ class PickPlace(AbstractSource):
             description=what | {name: getattr(self, name) for name in ("friction", "elastic", "ripple", "seed")},
             progress=lambda done, note: progress(0.9 + 0.1 * done, note),
         )
+
+    def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
+        """The whole recording; what is learned from chooses, the repetitions with the object judge."""
+        assert robot is not None
+        log, how = self.log(robot, progress), self._conditioning()
+        return Recorded(log, windows=windows(how.asked([x.name for x in log.trajectories]), log, how.train_share))
 
     def log(self, robot: Robot, progress: Progress = silent) -> Log:
         """The whole recording, from the cache where it is there."""

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from invdyn_cli.data.conditioning import Conditioning
-from invdyn_cli.data.selection import SETS
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
-from invdyn_cli.logfile import POSITION_SIDES, Log
+from invdyn_cli.log import POSITION_SIDES, Log, Recorded
+from invdyn_cli.recording.conditioning import Conditioning
+from invdyn_cli.recording.selection import SETS, asked, windows
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import Hidden, refuse
 from invdyn_cli.simulation.plant import MOST_SAMPLES, SOURCE, record, refuse_clock, refuse_events, refuse_link_encoder
@@ -80,6 +80,8 @@ class Plant(AbstractSource):
     torque_lag: int = 0
     decimate: int = 10
 
+    has_log = True
+
     def __post_init__(self) -> None:
         for name in ("effects", *SETS):
             value = getattr(self, name)
@@ -122,6 +124,14 @@ class Plant(AbstractSource):
                 )
         rest = [{k: v for k, v in one.items() if k not in ("effect", "joint")} for one in self.effects]
         return tuple(Hidden(x["effect"], x.get("joint"), p) for x, p in zip(self.effects, rest, strict=True))
+
+    def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
+        """The log, played anew; UsageError as `record`."""
+        assert robot is not None
+        log = self.record(robot, progress)
+        blocks = asked({name: getattr(self, name) for name in SETS}, [x.name for x in log.trajectories])
+        notes = dict.fromkeys(x.notes for x in log.trajectories if x.notes)
+        return Recorded(log, windows=windows(blocks, log, self.train_share), notes=tuple(notes))
 
     def record(self, robot: Robot, progress: Progress = silent) -> Log:
         """The log of all trajectories, as it would have been recorded.

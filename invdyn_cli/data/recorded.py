@@ -1,20 +1,28 @@
 """Measured logs as a data source: which files, which trajectories; `conditioning` makes them ready to learn from."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from invdyn_cli import hdf5
-from invdyn_cli.data.conditioning import Conditioning, ordered
-from invdyn_cli.data.selection import SETS, Block
 from invdyn_cli.errors import LogError, UsageError, listed
-from invdyn_cli.formats.reading import Columns, read_log, trajectory_names
+from invdyn_cli.formats.reading import Columns, is_foreign, read_log, trajectory_names
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
-from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
+from invdyn_cli.log import Log, Recorded
+from invdyn_cli.logfile import refuse_defects
+from invdyn_cli.recording.channels import joined, ordered
+from invdyn_cli.recording.conditioning import Conditioning
+from invdyn_cli.recording.selection import SETS, Block, asked, cut, windows
 from invdyn_cli.types import Header, Robot, Splits
+
+UNUSED = ("derivatives", "filter_cutoff", "filter_order", "torque_lag", "decimate", "rate")
+"""Options that make data ready to learn from: a diagnosis prepares its log as diagnosis.conditioning says."""
+
+Keys = dict[str, tuple[Path, str]]
+"""What a trajectory is called in selections ("name", or "log/name" of several logs) -> its log, and its name there."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,7 @@ class RealLog(AbstractSource):
     columns: Columns = None
 
     needs_robot = False
+    has_log = True
 
     def __post_init__(self) -> None:
         for name in ("path", *SETS, "reference", "drive_gain"):
@@ -91,14 +100,12 @@ class RealLog(AbstractSource):
             raise UsageError(f"data.max_size={self.max_size}; allowed: a number of GB above 0")
         return 1e9 * self.max_size
 
-    def names(self, path: Path) -> tuple[str, ...]:
-        """The trajectories of one of its logs."""
-        return trajectory_names(path, self.columns, self.limit)
-
     def header(self) -> Header:
         """Robot and joints of the logs, and the first URDF that one of them names."""
         self._refuse_options()
-        logs = self._read({path: () for path in self._paths()})
+        keys = self._keys(self._paths())
+        logs = self._read(keys, ())
+        logs += self._read(self._keys(files), ()) if (files := self._reference_files(keys)) else []
         return Header(logs[0].robot, logs[0].joints, next((log.urdf for log in logs if log.urdf), ""))
 
     def load(self, robot: Robot | None, progress: Progress = silent) -> Splits:
@@ -108,57 +115,109 @@ class RealLog(AbstractSource):
             LogError, UsageError, RobotError: one line that names the file, the trajectory or the option.
         """
         self._refuse_options()
-        notes: list[str] = []
-        asked, records, logs = self._found(robot, notes)
-        how = {"keys": self._keys(), "notes": notes, "description": self._described(logs), "progress": progress}
-        return Conditioning.of(self).splits(asked, records, robot, **how)
+        how, notes = Conditioning.of(self), []
+        keys = self._keys(self._paths())
+        blocks = how.asked(keys)
+        logs = self._read(keys, self._used(keys, blocks))
+        for path, log in zip(self._paths(), logs, strict=True):
+            refuse_defects(log, str(path))
+        if self.drive_gain is not None and all(log.torque_unit != "A" for log in logs):
+            raise UsageError("data.drive_gain is given, but the torques are in N m", advice="data.drive_gain=null")
+        logs = [ordered(log, robot, notes) for log in logs]
+        records = {raw.name: (log, raw) for log in logs for raw in log.trajectories}
+        described = self._described(logs)
+        return how.splits(blocks, records, robot, keys=keys, notes=notes, description=described, progress=progress)
+
+    def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
+        """The logs as one, and what it is compared with: other logs, or some of its own trajectories.
+
+        Raises:
+            LogError, UsageError, RobotError: as `load`, but for defects: a check describes these.
+        """
+        self._refuse_options()
+        keys = self._keys(self._paths())
+        files = self._reference_files(keys)
+        named = {name: getattr(self, name) for name in (*SETS, *(() if files else ("reference",)))}
+        blocks = asked(named, keys)
+        notes = [f"data.{name} is not used: the log is taken as it was recorded" for name in self._set_in_vain()]
+        progress(0.0, listed(map(str, self.path)))
+        log = joined(self._read(keys, self._used(keys, blocks)), robot, notes)
+        reference = None
+        if files:
+            others = self._keys(files)
+            reference = joined(self._read(others, others), robot, [])
+        elif chosen := blocks["reference"]:
+            reference = cut(log, chosen)
+            kept = {block.key for name in SETS for block in blocks[name] or ()}
+            kept |= {x.name for x in log.trajectories} - {block.key for block in chosen}
+            log = replace(log, trajectories=tuple(x for x in log.trajectories if x.name in kept))
+            if not log.trajectories:
+                got = "data.reference names all trajectories"
+                raise UsageError(got, advice="leave some trajectories for the diagnosis")
+        progress(1.0, "")
+        return Recorded(log, reference, windows(blocks, log, self.train_share), tuple(notes))
 
     def _refuse_options(self) -> None:
         for i, gain in enumerate(self.drive_gain or ()):
-            if not isinstance(gain, int | float):
-                raise UsageError(f"data.drive_gain[{i}]={gain}; allowed: a number")
+            if not (isinstance(gain, int | float) and np.isfinite(gain) and gain):
+                raise UsageError(f"data.drive_gain[{i}]={gain}; allowed: a number [N m/A], not 0")
         Conditioning.of(self).refuse_options()
 
     def _paths(self) -> tuple[Path, ...]:
-        paths = tuple(Path(path).expanduser() for path in self.path)
+        return tuple(Path(path).expanduser() for path in self.path)
+
+    def _keys(self, paths: Sequence[Path]) -> Keys:
+        """All trajectories of logs.
+
+        Raises:
+            LogError: for a file that is no log.
+            UsageError: for logs of one name.
+        """
         if not paths or len({path.stem for path in paths}) < len(paths):
             raise UsageError(f"data.path={listed(map(str, paths))}; allowed: one log or more, with different names")
-        return paths
-
-    def _keys(self) -> dict[str, tuple[Path, str]]:
-        """What a trajectory is called in selections -> its log, and its name there."""
-        paths = self._paths()
         label = "{0.stem}/{1}" if len(paths) > 1 else "{1}"
-        return {label.format(path, name): (path, name) for path in paths for name in self.names(path)}
+        named = ((path, name) for path in paths for name in trajectory_names(path, self.columns, self.limit))
+        return {label.format(path, name): (path, name) for path, name in named}
 
-    def _found(
-        self, robot: Robot | None, notes: list[str]
-    ) -> tuple[dict[str, list[Block] | None], dict[str, tuple[Log, RawTrajectory]], list[Log]]:
-        """What was asked for, the trajectories that this takes with the log of each, and the logs."""
-        keys = self._keys()
-        asked = Conditioning.of(self).asked(keys)
-        named = {block.key for blocks in asked.values() for block in blocks or ()}
-        used = list(keys) if asked["train"] is None or asked["test"] is None else [key for key in keys if key in named]
-        logs = self._read({path: [keys[k][1] for k in used if keys[k][0] == path] for path in self._paths()})
-        logs = [ordered(log, robot, notes) for log in logs]
-        raws = ((log, raw) for log in logs for raw in log.trajectories)
-        return asked, dict(zip(used, raws, strict=True)), logs
+    def _used(self, keys: Keys, blocks: Mapping[str, list[Block] | None]) -> list[str]:
+        """The trajectories that the selections take: those named where train and test both are said, otherwise all."""
+        named = {block.key for some in blocks.values() for block in some or ()}
+        return [key for key in keys if blocks["train"] is None or blocks["test"] is None or key in named]
 
-    def _read(self, wanted: Mapping[Path, Iterable[str]]) -> list[Log]:
-        """The logs with the wanted trajectories, drive gains set, all of the same joints."""
-        logs = []
-        for path, names in wanted.items():
-            log = read_log(path, names, check=False, columns=self.columns, limit=self.limit)
+    def _reference_files(self, keys: Keys) -> tuple[Path, ...]:
+        """The logs that `reference` names; () where it names trajectories, or nothing; UsageError if it names both."""
+        named = [str(one) for one in self.reference or ()]
+        files = [one for one in named if one not in keys and _is_file(one)]
+        if files and len(files) < len(named):
+            got = f"data.reference={listed(named)}"
+            raise UsageError(f"{got}; allowed: other logs, or trajectories of data.path, not both")
+        return tuple(Path(one).expanduser() for one in files)
+
+    def _read(self, keys: Keys, used: Iterable[str]) -> list[Log]:
+        """The logs of `keys`, each with those of its trajectories that are `used`, called by their keys, and with the
+        drive gains that are given.
+
+        Raises:
+            LogError: if a log cannot be read, has drive gains for other joints, or logs have different joints.
+        """
+        used, logs = set(used), []
+        for path in dict.fromkeys(path for path, _ in keys.values()):
+            names = {name: key for key, (at, name) in keys.items() if at == path}
+            chosen = [name for name, key in names.items() if key in used]
+            log = read_log(path, chosen, check=False, columns=self.columns, limit=self.limit)
             if self.drive_gain is not None and log.torque_unit == "A":
                 log = replace(log, drive_gain=np.asarray(self.drive_gain, float))
-            refuse_defects(log, str(path))
-            logs.append(log)
+            if log.drive_gain is not None and np.shape(log.drive_gain) != (len(log.joints),):
+                got = f"{path}: drive gains {np.asarray(log.drive_gain).tolist()}"
+                raise LogError(f"{got}; allowed: {len(log.joints)} numbers [N m/A], one for each joint")
+            logs.append(replace(log, trajectories=tuple(replace(x, name=names[x.name]) for x in log.trajectories)))
             if log.joints != logs[0].joints:
-                got = f"{path} has joints {listed(log.joints)}, {next(iter(wanted))} has {listed(logs[0].joints)}"
+                got = f"{path} has joints {listed(log.joints)}, {self._paths()[0]} has {listed(logs[0].joints)}"
                 raise LogError(f"{got}; allowed: logs of one robot")
-        if self.drive_gain is not None and all(log.torque_unit != "A" for log in logs):
-            raise UsageError("data.drive_gain is given, but the torques are in N m", advice="data.drive_gain=null")
         return logs
+
+    def _set_in_vain(self) -> list[str]:
+        return [f.name for f in fields(self) if f.name in UNUSED and getattr(self, f.name) != f.default]
 
     def _described(self, logs: Iterable[Log]) -> dict[str, Any]:
         words = ("robot", "source", "licence", "torque_side", "torque_unit", "position_side", "compensated")
@@ -168,3 +227,7 @@ class RealLog(AbstractSource):
                 for path, log in zip(self._paths(), logs, strict=True)
             ]
         }
+
+
+def _is_file(text: str) -> bool:
+    return text.endswith((".h5", ".hdf5")) or Path(text).expanduser().is_file() or is_foreign(text)

@@ -23,7 +23,7 @@ from invdyn_cli.effects.composition import (
     rigid_torque,
     sign_of,
 )
-from invdyn_cli.effects.friction import STICK_TIME
+from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -269,8 +269,8 @@ def _torque_columns(
     if effect.jumps:  # the milliseconds in which a joint that turns back sticks
         jump = np.asarray(effect.jump(made))
         scale = STICK_TIME * level[joint] / max(float(np.sqrt(np.mean(jump**2))), 1e-12)
-        made.append(np.gradient(jump, axis=-1) * scenes.rate)
-        precision = np.append(precision, 1 / max(scale, 1e-12) ** 2)
+        made += about_reversals(jump, scenes.rate)
+        precision = np.append(precision, np.full(len(made) - len(precision), 1 / max(scale, 1e-12) ** 2))
     return [_felt({joint: x}, driver, effect.share_on_driver(shape)) for x in made], precision
 
 

@@ -9,12 +9,10 @@ by their Gram matrices, which add up: hundreds of candidates cost little.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from invdyn_cli.design.causes import Cause, Column, Scenes, Usual, columns, link_columns, term
 from invdyn_cli.design.sizes import SHARE, typical
@@ -24,6 +22,7 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
 from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.interfaces import AbstractTorqueEffect
+from invdyn_cli.maths.signals import lowpass
 from invdyn_cli.types import Robot
 
 Side = tuple[Cause, ...]
@@ -226,17 +225,11 @@ def _grams(contest: Contest, scenes: Scenes, table: Sequence[Column]) -> np.ndar
         if not len(ids):
             continue
         x = np.stack([np.broadcast_to(table[k][j], (count, length)) for k in ids])
-        sections = _lowpass(float(min(contest.cutoffs[j], 0.45 * scenes.rate)), scenes.rate)
-        x = np.asarray(signal.sosfiltfilt(sections, x, axis=-1, padlen=min(int(scenes.rate), length - 2)))
+        x = lowpass(x, scenes.rate, float(min(contest.cutoffs[j], 0.45 * scenes.rate)), axis=-1)
         moving = np.abs(np.asarray(scenes.motion.qd)[j]) > REST_SPEED  # at rest its friction can be anything
         x = (x * moving).transpose(1, 0, 2)
         out[:, ids[:, None], ids] += contest.weights[j] * (x @ x.transpose(0, 2, 1))
     return out
-
-
-@lru_cache(maxsize=64)
-def _lowpass(cutoff: float, rate: float) -> np.ndarray:
-    return np.asarray(signal.butter(4, cutoff, fs=rate, output="sos"))
 
 
 def _nuisances(true: Side, rival: Side) -> list[Cause]:

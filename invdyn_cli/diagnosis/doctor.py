@@ -1,4 +1,4 @@
-"""The doctor: is this log sane, what can be mended in it, and what does it excite?
+"""The doctor: is this log sane, what can be corrected in it, and what does it excite?
 
 Checks are asked in turn, and each sees the log as those before it have corrected it: torques are judged when the clock
 and the units are right.
@@ -24,7 +24,8 @@ from invdyn_cli.diagnosis.checks.units import MotionUnits
 from invdyn_cli.diagnosis.checks.values import NotFinite, Outliers
 from invdyn_cli.errors import LogError, RobotError, listed
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import POSITION_SIDES, TORQUE_SIDES, Log, refuse_defects
+from invdyn_cli.log import POSITION_SIDES, TORQUE_SIDES, Log
+from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.types import Check, Examination, Robot
 
 CHECKS: tuple[AbstractCheck, ...] = (
@@ -56,7 +57,7 @@ CHECKS: tuple[AbstractCheck, ...] = (
 
 SEVERITIES = ("ok", "skipped", "note", "warn", "fail")
 """ok: looked at, nothing seen; skipped: not looked at, `seen` says why; note: worth knowing; warn: it costs accuracy;
-fail: no physics before it is mended."""
+fail: no physics before it is corrected."""
 
 FAULT = "a fault of invdyn, not of the log"
 
@@ -96,12 +97,12 @@ def correct(
         for check in checks:
             seen = _asked(check, log, robot)
             found += seen if seen or check.again else [Check(check.name, "ok", seen="nothing seen")]
-            mine = _mendable(seen)
+            mine = _correctable(seen)
             if follow is not None:
                 follow(log, mine)
             failed = any(one.severity == "fail" for one in seen)
             if change:
-                log, notes = check.mend(log, mine, robot)
+                log, notes = check.correct(log, mine, robot)
                 corrections += [{"check": check.name, "done": note} for note in notes]
             hopeless |= failed and (not change or any(one.severity == "fail" for one in _asked(check, log, robot)))
         try:
@@ -128,8 +129,8 @@ def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
         return [Check(check.name, "skipped", seen=said, meaning=FAULT)]
 
 
-def _mendable(found: Sequence[Check]) -> list[Check]:
-    """What a check may mend by: its findings, but for those that tell of a fault of its own."""
+def _correctable(found: Sequence[Check]) -> list[Check]:
+    """What a check may correct: its findings, but for those that tell of a fault of its own."""
     return [one for one in found if one.meaning != FAULT and one.severity not in ("ok", "skipped")]
 
 

@@ -11,15 +11,15 @@ import numpy as np
 from invdyn_cli import urdf
 from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns import hold
-from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import EffectInstance, changed
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractBodyEffect, Progress, silent
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.maths.pseudo_inertia import realisable
+from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.simulation import mjcf
-from invdyn_cli.simulation.driven import Stretch
+from invdyn_cli.simulation.driven import Segment
 from invdyn_cli.simulation.replay import Replay
 from invdyn_cli.simulation.replay import replay as play
 from invdyn_cli.types import Motion, Robot
@@ -99,7 +99,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     return text, (*said, *refused)
 
 
-def stretches_of(log: Log, robot: Robot, recording: Recording, lead: float) -> list[Stretch]:
+def stretches_of(log: Log, robot: Robot, recording: Recording, lead: float) -> list[Segment]:
     """What a replay starts from: the pieces that chose nothing, or all where none judges.
 
     Args:
@@ -111,7 +111,7 @@ def stretches_of(log: Log, robot: Robot, recording: Recording, lead: float) -> l
     whole, _ = known.taken_out(recording, robot, (), gravity="gravity" in log.compensated)
     pieces = [p for p in whole.pieces if p.role == "test"] or [p for p in whole.pieces if p.role == "train"]
     moved = hold.moved(replace(whole, pieces=tuple(pieces)), lead)
-    return [Stretch(p.trajectory, p.t, p.q.T, p.qd.T, p.tau.T) for p in moved.pieces]
+    return [Segment(p.trajectory, p.t, p.q.T, p.qd.T, p.tau.T) for p in moved.pieces]
 
 
 def why_not(log: Log) -> str:
@@ -123,7 +123,7 @@ def why_not(log: Log) -> str:
     return ""
 
 
-def replayed(model: ExtendedModel, stretches: Sequence[Stretch], progress: Progress = silent) -> Replay:
+def replayed(model: ExtendedModel, stretches: Sequence[Segment], progress: Progress = silent) -> Replay:
     """The nominal and the extended arm beside the log.
 
     Raises:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis import standard
-from invdyn_cli.diagnosis.checks.rows import in_newton_metres
 from invdyn_cli.diagnosis.columns.evidence import started
-from invdyn_cli.diagnosis.columns.recording import ROLES, Conditioning, prepare
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.channels import in_newton_metres
+from invdyn_cli.recording.pieces import ROLES, Preparation, prepare
 from invdyn_cli.types import Diagnosis, Finding, Gain, Quantity, Robot
 
 KNOWN = 0.1
@@ -73,7 +73,7 @@ def lacks(log: Log) -> bool:
     return log.torque_unit == "A" and log.drive_gain is None
 
 
-def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Conditioning) -> Gains:
+def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Preparation) -> Gains:
     """The gains of a log of currents, its other defects corrected; a joint whose gain is not known gets 1, or more
     where its nominal torque would else be larger than the log allows.
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import (
     EffectInstance,
     changed,
@@ -29,6 +28,7 @@ from invdyn_cli.interfaces import (
     AbstractTorqueEffect,
     JointState,
 )
+from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Motion, Robot
 
 COUNTS = {"com": 3, "moment": 3, "inertia": 6}

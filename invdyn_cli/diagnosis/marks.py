@@ -9,9 +9,10 @@ import numpy as np
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.clock import Duplicates
 from invdyn_cli.diagnosis.checks.excitation import Excitation
-from invdyn_cli.diagnosis.checks.rows import MAX_GAP, forward_rows, median_step, newton_metres, runs, uninterrupted
 from invdyn_cli.diagnosis.checks.values import Outliers
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.channels import newton_metres
+from invdyn_cli.recording.rows import MAX_GAP, forward_rows, median_step, runs, uninterrupted
 from invdyn_cli.types import Check, Examination, Robot
 
 REST = 0.5

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis import doctor, extension, gains, known, repeats, standard
-from invdyn_cli.diagnosis.checks.rows import in_newton_metres
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.columns.recording import ROLES, Conditioning, Recording, Window, prepare
 from invdyn_cli.diagnosis.decide import findings, unexplained, wording
 from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
@@ -23,8 +21,10 @@ from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log, Window
 from invdyn_cli.maths import metrics
+from invdyn_cli.recording.channels import in_newton_metres
+from invdyn_cli.recording.pieces import ROLES, Preparation, Recording, prepare
 from invdyn_cli.types import Diagnosis, Examination, Motion, Robot, Signals
 
 
@@ -42,7 +42,7 @@ class Options:
 
     known: Sequence[Any] = ()
     most: int | None = None
-    conditioning: Conditioning = field(default_factory=Conditioning)
+    conditioning: Preparation = field(default_factory=Preparation)
     replay: bool = False
 
 
@@ -58,7 +58,7 @@ def diagnose(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Diagnosis:
-    """What the nominal model of a robot gets wrong on a log, why, and what mending it is worth.
+    """What the nominal model of a robot gets wrong on a log, why, and what correcting it is worth.
 
     Args:
         log: one robot's trajectories, as read (`logfile.read_log(path, check=False)`), defects and all.
@@ -114,7 +114,8 @@ def diagnose(
         inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence
     progress(0.75, "names")
-    made = findings.report(inquiry, pool, examination, side, log.position_side)
+    unsure = () if compares else standard.unsure_links(columns, inquiry)
+    made = findings.report(inquiry, pool, examination, side, log.position_side, unsure)
     more = standard.beside(columns, evidence, made)
     if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings
         there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}
@@ -144,7 +145,7 @@ def diagnose(
     again, why = _replay(model, log, measured, common, progress, apart) if options.replay else (None, ())
     rest = made.residual if compares else more.residual  # of a change, beside what both logs show
     tests = residual_tests(evidence, rest, pool.values(), more.acting)
-    floor = repeats.noise_floor(recording)
+    floor = repeats.floor_of_repeats(recording)
     diagnosis = Diagnosis(
         verdict=wording.verdict(
             made, learned, structured_joints, structured(tests, robot.joints), floor, _scores(evidence, rest)
@@ -185,9 +186,9 @@ def _gained(
     wrong gain is not looked for then: all of them are fitted."""
     if not gains.lacks(log):
         return None, log, reference
-    mended, _ = doctor.correct(log, robot)
+    corrected, _ = doctor.correct(log, robot)
     try:
-        found = gains.estimated(mended, robot, _typical_inertia(robot), windows, options.conditioning)
+        found = gains.estimated(corrected, robot, _typical_inertia(robot), windows, options.conditioning)
     except (LogError, ValueError):
         return None, log, reference  # the doctor says why
     if not found.known.any():

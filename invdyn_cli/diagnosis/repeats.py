@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.recording import Recording
+from invdyn_cli.recording.pieces import Recording
 
 ALIKE = 0.02
 """Share of a joint's range by which two recordings of one motion may differ, RMS."""
@@ -13,7 +13,7 @@ LATEST = 0.5
 """[s] by which they may be shifted."""
 
 
-def noise_floor(recording: Recording) -> np.ndarray | None:
+def floor_of_repeats(recording: Recording) -> np.ndarray | None:
     """RMS (n,) of half the difference of repeated stretches' filtered torques [N m; N]; None without repeats."""
     halves = []
     pieces = [p for p in recording.pieces if len(p.t) > 2 * recording.filter.rate]

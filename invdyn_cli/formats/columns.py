@@ -12,7 +12,8 @@ import numpy as np
 from invdyn_cli.errors import LogError, UsageError, closest, listed, shortened
 from invdyn_cli.formats.table import Table
 from invdyn_cli.formats.units import CURRENTS, TIME, factor
-from invdyn_cli.logfile import CHANNELS, LONGEST_NAME, Log, RawTrajectory
+from invdyn_cli.log import CHANNELS, Log, RawTrajectory
+from invdyn_cli.logfile import LONGEST_NAME
 
 NONE = "none"
 """As the only column of a channel: the file has none."""

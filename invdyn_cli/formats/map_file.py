@@ -12,7 +12,7 @@ import yaml
 from invdyn_cli.errors import InvdynError, UsageError, closest, listed, shortened
 from invdyn_cli.formats.columns import GIVEN, NONE, Channel, ColumnMap, numbered
 from invdyn_cli.formats.units import ALLOWED, canonical
-from invdyn_cli.logfile import CHANNELS, POSITION_SIDES, TORQUE_SIDES
+from invdyn_cli.log import CHANNELS, POSITION_SIDES, TORQUE_SIDES
 from invdyn_cli.untrusted import read_text
 
 TEXTS = ("robot_name", "urdf", "torque_side", "position_side", "origin", "licence", "topic")

@@ -13,7 +13,7 @@ from invdyn_cli.formats import delimited, map_file, mat, npz, parquet, rosbag
 from invdyn_cli.formats.columns import ColumnMap, log_from
 from invdyn_cli.formats.guess import complete
 from invdyn_cli.formats.table import Table
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 
 READERS = {".npz": npz.read, ".mat": mat.read, ".parquet": parquet.read}
 READERS |= dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), delimited.read)

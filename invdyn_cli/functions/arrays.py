@@ -9,7 +9,7 @@ import numpy as np
 from invdyn_cli.errors import LogError, UsageError, listed
 from invdyn_cli.formats.columns import numbered
 from invdyn_cli.formats.reading import FEWEST
-from invdyn_cli.logfile import CHANNELS, POSITION_SIDES, TORQUE_SIDES, TORQUE_UNITS, Log, RawTrajectory
+from invdyn_cli.log import CHANNELS, POSITION_SIDES, TORQUE_SIDES, TORQUE_UNITS, Log, RawTrajectory
 
 NAME = "trajectory_1"
 

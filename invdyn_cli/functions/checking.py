@@ -8,13 +8,13 @@ from rich.console import Group
 from rich.text import Text
 
 from invdyn_cli import store
-from invdyn_cli.data import raw
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.marks import Mark, located
 from invdyn_cli.functions.arrays import Arrays
 from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import Progress, silent
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.channels import in_newton_metres, ordered
 from invdyn_cli.report import check_figures, check_page
 from invdyn_cli.report.check_terminal import shown
 from invdyn_cli.report.checked_log import CheckedLog
@@ -92,12 +92,12 @@ def check(
         UsageError, LogError, RobotError: for what cannot be read at all, or does not belong together.
     """
     found = log_of(log, **arrays)
-    return examine([found], robot_of(robot, found, arrays), correct=correct)
+    return examine(found, robot_of(robot, found, arrays), correct=correct)
 
 
-def examine(logs: list[Log], robot: Robot | None, *, correct: bool = True) -> CheckResult:
-    """Check logs of one robot together; nothing is corrected where `correct` is False."""
+def examine(log: Log, robot: Robot | None, *, correct: bool = True) -> CheckResult:
+    """Check all trajectories of a log together; nothing is corrected where `correct` is False."""
     notes = list(robot.notes) if robot else [NO_ROBOT]
-    log = raw.merged(logs, robot, notes)
+    log = in_newton_metres(ordered(log, robot, notes))
     corrected, examination, marks = located(log, robot, correct=correct)
     return CheckResult(log, robot, examination, corrected, marks, tuple(notes))

@@ -11,11 +11,9 @@ from rich.text import Text
 
 from invdyn_cli import diagnosis as steps
 from invdyn_cli import store
-from invdyn_cli.data import raw
 from invdyn_cli.design import next_motion
 from invdyn_cli.design.trajectory import Design
 from invdyn_cli.diagnosis import Options
-from invdyn_cli.diagnosis.columns.recording import Window
 from invdyn_cli.diagnosis.extension import Export, exported
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.description import ExtendedModel
@@ -24,7 +22,8 @@ from invdyn_cli.files import write_file
 from invdyn_cli.functions.arrays import Arrays
 from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log, Window
+from invdyn_cli.recording.channels import ordered
 from invdyn_cli.report import diagnosis_figures, diagnosis_page, diagnosis_tables
 from invdyn_cli.report.better_simulation import replay_line
 from invdyn_cli.report.check_terminal import shown
@@ -156,12 +155,10 @@ def diagnose(
         got = "a diagnosis needs the robot's kinematics, and the log names no URDF"
         raise UsageError(got, advice="diagnose(log, 'arm.urdf'), or urdf='arm.urdf' beside arrays")
     notes: list[str] = []
-    one = raw.merged([found], nominal, notes, currents=True)
-    earlier = None if reference is None else raw.merged([log_of(reference)], nominal, [], currents=True)
     return explain(
-        one,
+        ordered(found, nominal, notes),
         nominal,
-        reference=earlier,
+        reference=None if reference is None else ordered(log_of(reference), nominal, []),
         options=options,
         design=design,
         learner=learner,

@@ -10,7 +10,6 @@ from rich.text import Text
 
 from invdyn_cli import experiment, store
 from invdyn_cli.adaptation.batch import Batch
-from invdyn_cli.data.conditioning import Conditioning
 from invdyn_cli.data.held import HeldLog
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.data.recorded import RealLog
@@ -18,7 +17,8 @@ from invdyn_cli.errors import RobotError
 from invdyn_cli.fields import made
 from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.conditioning import Conditioning
 from invdyn_cli.registry import make_model
 from invdyn_cli.report import figures, page, tables
 from invdyn_cli.report.fragment import Shown

@@ -4,13 +4,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Unpack
 
-from invdyn_cli.data import raw
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.errors import RobotError, UsageError, listed
 from invdyn_cli.formats.columns import numbered
 from invdyn_cli.formats.reading import Columns
 from invdyn_cli.functions.arrays import Arrays, from_arrays
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Header, Robot
 
@@ -29,9 +28,7 @@ def read(*paths: str | Path, columns: Columns = None, drive_gain: Sequence[float
     Raises:
         LogError, UsageError: for a file that cannot be read, or columns that leave something open.
     """
-    source = RealLog([str(path) for path in paths], columns=columns, drive_gain=drive_gain)
-    keys = raw.keys_of([Path(x) for x in source.path], source)
-    return raw.merged(raw.read(keys, keys, source), None, [], currents=True)
+    return RealLog([str(path) for path in paths], columns=columns, drive_gain=drive_gain).recorded(None).log
 
 
 def log_of(log: LogLike | None, **arrays: Unpack[Arrays]) -> Log:

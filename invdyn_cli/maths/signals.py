@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy import signal
+from scipy.interpolate import make_interp_spline
 
 DERIVATIVES = ("backward", "central", "savgol")
 """Ways to differentiate: x_t - x_{t-1}; (x_{t+1} - x_{t-1}) / 2; a local polynomial's slope (Savitzky, Golay 1964)."""
@@ -55,39 +56,54 @@ def settling(rate: float, cutoff: float, order: int = 4) -> int:
     return int(np.ceil(np.log(0.01) / np.log(slowest)))
 
 
-def lowpass(x: np.ndarray, rate: float, cutoff: float, order: int = 4, causal: bool = False) -> np.ndarray:
-    """x (T, ...) at `rate` [Hz] through a Butterworth low-pass forth and back: no phase, -6 dB at `cutoff` [Hz]; forth
-    alone where `causal`, from a past at x[0].
+def lowpass(
+    x: np.ndarray, rate: float, cutoff: float, order: int = 4, causal: bool = False, axis: int = 0
+) -> np.ndarray:
+    """x at `rate` [Hz] through a Butterworth low-pass along `axis`, forth and back: no phase, -6 dB at `cutoff` [Hz];
+    forth alone where `causal`, from a past at the first sample.
 
-    It is linear: what is filtered alike stays in proportion. The ends are point-reflected over `settling` samples.
+    It is linear: what is filtered alike stays in proportion. The ends are point-reflected over `settling` samples
+    (`scipy.signal.sosfiltfilt`, which would find the filter's state at rest anew each time).
 
     Raises:
         ValueError: as `settling` does, or with no more than `settling` samples.
     """
-    padding = settling(rate, cutoff, order)
-    if len(x) <= padding:
-        raise ValueError(f"{len(x)} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
-    sections = butterworth(rate, cutoff, order)
+    padding, samples = settling(rate, cutoff, order), np.shape(x)[axis]
+    if samples <= padding:
+        raise ValueError(f"{samples} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
+    sections, rest = butterworth(rate, cutoff, order), at_rest(rate, cutoff, order)
+    x = np.moveaxis(np.asarray(x), axis, -1)
+    rest = rest.reshape(len(rest), *[1] * (x.ndim - 1), 2)
     if causal:
-        past = signal.sosfilt_zi(sections).reshape(-1, 2, *[1] * (x.ndim - 1)) * x[0]
-        return np.asarray(signal.sosfilt(sections, x, axis=0, zi=past)[0])
-    return signal.sosfiltfilt(sections, x, axis=0, padlen=padding)
+        return np.moveaxis(signal.sosfilt(sections, x, zi=rest * x[..., :1])[0], -1, axis)
+    first, last = x[..., :1], x[..., -1:]
+    x = np.concatenate([2 * first - x[..., padding:0:-1], x, 2 * last - x[..., -2 : -padding - 2 : -1]], axis=-1)
+    for _ in range(2):
+        x = signal.sosfilt(sections, x, zi=rest * x[..., :1])[0][..., ::-1]
+    return np.moveaxis(x[..., padding : padding + samples], -1, axis)
 
 
+@lru_cache(maxsize=256)
 def butterworth(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
     """Second-order sections (S, 6) of the low-pass, as SciPy has them."""
     return np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
 
 
-def resample(t: np.ndarray, x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """A uniform clock (S,) [s] at `rate` [Hz] from t[0] to t[-1], and x (S, ...) on it, linear between samples.
+@lru_cache(maxsize=256)
+def at_rest(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
+    """The low-pass's state (S, 2) where all that has come in is 1."""
+    return np.asarray(signal.sosfilt_zi(butterworth(rate, cutoff, order)))
 
-    t (T,) [s] increases, x is (T, ...). What already ticks so, within a millionth of a period, comes back untouched.
+
+def resample(
+    t: np.ndarray, x: np.ndarray, rate: float, degree: int = 1, tolerance: float = 1e-6
+) -> tuple[np.ndarray, np.ndarray]:
+    """A uniform clock (S,) [s] at `rate` [Hz] from t[0] to t[-1], and x (S, ...) on it by splines of `degree` 1 or 3.
+
+    t (T,) [s] increases, x is (T, ...). What already ticks so, within a share `tolerance` of a period, comes back
+    untouched.
     """
     ticks = t[0] + np.arange(int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1) / rate
-    if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= 1e-6):
+    if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= tolerance):
         return t, x
-    after = np.clip(np.searchsorted(t, ticks, side="right"), 1, len(t) - 1)
-    share = (ticks - t[after - 1]) / (t[after] - t[after - 1])
-    share = share.reshape(-1, *[1] * (x.ndim - 1))
-    return ticks, (1 - share) * x[after - 1] + share * x[after]
+    return ticks, make_interp_spline(t, x, k=degree, axis=0)(ticks)

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from invdyn_cli.diagnosis.checks.evidence import Stretch, gather, nominal_torque, stretches
+from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.report.canvas import (
     BLACK,
     BLUE,

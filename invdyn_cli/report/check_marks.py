@@ -6,7 +6,7 @@ from textwrap import shorten
 import numpy as np
 from matplotlib.axes import Axes
 
-from invdyn_cli.diagnosis.checks.rows import runs
+from invdyn_cli.recording.rows import runs
 from invdyn_cli.report.canvas import GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILLION, plain
 from invdyn_cli.report.checked_log import CheckedLog, Pieces
 

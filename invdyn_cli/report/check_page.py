@@ -11,7 +11,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.excitation import OF_ROBOT
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import listed
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.report.check_table import PILLS, check_table, skipped_reasons
 from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
 from invdyn_cli.report.tables import significant
@@ -95,12 +95,12 @@ def page(
 
 def verdict(examination: Examination) -> str:
     """One sentence: usable or not, what is wrong, what was corrected."""
-    wrong, mended = _wrong(examination)
-    left = [x for x in wrong if x not in mended]
+    wrong, corrected = _wrong(examination)
+    left = [x for x in wrong if x not in corrected]
     count = len(examination.corrections)
     if examination.usable:
         said = f"The log is usable after {count} correction{'s' * (count != 1)}" if count else "The log is usable"
-        said += f": {_named(mended)}" if mended else "" if wrong else ", no check warns"
+        said += f": {_named(corrected)}" if corrected else "" if wrong else ", no check warns"
         said += f"; not corrected: {_named(left)}" if left else ""
     else:
         said = f"The log is not usable: {_named([x for x in left if x.severity == 'fail'] or left)}"
@@ -138,14 +138,14 @@ def _channel(check: Check) -> str:
 
 def _to_do(examination: Examination) -> str:
     """What is not corrected first, the gravest on top; the commands that go on; what the next recording should have."""
-    wrong, mended = _wrong(examination)
-    lines = _advice([x for x in wrong if x not in mended])
+    wrong, corrected = _wrong(examination)
+    lines = _advice([x for x in wrong if x not in corrected])
     if examination.usable and examination.corrections:
         lines.append("<li>Write the corrected log: add <code>write=fixed.h5</code> to the command.</li>")
     if examination.usable:
         lines.append("<li>Ask what the simulation gets wrong: <code>invdyn diagnose</code> with the same options; it "
                      "makes the same corrections first.</li>")  # fmt: skip
-    later = _advice(mended)
+    later = _advice(corrected)
     next_one = f"<p>So that the next log needs no correction:</p>{_list(later)}" if later else ""
     return _list(lines) + next_one
 

@@ -5,9 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.rows import MAX_GAP, forward_rows, median_step
 from invdyn_cli.diagnosis.marks import Mark
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.rows import forward_rows, median_step, without_gaps
 from invdyn_cli.types import Robot
 
 COMPARABLE = 5.0
@@ -92,9 +92,7 @@ class CheckedLog:
                 continue
             rows = np.arange(len(raw.t)) + start if log is self.log else np.asarray(raw.rows, int)
             good = np.isfinite(x[:, joint]) & (np.abs(x[:, joint]) < 1e100)
-            steps = np.diff(self.time[rows])
-            breaks = np.flatnonzero(steps > max(MAX_GAP, 5 * np.median(steps))) + 1 if len(steps) else []
-            pieces = [p[good[p]] for p in np.split(np.arange(len(rows)), breaks)]
+            pieces = [p[good[p]] for p in without_gaps(self.time[rows], np.arange(len(rows)))]
             out += [(rows[p], np.asarray(x[p, joint], float)) for p in pieces if len(p)]
         return out
 

@@ -18,7 +18,7 @@ STEP = 1e-3
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """A measured stretch without gaps on an even clock: t (T,) [s], the others (T, n) [rad, rad/s, N m; m, m/s, N].
 
     `held`: a torque acts from its t until the next one, as a controller gives it out; else it acts at its t, and in
@@ -60,7 +60,7 @@ class Stretch:
 class Driven:
     """The arm of a file on the clock of a stretch; mutable, alive for one replay."""
 
-    def __init__(self, mjcf: str, stretch: Stretch) -> None:
+    def __init__(self, mjcf: str, stretch: Segment) -> None:
         self.stretch, n = stretch, stretch.q.shape[1]
         self.substeps = int(np.ceil(stretch.period / STEP - 1e-9))
         self.step = stretch.period / self.substeps

@@ -13,7 +13,7 @@ import numpy as np
 
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import Progress, silent
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.simulation.arm import quiet
 from invdyn_cli.simulation.closed_loop import EXACT, ClosedLoop
 from invdyn_cli.simulation.control import Control, commissioned

@@ -18,7 +18,7 @@ import numpy as np
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.simulation.arm import mass_matrix, quiet
-from invdyn_cli.simulation.driven import STEP, Driven, Stretch
+from invdyn_cli.simulation.driven import STEP, Driven, Segment
 
 LENGTH = 0.2
 """[s] of a window: long enough for friction and masses to show, short enough for a start that is not quite known."""
@@ -121,7 +121,7 @@ class Replay:
 def replay(
     before: str,
     after: str,
-    stretches: Sequence[Stretch],
+    stretches: Sequence[Segment],
     joints: Sequence[str],
     *,
     length: float = LENGTH,
@@ -151,7 +151,7 @@ def replay(
         raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and what a motor remembers")
     every = max(total / most, length)
     found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
-    where: list[tuple[Stretch, int]] = []
+    where: list[tuple[Segment, int]] = []
     for k, stretch in enumerate(stretches):
         starts = window_starts(stretch, length, every)
         where += [(stretch, int(row)) for row in starts]
@@ -184,13 +184,13 @@ def replay(
     )
 
 
-def window_starts(stretch: Stretch, length: float = LENGTH, every: float = LENGTH) -> np.ndarray:
+def window_starts(stretch: Segment, length: float = LENGTH, every: float = LENGTH) -> np.ndarray:
     """First rows of windows of `length` [s], one `every` [s], behind what a motor remembers."""
     first, last = round(MEMORY / stretch.period), len(stretch.t) - 1 - round(length / stretch.period)
     return np.arange(first, last + 1, max(1, round(every / stretch.period)))
 
 
-def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length: float = LENGTH) -> np.ndarray:
+def free(mjcf: str, stretch: Segment, starts: Sequence[int] | np.ndarray, length: float = LENGTH) -> np.ndarray:
     """Simulated less measured positions (windows, K + 1, n) [rad; m] of an arm left free under the logged torques.
 
     Args:
@@ -219,7 +219,7 @@ def free(mjcf: str, stretch: Stretch, starts: Sequence[int] | np.ndarray, length
     return _bounded(out)
 
 
-def feedback(mjcf: str, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
+def feedback(mjcf: str, stretches: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness and damping (n,) [N m/rad, N m s/rad] of what holds an arm to the measured motion.
 
     FREQUENCY for the least inertia that each joint has in the log's postures, others being free, or stiffer where that
@@ -240,7 +240,7 @@ def feedback(mjcf: str, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.nd
     return omega**2 * inertia, 2 * DAMPING * omega * inertia
 
 
-def held(mjcf: str, stretch: Stretch, stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def held(mjcf: str, stretch: Segment, stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Simulated less measured positions (K, n) [rad; m] of an arm under the logged torques that is held to the measured
     motion, and the torques (K, n) [N m; N] that it takes: stiffness (q - q_arm) + damping (qd - qd_arm), (n,) each.
 
@@ -262,17 +262,17 @@ def held(mjcf: str, stretch: Stretch, stiffness: np.ndarray, damping: np.ndarray
     return _bounded(moved), pulled
 
 
-def _last(stretch: Stretch, length: float) -> float:
+def _last(stretch: Segment, length: float) -> float:
     return float(stretch.t[-1] - length)
 
 
-def _shortened(stretches: Sequence[Stretch], longest: float) -> Iterator[Stretch]:
+def _shortened(stretches: Sequence[Segment], longest: float) -> Iterator[Segment]:
     """The stretches, each cut to its share of `longest` [s]."""
     whole = [x for x in stretches if x.t[-1] - x.t[0] > 2 * MEMORY]
     share = min(1.0, longest / sum(float(x.t[-1] - x.t[0]) for x in whole))
     for x in whole:
         rows = slice(0, max(round(2 * MEMORY / x.period), round(share * len(x.t))))
-        yield Stretch(x.name, x.t[rows], x.q[rows], x.qd[rows], x.tau[rows], x.held)
+        yield Segment(x.name, x.t[rows], x.q[rows], x.qd[rows], x.tau[rows], x.held)
 
 
 def _traces(found, where, joint: str, column: int, pictures: int) -> tuple[Traces, ...]:

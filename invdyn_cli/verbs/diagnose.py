@@ -7,7 +7,6 @@ from pathlib import Path
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from invdyn_cli.diagnosis import Options
-from invdyn_cli.diagnosis.columns.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
 from invdyn_cli.functions.diagnosing import explain
@@ -21,11 +20,11 @@ from invdyn_cli.interfaces import (
     AbstractMotionEffect,
     AbstractTorqueEffect,
 )
+from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import check, imports, screen
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
-from invdyn_cli.verbs.material import material_of
-from invdyn_cli.verbs.run import make_robot, refuse_seed
+from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 
 KINDS = (
@@ -60,26 +59,24 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
     if not isinstance(config.diagnosis.design, bool):
         raise UsageError(f"diagnosis.design={config.diagnosis.design}; allowed: true or false")
     refuse_seed(config.seed)
-    if config.data is None or "_target_" not in config.data:
-        raise UsageError(f"data={config.data}; allowed: real_log, plant")
-    source = instantiate(config.data)
+    source = make_log_source(config)
     with screen.stages(quiet=console.quiet) as stage:
         stage("read")
-        brought = material_of(source)
+        header = source.header()
     maps = imports.show_all(source, console)
-    robot = make_robot(config, brought.header(), optional=False, console=console)
+    robot = make_robot(config, header, optional=False, console=console)
     if robot is None:
         got = "a diagnosis needs the robot's kinematics, and these data bring no URDF"
         raise UsageError(got, advice="robot=urdf robot.path=arm.urdf")
     for note in robot.notes:
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
-        material = brought.material(robot, stage("data"))
+        found = source.recorded(robot, stage("data"))
         result = explain(
-            material.log,
+            found.log,
             robot,
-            windows=material.windows,
-            reference=material.reference,
+            windows=found.windows,
+            reference=found.reference,
             options=options,
             effects=effects,
             learner=learner,
@@ -87,7 +84,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
             seed=config.seed,
             progress=stage("diagnose"),
             designing=stage("next"),
-            notes=[f"data: {note}" for note in material.notes],
+            notes=[f"data: {note}" for note in found.notes],
         )
         result.save(folder, stage("write"))
     imports.keep(maps, folder, console)
@@ -108,9 +105,9 @@ def options_of(config: DictConfig) -> Options:
     if not isinstance(node.replay, bool):
         raise UsageError(f"diagnosis.replay={node.replay}; allowed: true or false")
     conditioning = instantiate(node.conditioning)
-    if not isinstance(conditioning, Conditioning):
-        raise UsageError(f"diagnosis.conditioning makes a {type(conditioning).__name__}; allowed: a Conditioning")
-    for one in fields(Conditioning):
+    if not isinstance(conditioning, Preparation):
+        raise UsageError(f"diagnosis.conditioning makes a {type(conditioning).__name__}; allowed: a Preparation")
+    for one in fields(Preparation):
         values = getattr(conditioning, one.name)
         several = values if isinstance(values, list | tuple) else [values]
         high = 1.0 if one.name == "train_share" else float("inf")

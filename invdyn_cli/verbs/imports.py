@@ -14,7 +14,7 @@ from invdyn_cli.files import write_file
 from invdyn_cli.formats.columns import GIVEN, NONE, ColumnMap
 from invdyn_cli.formats.map_file import to_yaml
 from invdyn_cli.formats.reading import import_one, is_foreign
-from invdyn_cli.logfile import CHANNELS, Log
+from invdyn_cli.log import CHANNELS, Log
 from invdyn_cli.verbs.screen import Screen
 
 Maps = list[tuple[Path, ColumnMap]]

@@ -175,6 +175,17 @@ def refuse_formats(option: str, formats: Any) -> None:
         raise UsageError(f"{option}={formats}; allowed: a list of {listed(FORMATS)}")
 
 
+def make_log_source(config: DictConfig) -> AbstractSource:
+    """The data source of the config; UsageError for one that has no log."""
+    if not isinstance(config.data, DictConfig) or "_target_" not in config.data:
+        raise UsageError(f"data={config.data}; allowed: a choice of the group", advice="data=real_log data.path=…")
+    source = instantiate(config.data)
+    if isinstance(source, AbstractSource) and source.has_log:
+        return source
+    got = f"data is a {type(source).__name__}, which has no log"
+    raise UsageError(f"{got}; allowed: a measured log", advice="data=real_log data.path=…")
+
+
 def make_object(config: DictConfig, group: str, kind: type) -> Any:
     """What a group's config makes, if it is of that kind and can be stored."""
     made = instantiate(config[group])

@@ -14,7 +14,8 @@ from invdyn_cli import registry
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.errors import UsageError
 from invdyn_cli.files import write_file
-from invdyn_cli.logfile import Log, write_log
+from invdyn_cli.log import Log
+from invdyn_cli.logfile import write_log
 from invdyn_cli.types import Robot
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import instantiate, job, launch

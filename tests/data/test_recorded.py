@@ -343,7 +343,7 @@ def test_wrong_drive_gains_are_refused(log):
     """As many gains as joints; without any, the option that sets them is named."""
     path = log(torque_unit="A")
     refused(lambda: RealLog(path, drive_gain=[1.0]).load(None), LogError, r"drive gains \[1.0\]", "2 numbers")
-    refused(lambda: RealLog(path).header(), LogError, r"data.drive_gain=\[")
+    refused(lambda: RealLog(path).load(None), LogError, r"data.drive_gain=\[")
 
 
 def test_logs_that_do_not_belong_together_are_refused(log):

@@ -11,7 +11,7 @@ from invdyn_cli.design.gestures import drawn, motion_of
 from invdyn_cli.design.sizes import refused, typical, unplayable
 from invdyn_cli.design.trajectory import APART, _room_and_usual, design
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import EffectInstance, Stretch, link_torque, rigid_torque
+from invdyn_cli.effects.composition import EffectInstance, Span, link_torque, rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.references import Multisine
@@ -138,7 +138,7 @@ def test_a_gear_is_what_its_formula_says(arm, name):
     parameters = {"backlash": {"gap": 0.002}, "joint_elasticity": {"stiffness": 4000.0}}[name]
     scenes = scenes_of(arm, [motion, motion], [0.0, 5.0], 100.0)
     found = term(arm, Cause(EFFECTS[name], 1, parameters), scenes)
-    stretch = Stretch(None, np.arange(motion.q.shape[1]) / 100.0, 100.0)
+    stretch = Span(None, np.arange(motion.q.shape[1]) / 100.0, 100.0)
     whole = link_torque(arm, [EffectInstance(EFFECTS[name], 1, parameters)], motion, stretch) - rigid_torque(
         arm, motion
     )

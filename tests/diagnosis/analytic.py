@@ -12,9 +12,9 @@ from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.columns.recording import Conditioning, Recording, prepare
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.pieces import Preparation, Recording, prepare
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Diagnosis, Motion, Robot
 from tests.diagnosis.sick import motion
@@ -71,7 +71,7 @@ def log_of(*trajectories: RawTrajectory) -> Log:
 
 def recording_of(log: Log, windows: Mapping | None = None, **options) -> Recording:
     """Made ready, each joint as if it carried a kg m^2."""
-    return prepare(log, np.ones(arm().dofs), windows, Conditioning(**options))
+    return prepare(log, np.ones(arm().dofs), windows, Preparation(**options))
 
 
 def evidence_of(log: Log, names: Sequence[str], windows: Mapping | None = None, **options) -> Evidence:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import nominal_torque
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.diagnosis.checks.samples import nominal_torque
+from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.types import Check, Examination, Motion, Robot
 
 

@@ -7,9 +7,10 @@ import pytest
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.description import Description
-from invdyn_cli.diagnosis.checks.evidence import nominal_torque
+from invdyn_cli.diagnosis.checks.samples import nominal_torque
 from invdyn_cli.errors import RobotError
-from invdyn_cli.logfile import Log, RawTrajectory, refuse_defects
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
@@ -39,13 +40,13 @@ def log(arm):
 
 def test_a_sound_log_is_sound(log, arm):
     """Nothing to warn of; every name of docs/checks.md is there, so that a reader sees what was looked at."""
-    mended, examination = doctor.correct(log, arm)
+    corrected, examination = doctor.correct(log, arm)
     assert examination.usable
     assert alarms(examination) == {}
     assert {c.check for c in examination.checks} == NAMES
     notes = doctor.done(examination)
     assert notes == ()
-    assert mended.trajectories == log.trajectories
+    assert corrected.trajectories == log.trajectories
 
 
 def one_delayed(log: Log) -> np.ndarray:
@@ -129,11 +130,12 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("how", SPOILED)
-def test_units_signs_and_orders_are_found_and_mended(how, log, arm):
-    """Each is found with its size, nothing else is made of it, and mending gives the sound log back, with one word."""
+def test_units_signs_and_orders_are_found_and_corrected(how, log, arm):
+    """Each is found with its size, nothing else is made of it, and its correction gives the sound log back, with
+    one note."""
     name, value = SPOILED[how]
     bad = spoiled(log, arm, how)
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {name}
     (found,) = seen(examination, name)
     assert found.value == pytest.approx(value, rel=0.05)
@@ -141,7 +143,7 @@ def test_units_signs_and_orders_are_found_and_mended(how, log, arm):
     notes = doctor.done(examination)
     assert len(notes) == 1
     for channel in ("t", "q", "qd", "tau"):
-        now, before = getattr(mended.trajectories[0], channel), getattr(log.trajectories[0], channel)
+        now, before = getattr(corrected.trajectories[0], channel), getattr(log.trajectories[0], channel)
         np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12)
 
 
@@ -185,9 +187,9 @@ def test_a_spring_is_no_sign_error(seed, tmp_path):
         Hidden("link_inertia_error", "j2", {"mass": -0.9, "inertia": -0.95}),
     ]
     log = record(robot, [Multisine(base=base, harmonics=1)], hidden, noise=Noise(torque=1e-3), duration=25)
-    mended, examination = doctor.correct(log, robot)
+    corrected, examination = doctor.correct(log, robot)
     assert [(c.joint, c.severity) for c in seen(examination, "sign_error")] == [("j2", "warn")]
-    np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
+    np.testing.assert_array_equal(corrected.trajectories[0].tau, log.trajectories[0].tau)
     (raw,) = record(robot, [Multisine()], noise=Noise(torque=1e-3), duration=25).trajectories
     turned = replace(log, trajectories=(replace(raw, tau=raw.tau * [1, -1]),))
     assert [(c.joint, c.severity) for c in seen(doctor.examine(turned, robot), "sign_error")] == [("j2", "fail")]
@@ -198,20 +200,20 @@ def test_gravity_is_missed_in_exchanged_columns(log, arm):
     swapped = order((1, 3))
     raw = log.trajectories[0]
     bad = changed(log, q=raw.q[:, swapped], qd=raw.qd[:, swapped], tau=without_gravity(log, arm)[:, swapped])
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"gravity_removed", "joint_order"}
     notes = doctor.done(examination)
-    assert mended.compensated == ("gravity",) and len(notes) == 2
-    np.testing.assert_array_equal(mended.trajectories[0].q, raw.q)
+    assert corrected.compensated == ("gravity",) and len(notes) == 2
+    np.testing.assert_array_equal(corrected.trajectories[0].q, raw.q)
 
 
 def test_gravity_that_is_removed_is_declared(log, arm):
-    """Torques without gravity are found; mending leaves them, and says so in the log's `compensated`."""
+    """Torques without gravity are found; the correction leaves them, and says so in the log's `compensated`."""
     bad = spoiled(log, arm, "no gravity")
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"gravity_removed"}
-    assert mended.compensated == ("gravity",)
-    assert alarms(doctor.examine(mended, arm)) == {}
+    assert corrected.compensated == ("gravity",)
+    assert alarms(doctor.examine(corrected, arm)) == {}
 
 
 def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
@@ -224,13 +226,13 @@ def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
 
 @pytest.mark.parametrize("seconds", [0.03, -0.012])
 def test_an_offset_of_all_torques_is_found_and_mended(seconds, log, arm):
-    """30 ms late or 12 ms early: found within 1 ms, gone after mending."""
+    """30 ms late or 12 ms early: found within 1 ms, gone after the correction."""
     raw = log.trajectories[0]
     bad = changed(log, tau=delayed(raw.tau, raw.t, seconds))
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     (found,) = seen(examination, "time_offset", least="warn")
     assert found.value == pytest.approx(seconds, abs=1e-3)
-    assert seen(doctor.examine(mended, arm), "time_offset", least="warn") == []
+    assert seen(doctor.examine(corrected, arm), "time_offset", least="warn") == []
 
 
 def test_currents_look_like_currents(log, arm):
@@ -294,13 +296,13 @@ def test_hopeless_logs_are_described(how, known, log, arm):
     """No readable log makes the doctor raise or stumble; what cannot be computed with is not usable and says why."""
     bad = changed(log, **hopeless(log.trajectories[0])[how])
     robot = arm if known else None
-    mended, examination = doctor.correct(bad, robot)
+    corrected, examination = doctor.correct(bad, robot)
     assert [c for c in examination.checks if c.meaning == doctor.FAULT] == []
     assert any(c.severity == "fail" for c in examination.checks) or how == "huge"
     if how != "huge":
         assert not examination.usable
-    if mended.trajectories:
-        refuse_defects(mended)
+    if corrected.trajectories:
+        refuse_defects(corrected)
 
 
 def test_a_log_without_trajectories(log, arm):
@@ -360,10 +362,10 @@ def test_the_unit_of_one_joint(seed, log, arm):
     joint = int(np.random.default_rng(seed).integers(1, 6))
     by = np.where(np.arange(7) == joint, 1e3, 1.0)
     bad = changed(log, tau=log.trajectories[0].tau * by)
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     found = seen(examination, "unit_error", least="warn")
     assert [(c.joint, c.threshold["factor"]) for c in found] == [(arm.joints[joint], 1e3)]
-    np.testing.assert_allclose(mended.trajectories[0].tau, log.trajectories[0].tau)
+    np.testing.assert_allclose(corrected.trajectories[0].tau, log.trajectories[0].tau)
 
 
 @pytest.mark.parametrize("unit", ["kgf cm", "percent"])

@@ -10,8 +10,8 @@ from experiments.arms import random_arm
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
 from invdyn_cli.diagnosis.checks.description import Description
-from invdyn_cli.diagnosis.checks.evidence import nominal_torque
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
+from invdyn_cli.diagnosis.checks.samples import nominal_torque
 from invdyn_cli.diagnosis.checks.torques import GravityRemoved
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Motion
@@ -64,11 +64,11 @@ def test_exchanged_joints(drawn):
         order = straight.copy()
         order[[a, b]] = order[[b, a]]
         bad = put(log, order) if whole else put(log, columns=order)
-        mended, found = doctor.correct(bad, robot, COLUMNS)
+        corrected, found = doctor.correct(bad, robot, COLUMNS)
         assert right_or_ambiguous(found.checks, order if whole else straight, order), found.checks
         if any(c.check == "joint_order" and c.severity == "fail" for c in found.checks):
-            np.testing.assert_array_equal(mended.trajectories[0].tau, log.trajectories[0].tau)
-            np.testing.assert_array_equal(mended.trajectories[0].q, log.trajectories[0].q)
+            np.testing.assert_array_equal(corrected.trajectories[0].tau, log.trajectories[0].tau)
+            np.testing.assert_array_equal(corrected.trajectories[0].q, log.trajectories[0].q)
 
 
 def test_alphabetical_order_is_named(drawn):
@@ -174,8 +174,8 @@ def test_what_is_ambiguous_has_the_best_order_first(tmp_path):
     tau += tau.std(0) * (0.3 * np.tanh(qd / 0.01) + 0.02 * draw.normal(size=tau.shape))
     order = np.array([0, 1, 2, 4, 3])
     log = changed(sound(robot, seconds=20), q=q[:, order], qd=qd[:, order], tau=tau[:, order])
-    mended, found = doctor.correct(log, robot, (JointOrder(),))
+    corrected, found = doctor.correct(log, robot, (JointOrder(),))
     (one,) = [c for c in found.checks if c.severity in ("note", "warn")]
     assert one.seen.startswith("ambiguous") and len(one.threshold["alike"]) > 1
     assert right_or_ambiguous(found.checks, order, order), one
-    assert mended.trajectories[0].q is log.trajectories[0].q
+    assert corrected.trajectories[0].q is log.trajectories[0].q

@@ -39,7 +39,7 @@ def test_lag_unit_and_sign_come_together(seed, arm):
     joint = int(draw.integers(4))
     sign = np.where(np.arange(4) == joint, -1.0, 1.0)
     bad = changed(log, q_ref=factor * sign * earlier(lag))
-    mended, examination = doctor.correct(bad, None)
+    corrected, examination = doctor.correct(bad, None)
     (unit,) = seen(examination, "unit_error", least="warn")
     assert (unit.threshold["channel"], unit.threshold["factor"]) == ("q_ref", pytest.approx(factor))
     (turned,) = seen(examination, "sign_error", least="warn")
@@ -48,7 +48,7 @@ def test_lag_unit_and_sign_come_together(seed, arm):
     assert late.value == pytest.approx(lag, abs=2e-3)
     notes = doctor.done(examination)
     assert len(notes) == 2
-    np.testing.assert_allclose(np.asarray(mended.trajectories[0].q_ref), earlier(lag), atol=1e-9)
+    np.testing.assert_allclose(np.asarray(corrected.trajectories[0].q_ref), earlier(lag), atol=1e-9)
 
 
 def test_a_drive_that_follows_at_once_is_ok(arm):

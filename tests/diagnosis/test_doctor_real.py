@@ -22,17 +22,17 @@ ABOUT_THE_TORQUE = ("unit_error", "sign_error", "joint_order", "gravity_removed"
 
 @pytest.mark.parametrize("name", LOGS)
 def test_no_false_alarm(name, real_data):
-    """No check fails, no unit, sign, order, gravity or model is doubted, and the mended log can be computed with; on
+    """No check fails, no unit, sign, order, gravity or model is doubted, and the corrected log can be computed with; on
     the LWR, whose joints move in phase, other orders are as likely, and are told."""
     log = read_log(real_data(f"{name.split()[0]}.h5"), LOGS[name])
     robot = load_urdf(log.urdf, joints=list(log.joints)) if log.urdf else None
-    mended, examination = doctor.correct(log, robot)
+    corrected, examination = doctor.correct(log, robot)
     assert [c for c in examination.checks if c.severity == "fail" or c.meaning == doctor.FAULT] == []
     doubted = [c for kind in ABOUT_THE_TORQUE for c in seen(examination, kind)]
     doubted = [c for c in doubted if (c.threshold or {}).get("channel") != "q_ref"]
     assert [c for c in doubted if (name, c.check, c.severity) != ("kuka_lwr4", "joint_order", "note")] == []
     assert examination.usable
-    refuse_defects(mended)
+    refuse_defects(corrected)
 
 
 def test_what_is_known_of_them(real_data):

@@ -1,4 +1,4 @@
-"""Defects of rows and clocks: found, counted, mended; each was put into a sound log by the test."""
+"""Defects of rows and clocks: found, counted, corrected; each was put into a sound log by the test."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import pytest
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
-from invdyn_cli.diagnosis.checks.rows import clock_pieces, taken
 from invdyn_cli.logfile import refuse_defects
+from invdyn_cli.recording.rows import clock_pieces, taken
 from invdyn_cli.robots import load_urdf
 from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
 
@@ -32,20 +32,20 @@ def test_missing_values(log, arm):
     tau[100, 2] = np.nan
     tau[3000:3400] = np.inf
     bad = changed(log, tau=tau)
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     assert [c.value for c in seen(examination, "not_finite")] == [401]
     assert examination.usable
-    refuse_defects(mended)
-    assert [(x.name, len(x.t)) for x in mended.trajectories] == [("run.1", 2999), ("run.2", 2600)]
+    refuse_defects(corrected)
+    assert [(x.name, len(x.t)) for x in corrected.trajectories] == [("run.1", 2999), ("run.2", 2600)]
 
 
 def test_an_empty_channel_is_left_out(log, arm):
     """Velocities that are all NaN cost the channel, not the rows."""
     bad = changed(log, qd=np.full_like(log.trajectories[0].q, np.nan))
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     notes = doctor.done(examination)
-    assert mended.trajectories[0].qd is None
-    assert len(mended.trajectories[0].t) == len(log.trajectories[0].t)
+    assert corrected.trajectories[0].qd is None
+    assert len(corrected.trajectories[0].t) == len(log.trajectories[0].t)
     assert "without the channel qd" in notes[0]
 
 
@@ -56,10 +56,10 @@ def test_repeated_rows(log, arm):
     held = np.sort(np.random.default_rng(1).choice(rows[100:-100:3], 200, replace=False))
     rows[held] = held - 1
     bad = changed(log, q=raw.q[rows], qd=raw.qd[rows], tau=raw.tau[rows])
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     (found,) = seen(examination, "duplicates", least="warn")
     assert 150 <= found.value <= 200
-    assert len(mended.trajectories[0].t) == len(raw.t) - found.value
+    assert len(corrected.trajectories[0].t) == len(raw.t) - found.value
 
 
 def test_a_clock_that_stands_and_runs_backwards(log, arm):
@@ -68,12 +68,12 @@ def test_a_clock_that_stands_and_runs_backwards(log, arm):
     t[1000:1003] = t[999]
     t[2000] -= 0.02
     bad = changed(log, t=t)
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     (found,) = seen(examination, "duplicates")
     assert (found.severity, found.value) == ("fail", 4)
     assert examination.usable
-    refuse_defects(mended)
-    assert len(mended.trajectories[0].t) == len(t) - 4
+    refuse_defects(corrected)
+    assert len(corrected.trajectories[0].t) == len(t) - 4
 
 
 @pytest.mark.parametrize("bad", [[(3, 2.7e154)], [(0, 1e9)], [(700, 1e9), (2500, -1e9), (2501, 5.0), (4000, 1e300)]])
@@ -83,12 +83,12 @@ def test_single_stamps_that_are_wrong(bad, log, arm):
     for row, stamp in bad:
         t[row] = stamp
     wrong = changed(log, t=t)
-    mended, examination = doctor.correct(wrong, arm)
+    corrected, examination = doctor.correct(wrong, arm)
     (found,) = seen(examination, "duplicates")
     assert found.value == len(bad) and examination.usable
     notes = doctor.done(examination)
-    refuse_defects(mended)
-    assert [len(x.t) for x in mended.trajectories] == [len(t) - len(bad)], notes
+    refuse_defects(corrected)
+    assert [len(x.t) for x in corrected.trajectories] == [len(t) - len(bad)], notes
 
 
 def test_the_longest_sequence_is_the_longest():
@@ -107,9 +107,9 @@ def test_a_clock_that_starts_anew(log, arm):
     t = log.trajectories[0].t.copy()
     t[3000:] -= t[3000]
     bad = changed(log, t=t)
-    mended, _ = doctor.correct(bad, arm)
-    refuse_defects(mended)
-    assert [len(x.t) for x in mended.trajectories] == [3000, 3000]
+    corrected, _ = doctor.correct(bad, arm)
+    refuse_defects(corrected)
+    assert [len(x.t) for x in corrected.trajectories] == [3000, 3000]
 
 
 def test_gaps(log, arm):
@@ -141,14 +141,14 @@ def test_outliers(log, arm):
     tau[rows, 1] += rng.choice([-1, 1], 12) * 5 * np.ptp(raw.tau[:, 1])
     q[rows[:4] + 9, 3] += 0.2
     bad = changed(log, q=q, tau=tau)
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"outliers"}
     assert {(c.threshold["channel"], c.joint, c.value) for c in seen(examination, "outliers")} == {
         ("tau", arm.joints[1], 12),
         ("q", arm.joints[3], 4),
     }
-    np.testing.assert_allclose(mended.trajectories[0].q, raw.q, atol=1e-3)
-    np.testing.assert_allclose(mended.trajectories[0].tau[:, 1], raw.tau[:, 1], atol=0.1 * raw.tau[:, 1].std())
+    np.testing.assert_allclose(corrected.trajectories[0].q, raw.q, atol=1e-3)
+    np.testing.assert_allclose(corrected.trajectories[0].tau[:, 1], raw.tau[:, 1], atol=0.1 * raw.tau[:, 1].std())
 
 
 def test_noise_and_friction_have_no_outliers(arm):
@@ -203,10 +203,10 @@ def test_derivatives_that_are_none(log, arm):
     """Velocities of another joint are no derivative: they fail and are left out; slow filters are a warning."""
     raw = log.trajectories[0]
     bad = changed(log, qd=raw.qd[:, ::-1].copy())
-    mended, examination = doctor.correct(bad, arm)
+    corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {"derivative_consistency"}
     assert examination.usable
-    assert mended.trajectories[0].qd is None
+    assert corrected.trajectories[0].qd is None
     (found,) = seen(doctor.examine(changed(log, qd=1.2 * raw.qd), arm), "derivative_consistency")
     assert (found.severity, found.value) == ("warn", pytest.approx(1.2, rel=0.02))
 
@@ -224,20 +224,20 @@ def test_poses_are_no_motion(arm):
     rows = np.random.default_rng(6).permutation(len(log.trajectories[0].t))
     raw = replace(taken(log.trajectories[0], rows), t=log.trajectories[0].t, name="poses")
     both = replace(log, trajectories=(*log.trajectories, raw))
-    mended, examination = doctor.correct(both, arm)
+    corrected, examination = doctor.correct(both, arm)
     assert examination.usable
     assert [c.trajectory for c in seen(examination, "derivative_consistency", least="warn")] == ["poses"]
-    assert [x.name for x in mended.trajectories] == ["run"]
+    assert [x.name for x in corrected.trajectories] == ["run"]
 
 
 def test_short_trajectories_are_left_out(log, arm):
     """0.3 s beside 30 s: left out with a word; alone: not usable."""
     short = replace(taken(log.trajectories[0], slice(0, 60)), name="short")
     both = replace(log, trajectories=(*log.trajectories, short))
-    mended, examination = doctor.correct(both, arm)
+    corrected, examination = doctor.correct(both, arm)
     assert examination.usable
     notes = doctor.done(examination)
-    assert [x.name for x in mended.trajectories] == ["run"]
+    assert [x.name for x in corrected.trajectories] == ["run"]
     assert notes == ("short: left out, 0.295 s without a break",)
     assert not doctor.examine(replace(log, trajectories=(short,)), arm).usable
 
@@ -272,12 +272,12 @@ def test_the_log_is_corrected_on_the_way(log, arm):
     rows = np.arange(len(t))
     bad = changed(log, t=t, stage=rows // 100, rows=rows)
     told = []
-    mended, examination = doctor.correct(
+    corrected, examination = doctor.correct(
         bad, arm, follow=lambda log, found: told.append((log, [c.check for c in found]))
     )
     assert len(told) == len(doctor.CHECKS) and told[0][0] is bad
     assert [found for _, found in told if "duplicates" in found] == [["duplicates"]]
     assert len(doctor.done(examination)) == 1
     kept = np.delete(rows, [1000, 2000])
-    np.testing.assert_array_equal(mended.trajectories[0].rows, kept)
-    np.testing.assert_array_equal(mended.trajectories[0].stage, kept // 100)
+    np.testing.assert_array_equal(corrected.trajectories[0].rows, kept)
+    np.testing.assert_array_equal(corrected.trajectories[0].stage, kept // 100)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.checks.rows import taken
 from invdyn_cli.diagnosis.checks.units import MotionUnits
 from invdyn_cli.diagnosis.checks.values import Outliers
+from invdyn_cli.recording.rows import taken
 from invdyn_cli.robots import load_urdf
 from tests.diagnosis.sick import changed, sound
 
@@ -40,8 +40,8 @@ def test_large_units_are_found_and_corrected(factor, with_robot, log, arm):
     robot = arm if with_robot else None
     bad = changed(log, q=factor * log.trajectories[0].q)
     assert told(bad, robot) == {("q", None): pytest.approx(factor)}
-    mended, _ = MotionUnits().mend(bad, MotionUnits().examine(bad, robot), robot)
-    np.testing.assert_allclose(mended.trajectories[0].q, log.trajectories[0].q)
+    corrected, _ = MotionUnits().correct(bad, MotionUnits().examine(bad, robot), robot)
+    np.testing.assert_allclose(corrected.trajectories[0].q, log.trajectories[0].q)
 
 
 def test_velocities_in_another_unit_do_not_mislead(log, arm):
@@ -64,8 +64,8 @@ def test_unknown_units_are_said_to_be_wrong(log):
     """Counts of another scale, without a robot and without velocities: a failure, and nothing is changed."""
     bad = changed(log, q=12345.6 * log.trajectories[0].q, qd=None)
     assert told(bad, None) == {("q", None): None}
-    mended, notes = MotionUnits().mend(bad, MotionUnits().examine(bad, None), None)
-    assert notes == [] and mended.trajectories == bad.trajectories
+    corrected, notes = MotionUnits().correct(bad, MotionUnits().examine(bad, None), None)
+    assert notes == [] and corrected.trajectories == bad.trajectories
 
 
 @pytest.mark.parametrize(("factor", "channel"), [(0.5 / np.pi, "q"), (180 / np.pi, "qd"), (30 / np.pi, "qd")])

@@ -11,7 +11,7 @@ from invdyn_cli.diagnosis.extension import exported, urdf_of, why_not
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import ExtendedModel
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Robot
 from tests.simulation.test_mjcf import PARAMETERS

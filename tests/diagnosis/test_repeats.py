@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.repeats import noise_floor
+from invdyn_cli.diagnosis.repeats import floor_of_repeats
 from tests.diagnosis.analytic import log_of, moved, on, raw, recording_of
 
 SIGMA = 0.2
@@ -28,14 +28,14 @@ def test_it_is_the_noise_whatever_the_model_lacks(late):
     )
     recording = recording_of(log, WHOLE, cutoffs=(10.0,))
     white = SIGMA * np.sqrt(2 * 10.0 / 500.0) * 0.96  # the noise bandwidth of the low-pass, forth and back: 0.96^2
-    np.testing.assert_allclose(noise_floor(recording), white / np.sqrt(2), rtol=0.1)
+    np.testing.assert_allclose(floor_of_repeats(recording), white / np.sqrt(2), rtol=0.1)
 
 
 def test_other_motions_are_no_repeats():
     """Without two recordings of one motion there is no floor; halves of one recording are none either."""
     both = log_of(named("run", *moved(), torque=SIGMA), named("other", *moved(seed=5), torque=SIGMA))
-    assert noise_floor(recording_of(both, WHOLE)) is None
-    assert noise_floor(recording_of(log_of(raw(*moved(), torque=SIGMA)))) is None
+    assert floor_of_repeats(recording_of(both, WHOLE)) is None
+    assert floor_of_repeats(recording_of(log_of(raw(*moved(), torque=SIGMA)))) is None
 
 
 def test_what_has_changed_since_a_reference_is_no_noise():
@@ -43,4 +43,4 @@ def test_what_has_changed_since_a_reference_is_no_noise():
     now = named("run", *moved(), on(1, lambda t, q, qd, qdd: 2 * np.sign(qd)), torque=SIGMA)
     before = named("again", *moved(), torque=SIGMA, seed=2)
     windows = {"train": [("run", -np.inf, np.inf)], "reference": [("again", -np.inf, np.inf)]}
-    assert noise_floor(recording_of(log_of(now, before), windows, cutoffs=(10.0,))) is None
+    assert floor_of_repeats(recording_of(log_of(now, before), windows, cutoffs=(10.0,))) is None

@@ -24,7 +24,7 @@ from invdyn_cli.effects.passing import ExternalContact
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractChannelEffect, AbstractTorqueEffect, JointState, Parameter, Parameters
 from invdyn_cli.joints import SimulatorTerms
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.models.extended import Extended
 from invdyn_cli.report.wording import law
 from invdyn_cli.simulation.hidden import Hidden

@@ -10,7 +10,7 @@ from experiments.arms import random_arm
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import (
     EffectInstance,
-    Stretch,
+    Span,
     TimeWindow,
     channel,
     link_torque,
@@ -24,7 +24,7 @@ from tests.effects.drawn import parameters
 RATE = 100.0
 T = np.arange(300) / RATE
 WINDOW = TimeWindow("run", 0.5, 1.5)
-HERE = Stretch("run", T, RATE)
+HERE = Span("run", T, RATE)
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +65,8 @@ def test_a_window_has_its_weight():
     grows as the edge moves between two samples, so that the edge can be found finer than a sample."""
     share = weight(WINDOW, HERE)
     assert np.all(share[(T > 0.51) & (T < 1.49)] == 1) and not np.any(share[(T < 0.49) | (T > 1.51)])
-    assert weight(None, HERE) == 1 and weight(WINDOW, Stretch("other", T, RATE)) == 0
-    assert weight(WINDOW, Stretch(None, T, RATE)) == 0
+    assert weight(None, HERE) == 1 and weight(WINDOW, Span("other", T, RATE)) == 0
+    assert weight(WINDOW, Span(None, T, RATE)) == 0
     for end in np.linspace(1.5, 1.52, 9):
         assert np.sum(weight(WINDOW._replace(end=end), HERE)) / RATE == pytest.approx(end - 0.5, abs=1e-12)
 

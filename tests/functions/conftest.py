@@ -8,7 +8,7 @@ import pytest
 
 import invdyn_cli as invdyn
 from experiments.arms import random_arm
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.types import Robot
 
 

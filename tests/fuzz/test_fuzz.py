@@ -92,9 +92,9 @@ def test_logs(changes, folder):
         return
     answer = answers(lambda: doctor.correct(log, None))
     assert answer is not None
-    mended, examination = answer
+    corrected, examination = answer
     if examination.usable:
-        answers(lambda: refuse_defects(mended))
+        answers(lambda: refuse_defects(corrected))
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.marks import located
-from invdyn_cli.logfile import RawTrajectory
+from invdyn_cli.log import RawTrajectory
 from invdyn_cli.report.check_figures import channel, clock, draw_all, model
 from invdyn_cli.report.check_page import page, verdict
 from invdyn_cli.report.checked_log import CheckedLog

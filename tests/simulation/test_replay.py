@@ -10,7 +10,7 @@ from experiments.arms import random_arm
 from experiments.truth import mjcf_of
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.simulation.driven import Stretch
+from invdyn_cli.simulation.driven import Segment
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.mjcf import GEAR
 from invdyn_cli.simulation.plant import simulate
@@ -30,11 +30,11 @@ def arm(tmp_path_factory) -> Robot:
     return load_urdf(path)
 
 
-def measured(robot: Robot, *hidden: Hidden, seconds: float = 3.0) -> Stretch:
+def measured(robot: Robot, *hidden: Hidden, seconds: float = 3.0) -> Segment:
     """What an arm with something hidden in it does, without noise."""
     raw = simulate(robot, Multisine(), hidden, noise=Noise(velocity=0.0), duration=seconds, seed=1)
     assert raw.qd is not None
-    return Stretch(raw.name, raw.t, raw.q, raw.qd, raw.tau, held=True)
+    return Segment(raw.name, raw.t, raw.q, raw.qd, raw.tau, held=True)
 
 
 HELD = {
@@ -127,7 +127,7 @@ def test_a_gear_starts_loaded(arm):
             data.qpos[own], data.qpos[gear] = q, bent(tau[1])
             mujoco.mj_forward(model, data)
             tau = data.qfrc_bias[own].copy()
-        rest = Stretch("rest", 0.001 * np.arange(400), *(np.tile(x, (400, 1)) for x in (q, 0 * q, tau)))
+        rest = Segment("rest", 0.001 * np.arange(400), *(np.tile(x, (400, 1)) for x in (q, 0 * q, tau)))
         assert np.abs(free(text, rest, [100])).max() < CLOSE
 
 
@@ -137,7 +137,7 @@ def test_clocks_need_not_be_those_of_the_simulation(arm):
     fine = measured(arm, *HELD["friction"])
     tau = (fine.tau + np.roll(fine.tau, 1, axis=0)) / 2  # held from t on: at t it is the mean of before and after
     rows = slice(4, None, 4)
-    coarse = Stretch("coarse", fine.t[rows], fine.q[rows], fine.qd[rows], tau[rows])
+    coarse = Segment("coarse", fine.t[rows], fine.q[rows], fine.qd[rows], tau[rows])
     error = free(mjcf_of(arm, HELD["friction"])[0], coarse, window_starts(coarse, every=0.4))
     assert np.abs(error).max() < 10 * CLOSE
 

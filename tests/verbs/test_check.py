@@ -122,7 +122,7 @@ def test_tables_fold(width, arm):
 
 
 def test_strict_fails_where_a_check_fails(command, arm):
-    """Degrees can be mended: exit 0; with strict=true exit 1. The words are on the screen either way."""
+    """Degrees can be corrected: exit 0; with strict=true exit 1. The words are on the screen either way."""
     log = sound(arm, seconds=15)
     write_log(changed(log, q=np.rad2deg(log.trajectories[0].q)), Path("log.h5"))
     for strict, code in (("strict=false", 0), ("strict=true", 1)):
@@ -172,7 +172,7 @@ def test_a_broken_log_is_described(command):
 def test_drive_gains_and_selections(command):
     """data.drive_gain makes torques of currents; selections say which trajectories are looked at."""
     make_log(Path("log.h5"), {"a": motion(), "b": motion(seconds=0.2)}, urdf="", torque_unit="A")
-    said = command("check", *LOG, "data.drive_gain=[2,3]", "data.train=[a]")
+    said = command("check", *LOG, "data.drive_gain=[2,3]", 'data.train=["a[:7]"]', 'data.test=["a[7:]"]')
     found = report(said)
     assert said.code == 0 and found["usable"] is True
     assert [one for one in found["checks"] if one["trajectory"] == "b"] == []

@@ -14,10 +14,10 @@ from omegaconf import OmegaConf
 from experiments.arms import random_arm
 from invdyn_cli import load_model
 from invdyn_cli.data.recorded import RealLog
-from invdyn_cli.diagnosis.columns.recording import Conditioning
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.interfaces import silent
-from invdyn_cli.logfile import Log, read_log, write_log
+from invdyn_cli.log import Log
+from invdyn_cli.logfile import read_log, write_log
+from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.report.better_simulation import MUJOCO
 from invdyn_cli.report.diagnosis_page import CHECK, COMMAND, PYTHON
 from invdyn_cli.robots import load_urdf
@@ -27,7 +27,6 @@ from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.verbs.diagnose import effects_of, learner_of, options_of
 from invdyn_cli.verbs.launch import config_folder
-from invdyn_cli.verbs.material import Recorded
 from tests.commands import ROOT, invdyn
 
 JOINT, COULOMB = "axis2", 2.0
@@ -201,7 +200,7 @@ def test_stretches_and_several_logs(folder, command):
     )
     assert said.code == 0, said.err
     assert ("coulomb_friction", JOINT) in {x[:2] for x in claims(Path("out"))}
-    assert "data: data.filter_cutoff is ignored in a diagnosis" in said.out
+    assert "data: data.filter_cutoff is not used: the log is taken as it was recorded" in said.out
     model = json.loads(Path("out/extended_model.json").read_text())
     assert model["provenance"]["trajectories"] == ["log/trajectory_1"]
 
@@ -210,7 +209,7 @@ def test_a_reference_within_the_same_logs(folder):
     """Stretches of a trajectory may be the reference, and the rest of it judge; what is named by nobody chooses."""
     paths = (folder / "log.h5", folder / "old.h5")
     names = {"reference": "old/trajectory_1[:10]", "test": ["old/trajectory_1[10:]"]}
-    made = Recorded(RealLog(path=list(map(str, paths)), **names)).material(load_urdf(folder / "arm.urdf"), silent)
+    made = RealLog(path=list(map(str, paths)), **names).recorded(load_urdf(folder / "arm.urdf"))
     assert [x.name for x in made.reference.trajectories] == ["old/trajectory_1[:10]"]
     assert made.reference.trajectories[0].q.shape == (10_000, 3)
     assert [x.name for x in made.log.trajectories] == ["log/trajectory_1", "old/trajectory_1"]
@@ -218,7 +217,7 @@ def test_a_reference_within_the_same_logs(folder):
         "train": [("log/trajectory_1", -np.inf, np.inf)],
         "test": [("old/trajectory_1", 10.0, np.inf)],
     }
-    whole = Recorded(RealLog(path=list(map(str, paths)), reference="old/trajectory_1")).material(None, silent)
+    whole = RealLog(path=list(map(str, paths)), reference="old/trajectory_1").recorded(None)
     assert [x.name for x in whole.log.trajectories] == ["log/trajectory_1"] and whole.windows is None
 
 
@@ -244,7 +243,7 @@ def test_configs_agree_with_classes():
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("diagnose")
     shown = {name: x for name, x in config.diagnosis.conditioning.items() if name != "_target_"}
-    own = vars(Conditioning())
+    own = vars(Preparation())
     assert {k: tuple(v) if isinstance(own[k], tuple) else v for k, v in shown.items()} == own
     assert options_of(config).most is None and len(effects_of(config)) > 15 and learner_of(config) is None
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from invdyn_cli.diagnosis.checks.evidence import gather, nominal_torque
 from invdyn_cli.diagnosis.checks.fitness import Fitness, Rows, fitness, rows_of
-from invdyn_cli.diagnosis.checks.memory import once_for_a_log
-from invdyn_cli.logfile import Log
+from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
+from invdyn_cli.log import Log
+from invdyn_cli.recording.memory import once_for_a_log
 from invdyn_cli.types import Robot
 
 FLAW = 5.0
@@ -97,12 +97,12 @@ class Verdict:
 @once_for_a_log
 def arrangement(log: Log, robot: Robot) -> Verdict | None:
     """What the columns of a log say of their order and signs; None where nothing moves long enough."""
-    evidence = gather(log, robot, 1024) if log.trajectories else None
-    if evidence is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
+    samples = gather(log, robot, 1024) if log.trajectories else None
+    if samples is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
         return None
-    if not np.ptp(evidence.motion.q, axis=0).any():
+    if not np.ptp(samples.motion.q, axis=0).any():
         return None
-    rows = rows_of(evidence, without_gravity="gravity" in log.compensated)
+    rows = rows_of(samples, without_gravity="gravity" in log.compensated)
     return _search(rows, robot)
 
 

@@ -5,11 +5,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import gather, stretches
 from invdyn_cli.diagnosis.checks.fits import rms
-from invdyn_cli.diagnosis.checks.rows import is_series, median_step, newton_metres, runs, usable_rows
+from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.channels import newton_metres
+from invdyn_cli.recording.rows import is_series, median_step, runs, usable_rows
+from invdyn_cli.recording.stretches import stretches
 from invdyn_cli.types import Check, Robot
 
 
@@ -246,12 +248,12 @@ class CommandCopiesMeasurement(AbstractCheck):
             found.append(self.skipped("q_ref is not logged", "q_ref"))
         if robot is None:
             return [*found, self.skipped("no robot", "tau")]
-        evidence = gather(log, robot) if log.trajectories else None
-        if evidence is None or not np.ptp(evidence.tau, axis=0).any():
+        samples = gather(log, robot) if log.trajectories else None
+        if samples is None or not np.ptp(samples.tau, axis=0).any():
             return [*found, self.skipped("no motion, or a torque that never changes", "tau")]
-        spread = np.var(evidence.tau, axis=0)
+        spread = np.var(samples.tau, axis=0)
         judged = spread > 1e-12 * spread.max()
-        missed = np.mean((evidence.tau - evidence.nominal) ** 2, axis=0)[judged] / spread[judged]
+        missed = np.mean((samples.tau - samples.nominal) ** 2, axis=0)[judged] / spread[judged]
         if missed.max() < self.unexplained:
             found.append(
                 Check(

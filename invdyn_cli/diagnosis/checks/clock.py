@@ -7,19 +7,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.rows import (
-    MAX_GAP,
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import (
     clock_pieces,
     each,
     forward_rows,
     is_series,
+    longest_step,
     median_step,
     parted,
     uninterrupted,
     usable_rows,
 )
-from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
 from invdyn_cli.types import Check, Robot
 
 
@@ -81,7 +81,7 @@ class Duplicates(AbstractCheck):
                 )
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Drop such rows; part a trajectory where its clock starts anew."""
         where, notes = {c.trajectory for c in found}, []
 
@@ -136,7 +136,7 @@ class ClockJitter(AbstractCheck):
             if not np.isfinite(step) or not is_series(raw):
                 continue
             steps = np.diff(raw.t[usable_rows(raw)])
-            steps = steps[steps <= max(MAX_GAP, 5 * step)]
+            steps = steps[steps <= longest_step(steps)]
             jitter = float(steps.std() / step) if len(steps) else 0.0
             if jitter > self.note:
                 found.append(
@@ -170,7 +170,7 @@ class ClockJitter(AbstractCheck):
                 )
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """The median rate in place of a nominal one that cannot be."""
         rates = [1 / median_step(raw.t) for raw in log.trajectories if np.isfinite(median_step(raw.t))]
         if (np.isfinite(log.rate) and log.rate > 0) or not rates:
@@ -181,7 +181,7 @@ class ClockJitter(AbstractCheck):
 
 @dataclass(frozen=True)
 class Gaps(AbstractCheck):
-    """Steps longer than MAX_GAP and five median steps: reading parts a trajectory there.
+    """Steps longer than `rows.longest_step`: reading parts a trajectory there.
 
     Attributes:
         share: of the time that is missing, from which on it is a warning (ours: a tenth of the data).
@@ -209,7 +209,7 @@ class Gaps(AbstractCheck):
                     "warn" if missing > self.share else "note",
                     raw.name,
                     value=float(lengths.max()),
-                    threshold=max(MAX_GAP, 5 * median_step(raw.t)),
+                    threshold=longest_step(np.diff(raw.t[usable_rows(raw)])),
                     seen=f"{len(lengths)} gap{'s' * (len(lengths) > 1)}, the longest {lengths.max():.3g} s at "
                     f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time",
                     meaning="nothing is interpolated across a gap: the trajectory is parted there",
@@ -268,7 +268,7 @@ class TooShort(AbstractCheck):
             )
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Leave short trajectories out."""
         short = {c.trajectory: c for c in found if c.trajectory}
         notes = [f"{name}: left out, {c.seen}" for name, c in short.items()]

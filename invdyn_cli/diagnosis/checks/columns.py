@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FOUND, Arrangement, Verdict, arrangement, known_orders
-from invdyn_cli.diagnosis.checks.evidence import Evidence, gather
 from invdyn_cli.diagnosis.checks.fits import left, rms, slope
-from invdyn_cli.diagnosis.checks.rows import each, present
+from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import each, present
 from invdyn_cli.types import Check, Robot
 
 SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; ours: odds of e^8"
@@ -58,7 +58,7 @@ class JointOrder(AbstractCheck):
         gain = best.beside(verdict.logged)
         return [*found, self._seen(robot, best, words, gain)]
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Put the columns in order."""
         for check in found:
             if check.severity != "fail":
@@ -149,10 +149,10 @@ class SignError(AbstractCheck):
         if robot is None:
             return [self.skipped("no robot", "tau")]
         verdict = arrangement(log, robot)
-        evidence = gather(log, robot) if verdict is not None else None
-        if verdict is None or evidence is None:
+        samples = gather(log, robot) if verdict is not None else None
+        if verdict is None or samples is None:
             return [self.skipped(NO_MOTION, "tau")]
-        sizes, values = self._sizes(evidence)
+        sizes, values = self._sizes(samples)
         best, every = verdict.best, (verdict.best, *verdict.alike)
         n = robot.dofs
         found = []
@@ -185,7 +185,7 @@ class SignError(AbstractCheck):
             found.append(self.skipped("this motion does not show the sign of " + ", ".join(unsure), "tau"))
         return found or [Check(self.name, "ok", value=1.0, seen="no joint's sign can be turned without a worse fit")]
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Turn them round."""
         signs = {"q": np.ones(len(log.joints)), "tau": np.ones(len(log.joints))}
         notes = []
@@ -207,13 +207,13 @@ class SignError(AbstractCheck):
 
         return each(log, change), notes
 
-    def _sizes(self, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    def _sizes(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
         """(n,) slope of torque on nominal torque, friction taken out, NaN where a joint is not judged; correlation (0
         there)."""
-        _, cosine, excited = matched(evidence)
+        _, cosine, excited = matched(samples)
         slopes = np.full(len(excited), np.nan)
         for j in np.flatnonzero(excited > EXCITED):
-            tau, nominal = (left(x[:, j], evidence.columns(int(j))) for x in (evidence.tau, evidence.nominal))
+            tau, nominal = (left(x[:, j], samples.columns(int(j))) for x in (samples.tau, samples.nominal))
             slopes[j] = slope(tau, nominal) if rms(nominal) > 0 else np.nan
         return slopes, np.where(np.isfinite(slopes), np.diag(cosine), 0.0)
 

@@ -6,12 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Stretch, stretches
 from invdyn_cli.diagnosis.checks.fits import lowest
-from invdyn_cli.diagnosis.checks.memory import once_for_a_log
-from invdyn_cli.diagnosis.checks.rows import each
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.memory import once_for_a_log
+from invdyn_cli.recording.rows import each
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
 DEGREE = 180 / np.pi
@@ -162,7 +162,7 @@ class CommandUnits(AbstractCheck):
                 found.append(self._seen(one, float(np.median(np.abs(ratios))), unit, UNITS[unit]))
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide q_ref by the exact factor."""
         mine = {c.trajectory: c.threshold["factor"] for c in found if _of_command(c) and c.severity == "warn"}
         notes = [f"{name}: q_ref divided by {factor:.7g}, it is in {UNITS[factor]}" for name, factor in mine.items()]
@@ -222,7 +222,7 @@ class CommandSigns(AbstractCheck):
                 )
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Turn q_ref of these joints round."""
         mine = [(c.trajectory, c.joint) for c in found if _of_command(c) and c.severity == "warn"]
 

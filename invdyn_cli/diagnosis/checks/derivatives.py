@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Stretch, stretches
 from invdyn_cli.diagnosis.checks.fits import rms, slope
-from invdyn_cli.diagnosis.checks.rows import each, is_series, median_step
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import each, is_series, median_step
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
 CLOCK = "rather the clock is off by this factor, or rows were left out"
@@ -62,7 +62,7 @@ class DerivativeConsistency(AbstractCheck):
             found += seen
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Leave out poses; leave out channels that are no derivatives of q (they are made from q instead)."""
         notes = []
 

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Evidence, gather, nominal_torque, regressor_rows
 from invdyn_cli.diagnosis.checks.fits import left
+from invdyn_cli.diagnosis.checks.samples import Samples, gather, nominal_torque, regressor_rows
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.errors import listed
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.types import Check, Motion, Robot
 
 SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -44,13 +44,13 @@ class Description(AbstractCheck):
         if robot is None:
             return [self.skipped("no robot")]
         found = list(self._written(robot))
-        evidence = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
-        judged = self._joints(evidence)
-        if evidence is None or len(judged) < 2:
+        samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
+        judged = self._joints(samples)
+        if samples is None or len(judged) < 2:
             found.append(self.skipped("too few joints whose torque follows the URDF's: tool and base are not compared"))
             return found
-        found += self._gravity(evidence, robot, judged)
-        return found + self._tool(evidence, robot, judged)
+        found += self._gravity(samples, robot, judged)
+        return found + self._tool(samples, robot, judged)
 
     def _written(self, robot: Robot) -> Iterator[Check]:
         """What the file's numbers say without a log."""
@@ -102,23 +102,23 @@ class Description(AbstractCheck):
             source="URDF",
         )
 
-    def _joints(self, evidence: Evidence | None) -> list[int]:
+    def _joints(self, samples: Samples | None) -> list[int]:
         """Joints whose torque follows the URDF's."""
-        if evidence is None:
+        if samples is None:
             return []
-        explained, _, excited = matched(evidence)
+        explained, _, excited = matched(samples)
         return np.flatnonzero((excited > EXCITED) & (np.diag(explained) > 0.5)).tolist()
 
-    def _gravity(self, evidence: Evidence, robot: Robot, judged: list[int]) -> list[Check]:
+    def _gravity(self, samples: Samples, robot: Robot, judged: list[int]) -> list[Check]:
         """The direction of gravity in the base frame, by least squares beside friction."""
-        still = Motion(evidence.motion.q, *[np.zeros_like(np.asarray(evidence.motion.q))] * 2)
+        still = Motion(samples.motion.q, *[np.zeros_like(np.asarray(samples.motion.q))] * 2)
         axes = [nominal_torque(replace(robot, gravity=np.eye(3)[k]), still)[1] for k in range(3)]
-        inertial = evidence.nominal - evidence.gravity
+        inertial = samples.nominal - samples.gravity
         rows, target, before = [], [], 0.0
         for j in judged:
-            own = evidence.columns(j)
-            y = left(evidence.tau[:, j] - inertial[:, j], own)
-            scale = max(float(np.std(left(evidence.tau[:, j] - evidence.nominal[:, j], own))), 1e-9)
+            own = samples.columns(j)
+            y = left(samples.tau[:, j] - inertial[:, j], own)
+            scale = max(float(np.std(left(samples.tau[:, j] - samples.nominal[:, j], own))), 1e-9)
             rows.append(left(np.stack([x[:, j] for x in axes], axis=1), own) / scale)
             target.append(y / scale)
             before += len(y)
@@ -162,13 +162,13 @@ class Description(AbstractCheck):
             )
         ]
 
-    def _tool(self, evidence: Evidence, robot: Robot, judged: list[int]) -> list[Check]:
+    def _tool(self, samples: Samples, robot: Robot, judged: list[int]) -> list[Check]:
         """Mass and first moments at the end of the arm, beside friction and the links' own errors, by blocks."""
-        rows, columns = regressor_rows(robot, evidence.motion)
+        rows, columns = regressor_rows(robot, samples.motion)
         end = columns[:, :, -10:-6]
         blocks = []
         for chosen in np.array_split(np.arange(len(rows)), 6):
-            fit = self._end(evidence, rows, columns, end, judged, np.setdiff1d(np.arange(len(rows)), chosen))
+            fit = self._end(samples, rows, columns, end, judged, np.setdiff1d(np.arange(len(rows)), chosen))
             blocks.append(fit)
         values = np.array(blocks)
         mass = float(values.mean())
@@ -193,14 +193,14 @@ class Description(AbstractCheck):
             )
         ]
 
-    def _end(self, evidence, rows, columns, end, judged, kept) -> float:
+    def _end(self, samples, rows, columns, end, judged, kept) -> float:
         """Mass [kg] at the end by ridge, beside friction and a tenth of every joint's nominal torque."""
         parts, wanted = [], []
         for j in judged:
-            own = evidence.columns(j)[rows][kept]
-            rest = left((evidence.tau - evidence.nominal)[rows][kept, j], own)
+            own = samples.columns(j)[rows][kept]
+            rest = left((samples.tau - samples.nominal)[rows][kept, j], own)
             scale = max(float(rest.std()), 1e-9)
-            gain = left(evidence.nominal[rows][kept, j], own)
+            gain = left(samples.nominal[rows][kept, j], own)
             block = np.zeros((len(kept), len(judged)))
             block[:, judged.index(j)] = 0.1 * gain
             parts.append(np.column_stack([left(end[j][kept], own) * [2.0, 0.2, 0.2, 0.2], block]) / scale)

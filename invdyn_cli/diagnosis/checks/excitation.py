@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import SIZE, Evidence, Stretch, gather, regressor_rows, stretches
+from invdyn_cli.diagnosis.checks.samples import SIZE, Samples, gather, regressor_rows
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import AbstractEffect
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Motion, Robot
 
 
@@ -55,14 +56,14 @@ class Excitation:
         parts = stretches(log)
         if not parts:
             return {}
-        evidence = None if robot is None else gather(log, robot, parts=parts)
-        condition = None if evidence is None or robot is None else condition_number(evidence, robot)
+        samples = None if robot is None else gather(log, robot, parts=parts)
+        condition = None if samples is None or robot is None else condition_number(samples, robot)
         seconds = sum(float(raw.t[-1] - raw.t[0]) for raw in log.trajectories if len(raw.t))
         channels = {c: np.concatenate([getattr(x, c) for x in parts]) for c in ("q", "qd", "qdd", "tau")}
         out = {}
         for joint, name in enumerate(log.joints):
             one = {c: x[:, joint] for c, x in channels.items()}
-            nominal = None if evidence is None else evidence.nominal[:, joint]
+            nominal = None if samples is None else samples.nominal[:, joint]
             speed = np.abs(one["qd"])
             moves = np.ptp(one["q"]) > self.moved
             numbers: dict[str, Any] = {
@@ -167,7 +168,7 @@ def cannot_show(lacks: Mapping[str, str], effects: Mapping[str, AbstractEffect])
     return {name: why for name, why in missing.items() if why}
 
 
-def condition_number(evidence: Evidence, robot: Robot) -> float:
+def condition_number(samples: Samples, robot: Robot) -> float:
     """Largest over smallest singular value of the regressor's identifiable part, columns in SI units (Gautier, Khalil
     1992: below 100 to 1000 parameters come out well); infinite where the motion leaves a direction out."""
     q, qd, qdd = rigid_body.random_states(robot, SIZE, seed=0)
@@ -175,7 +176,7 @@ def condition_number(evidence: Evidence, robot: Robot) -> float:
     anywhere = anywhere[:, ::4].reshape(-1, anywhere.shape[2])
     _, scale, directions = np.linalg.svd(np.linalg.qr(anywhere, mode="r"))
     possible = directions[scale > 1e-10 * scale[0]].T
-    here = regressor_rows(robot, evidence.motion)[1]
+    here = regressor_rows(robot, samples.motion)[1]
     values = np.linalg.svd(np.linalg.qr(here.reshape(-1, here.shape[2]) @ possible, mode="r"), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 1e-10 * values[0] else float("inf")
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from invdyn_cli.diagnosis.checks.evidence import SLOW, Evidence, nominal_torque, regressor_rows
 from invdyn_cli.diagnosis.checks.fits import span
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
+from invdyn_cli.diagnosis.checks.samples import SLOW, Samples, nominal_torque, regressor_rows
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.maths.statistics import autocorrelation_time
 from invdyn_cli.types import Array, Motion, Robot
@@ -78,11 +78,11 @@ class Rows:
         return replace(self, motion=Motion(*parts), jerk=self.jerk[:, list(order)] * np.array(signs))
 
 
-def rows_of(evidence: Evidence, *, without_gravity: bool = False) -> Rows:
+def rows_of(samples: Samples, *, without_gravity: bool = False) -> Rows:
     """Rows of a gathered log."""
-    jerks = [np.gradient(x.qdd, 1 / x.rate, axis=0) for x in evidence.stretches]
-    jerk = np.concatenate([x[evidence.row[evidence.stretch == i]] for i, x in enumerate(jerks)])
-    return Rows(evidence.motion, jerk, evidence.tau, evidence.reach, without_gravity)
+    jerks = [np.gradient(x.qdd, 1 / x.rate, axis=0) for x in samples.stretches]
+    jerk = np.concatenate([x[samples.row[samples.stretch == i]] for i, x in enumerate(jerks)])
+    return Rows(samples.motion, jerk, samples.tau, samples.reach, without_gravity)
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Evidence, gather, regressor_rows
-from invdyn_cli.diagnosis.checks.rows import usable_rows
+from invdyn_cli.diagnosis.checks.samples import Samples, gather, regressor_rows
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.rows import usable_rows
 from invdyn_cli.types import Check, Robot
 
 
@@ -46,17 +46,17 @@ class ModelMismatch(AbstractCheck):
         if any(c.severity == "fail" for c in found):
             return found
         found += self._limits(log, robot)
-        evidence = gather(log, robot)
-        if evidence is None:
+        samples = gather(log, robot)
+        if samples is None:
             return found
-        explained, _, excited = matched(evidence)
+        explained, _, excited = matched(samples)
         judged = np.flatnonzero(excited > EXCITED)
         nominal = np.diag(explained)[judged]
-        if len(judged) < min(2, len(log.joints)) or len(evidence.tau) < 200:
+        if len(judged) < min(2, len(log.joints)) or len(samples.tau) < 200:
             return [*found, self.skipped("fewer than two joints whose rigid-body torque varies in this motion")]
         if np.median(nominal) > self.nominal:
             return found
-        refit = float(np.median(self._refit(evidence, robot)[judged]))
+        refit = float(np.median(self._refit(samples, robot)[judged]))
         fails = refit < self.refit
         found.append(
             Check(
@@ -123,12 +123,12 @@ class ModelMismatch(AbstractCheck):
             )
         return found
 
-    def _refit(self, evidence: Evidence, robot: Robot) -> np.ndarray:
+    def _refit(self, samples: Samples, robot: Robot) -> np.ndarray:
         """(n,) share of held-out variance that all base parameters, friction and rotor inertias explain."""
-        rows, inertial = regressor_rows(robot, evidence.motion)
-        qdd, tau = np.asarray(evidence.motion.qdd)[rows].T, evidence.tau[rows].T
+        rows, inertial = regressor_rows(robot, samples.motion)
+        qdd, tau = np.asarray(samples.motion.qdd)[rows].T, samples.tau[rows].T
         n = len(tau)
-        own = np.stack([np.column_stack([evidence.columns(j)[rows], qdd[j]]) for j in range(n)])
+        own = np.stack([np.column_stack([samples.columns(j)[rows], qdd[j]]) for j in range(n)])
         extra = np.zeros((n, len(rows), 4 * n))
         for j in range(n):
             extra[j, :, 4 * j : 4 * j + 4] = own[j]

@@ -6,12 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Stretch, gather, stretches
 from invdyn_cli.diagnosis.checks.fits import lowest, span
-from invdyn_cli.diagnosis.checks.rows import each, newton_metres, taken
+from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.channels import newton_metres
+from invdyn_cli.recording.rows import each, taken
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
 
@@ -60,7 +62,7 @@ class TimeOffset(AbstractCheck):
             found += self._session(log, [x for x in shifts if x is not None], session)
         return found or [self.skipped("no joint's torque follows the URDF's closely enough to be timed", "tau")]
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""
         offsets = {
             name: float(c.value)
@@ -181,18 +183,18 @@ class TimeOffset(AbstractCheck):
             return None
         shifts = np.arange(-most, most + 1, max(1, most // 25))
         inner = tuple(_inside(x, most + 2) for x in parts)
-        evidence = gather(log, robot, 2048, inner)
-        if evidence is None:
+        samples = gather(log, robot, 2048, inner)
+        if samples is None:
             return None
-        explained, _, excited = matched(evidence)
+        explained, _, excited = matched(samples)
         judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained))
         offsets, gains, weights = {}, {}, {}
         for joint in judged.tolist():
-            qd, qdd = evidence.motion.qd[:, joint], evidence.motion.qdd[:, joint]
-            basis = span(np.column_stack([evidence.columns(joint), evidence.nominal[:, joint], qdd, qd * np.abs(qd)]))
+            qd, qdd = samples.motion.qd[:, joint], samples.motion.qdd[:, joint]
+            basis = span(np.column_stack([samples.columns(joint), samples.nominal[:, joint], qdd, qd * np.abs(qd)]))
 
             def residual(shift: int, joint: int = joint, basis: np.ndarray = basis) -> float:
-                tau = _torque_at(parts, evidence.stretch, evidence.row + most + 2, joint, shift)
+                tau = _torque_at(parts, samples.stretch, samples.row + most + 2, joint, shift)
                 rest = tau - basis @ (basis.T @ tau)
                 return float(rest @ rest)
 

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.stats import norm
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
-from invdyn_cli.diagnosis.checks.evidence import gather
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
-from invdyn_cli.diagnosis.checks.rows import each
+from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
+from invdyn_cli.recording.rows import each
 from invdyn_cli.types import Check, Robot
 
 UNITS = {
@@ -54,12 +54,12 @@ class TorqueUnits(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """For all joints, else for single ones; the value is logged over expected torque."""
         missing = log.torque_unit == "A" and log.drive_gain is None
-        evidence = gather(log, robot, 1024) if robot is not None and log.trajectories else None
-        if evidence is None or robot is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
+        samples = gather(log, robot, 1024) if robot is not None and log.trajectories else None
+        if samples is None or robot is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
             why = "no robot" if robot is None else "no motion, or a torque that never changes"
             return [self._without_gains({})] if missing else [self.skipped(why, "tau")]
         names, factors = _candidates(robot)
-        fit = fitness(rows_of(evidence, without_gravity="gravity" in log.compensated), robot, factors)
+        fit = fitness(rows_of(samples, without_gravity="gravity" in log.compensated), robot, factors)
         at = np.arange(robot.dofs)
         beside = fit.likelihood[at, at, 0, :-1] - fit.likelihood[at, at, 0, :1]  # with tools, friction and wrong links
         judged = np.flatnonzero((fit.plain[at, at, 0, -1] > FOUND) & (fit.factor[at, at] > 0))
@@ -130,7 +130,7 @@ class TorqueUnits(AbstractCheck):
             found.append(self._seen("fail" if sure else "warn", log.joints[j], float(ratio[row]), factor, seen, what))
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide by the exact factor."""
         by, notes = np.ones(len(log.joints)), []
         for check in found:

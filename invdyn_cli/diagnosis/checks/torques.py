@@ -11,11 +11,11 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.arrangement import FLAW, OWN, UNITS
-from invdyn_cli.diagnosis.checks.evidence import Evidence, gather
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope, span
+from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.types import Check, Robot
 
 EXCITED = 0.03
@@ -23,18 +23,18 @@ EXCITED = 0.03
 and model errors rule)."""
 
 
-def matched(evidence: Evidence, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def matched(samples: Samples, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How well torque column i fits joint j: R^2 with friction and nominal torque, and the correlation with the nominal
     torque after friction, (n, n) each; and RMS of the nominal torque after friction over `reach`, (n,)."""
-    tau = evidence.tau if tau is None else tau
+    tau = samples.tau if tau is None else tau
     n = tau.shape[1]
     explained, cosine, excited = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     total = np.maximum(np.sum((tau - tau.mean(0)) ** 2, axis=0), 1e-300)
     for j in range(n):
-        basis = span(evidence.columns(j))
+        basis = span(samples.columns(j))
         rest = tau - basis @ (basis.T @ tau)
-        nominal = evidence.nominal[:, j] - basis @ (basis.T @ evidence.nominal[:, j])
-        excited[j] = rms(nominal) / max(evidence.reach[j], 1e-12)
+        nominal = samples.nominal[:, j] - basis @ (basis.T @ samples.nominal[:, j])
+        excited[j] = rms(nominal) / max(samples.reach[j], 1e-12)
         for i in range(n):
             cosine[i, j] = correlation(rest[:, i], nominal)
             after = float(rest[:, i] @ rest[:, i]) * (1 - cosine[i, j] ** 2)
@@ -42,7 +42,7 @@ def matched(evidence: Evidence, tau: np.ndarray | None = None) -> tuple[np.ndarr
     return explained, cosine, excited
 
 
-def _without_gravity(evidence: Evidence, robot: Robot) -> tuple[float, float]:
+def _without_gravity(samples: Samples, robot: Robot) -> tuple[float, float]:
     """Log of the likelihood ratio of the URDF without gravity to that with it, and the share of the torque's variance
     that it explains then, median over the joints. Each joint may have its own sign and factor, at their odds.
 
@@ -50,7 +50,7 @@ def _without_gravity(evidence: Evidence, robot: Robot) -> tuple[float, float]:
     inertials, and noise is judged as if gravity were gone.
     """
     n = robot.dofs
-    every = [replace(rows_of(evidence, without_gravity=x), reach=np.zeros(n)) for x in (False, True)]
+    every = [replace(rows_of(samples, without_gravity=x), reach=np.zeros(n)) for x in (False, True)]
     noise = fitness(every[1], robot, UNITS).effective
     before, after = (fitness(rows, robot, UNITS, noise) for rows in every)
     at = np.arange(n)
@@ -97,30 +97,28 @@ class GravityRemoved(AbstractCheck):
             return [self.skipped("no robot")]
         if "gravity" in log.compensated:
             return [self.skipped("the log says that gravity is compensated")]
-        evidence = gather(log, robot, 1024) if log.trajectories else None
-        if evidence is None or len(evidence.tau) < 100 or not np.ptp(evidence.tau, axis=0).any():
+        samples = gather(log, robot, 1024) if log.trajectories else None
+        if samples is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
             return [self.skipped("no motion, or a torque that never changes")]
-        slopes = self._slopes(evidence)
+        slopes = self._slopes(samples)
         if not slopes:
             return [self.skipped("gravity hardly varies on any joint in this motion")]
         value = float(np.median(np.abs(slopes)))
         if value > self.slope:
             return [Check(self.name, "ok", value=float(np.median(slopes)), seen="the torque follows gravity")]
-        gain, explained = _without_gravity(evidence, robot)
+        gain, explained = _without_gravity(samples, robot)
         if gain < self.odds and not (self.again and gain > -self.odds and explained > self.explained):
             return []
         return [self._seen(slopes, gain)]
 
-    def _slopes(self, evidence: Evidence) -> list[float]:
+    def _slopes(self, samples: Samples) -> list[float]:
         """Slope of torque on gravity torque, friction and the URDF's other torque taken out, of the joints on which
         gravity varies."""
         slopes = []
-        for joint in range(evidence.tau.shape[1]):
-            columns = np.column_stack(
-                [evidence.columns(joint), evidence.nominal[:, joint] - evidence.gravity[:, joint]]
-            )
-            gravity, tau = left(evidence.gravity[:, joint], columns), left(evidence.tau[:, joint], columns)
-            if rms(gravity) > self.varied * evidence.reach[joint]:
+        for joint in range(samples.tau.shape[1]):
+            columns = np.column_stack([samples.columns(joint), samples.nominal[:, joint] - samples.gravity[:, joint]])
+            gravity, tau = left(samples.gravity[:, joint], columns), left(samples.tau[:, joint], columns)
+            if rms(gravity) > self.varied * samples.reach[joint]:
                 slopes.append(slope(tau, gravity))
         return slopes
 
@@ -147,7 +145,7 @@ class GravityRemoved(AbstractCheck):
             source="ours: with gravity in it, payloads and gains make 0.5 to 2",
         )
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Declare it, where it is certain."""
         if "gravity" in log.compensated or all(one.severity != "fail" for one in found):
             return log, []

@@ -6,11 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.evidence import Evidence, Stretch, gather, stretches
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope
-from invdyn_cli.diagnosis.checks.rows import each, is_series, median_step
+from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import each, is_series, median_step
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
 DEGREE = 180 / np.pi
@@ -73,12 +74,12 @@ class MotionUnits(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """t, then q, then qd and qdd, each with the ones before put right."""
         found = self._clock(log)
-        log, _ = self.mend(log, found, robot)
+        log, _ = self.correct(log, found, robot)
         positions = self._positions(log, robot)
-        log, _ = self.mend(log, positions, robot)
+        log, _ = self.correct(log, positions, robot)
         return found + positions + self._derivatives(log)
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide by the exact factor."""
         notes = []
 
@@ -320,19 +321,19 @@ def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:
     return each(log, lambda raw: replace(raw, q=raw.q / by))
 
 
-def _agreement(evidence: Evidence | None) -> float:
+def _agreement(samples: Samples | None) -> float:
     """Mean over joints of the squared correlation of torque and nominal torque, friction taken out; 0 without data."""
-    return _judged(evidence)[0]
+    return _judged(samples)[0]
 
 
-def _judged(evidence: Evidence | None) -> tuple[float, int]:
+def _judged(samples: Samples | None) -> tuple[float, int]:
     """The same, and the number of joints whose nominal torque varies enough to count."""
-    if evidence is None:
+    if samples is None:
         return 0.0, 0
     squares = []
-    for joint in range(evidence.tau.shape[1]):
-        columns = evidence.columns(joint)
-        tau, nominal = left(evidence.tau[:, joint], columns), left(evidence.nominal[:, joint], columns)
-        if rms(nominal) > 0.03 * evidence.reach[joint]:
+    for joint in range(samples.tau.shape[1]):
+        columns = samples.columns(joint)
+        tau, nominal = left(samples.tau[:, joint], columns), left(samples.nominal[:, joint], columns)
+        if rms(nominal) > 0.03 * samples.reach[joint]:
             squares.append(correlation(tau, nominal) ** 2)
     return (float(np.mean(squares)) if squares else 0.0), len(squares)

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.rows import MAX_GAP, each, is_series, parted, present, runs
 from invdyn_cli.interfaces import AbstractCheck
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import each, is_series, parted, present, runs, without_gaps
 from invdyn_cli.types import Check, Robot
 
 
@@ -47,7 +47,7 @@ class NotFinite(AbstractCheck):
                 found.append(self._seen(raw.name, joint, channel, int(rows.sum()), seen))
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Drop channels that are worth nothing and rows that lack a value; leave out what has then nothing left."""
         where, notes = {c.trajectory for c in found}, []
 
@@ -150,7 +150,7 @@ class Outliers(AbstractCheck):
                     found.append(self._outlying(raw, channel, joint, name, rows))
         return found
 
-    def mend(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Replace them by the line between their neighbours."""
         notes = []
 
@@ -190,8 +190,7 @@ class Outliers(AbstractCheck):
     def rows_of(self, raw: RawTrajectory, channel: str, joint: int) -> np.ndarray:
         """Row numbers of the outliers of a channel's joint."""
         x = getattr(raw, channel)[:, joint]
-        steps = np.diff(raw.t)
-        starts = np.r_[0, np.flatnonzero(steps > max(MAX_GAP, 5 * np.median(steps))) + 1]
+        starts = np.array([rows[0] for rows in without_gaps(raw.t, np.arange(len(raw.t)))])
         if channel == "tau":
             return self.rows(x, self.least, 0.0, starts)
         low, high = np.quantile(raw.q[:: max(1, len(x) // 100_000), joint], [0.01, 0.99])

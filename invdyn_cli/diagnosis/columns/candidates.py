@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered, started
-from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
     EffectInstance,
@@ -26,7 +25,7 @@ from invdyn_cli.effects.composition import (
     rigid_torque,
     weight,
 )
-from invdyn_cli.effects.friction import STICK_TIME
+from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -39,6 +38,7 @@ from invdyn_cli.interfaces import (
     Parameters,
 )
 from invdyn_cli.maths import rigid_body
+from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Array, Robot
 
 ZEROS = (-0.04, 0.04)
@@ -140,7 +140,7 @@ def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: in
     for s in evidence.states:
         columns = list(effect.basis(s[joint], shape))
         if effect.jumps:
-            columns.append(np.gradient(effect.jump(columns)) * evidence.recording.filter.rate)
+            columns += about_reversals(effect.jump(columns), evidence.recording.filter.rate)
         parts.append(np.stack(columns))
     numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
     where: dict[int, tuple] = {joint: ((), numbers)}
@@ -150,7 +150,8 @@ def torque_candidate(evidence: Evidence, effect: AbstractTorqueEffect, joint: in
     if len(numbers) > len(precision):
         level = np.sqrt(np.mean(evidence.tables[joint][:, 0] ** 2))
         unit = np.sqrt(np.mean(np.concatenate([p[0] for p in parts], axis=-1) ** 2))
-        precision = np.append(precision, 1 / max(STICK_TIME * level / max(unit, 1e-12), 1e-12) ** 2)
+        known = 1 / max(STICK_TIME * level / max(unit, 1e-12), 1e-12) ** 2
+        precision = np.append(precision, np.full(len(numbers) - len(precision), known))
     return Candidate(effect, joint, shape, where, precision)
 
 

@@ -12,14 +12,14 @@ from functools import cached_property
 import numpy as np
 from scipy import signal
 
-from invdyn_cli.diagnosis.columns.recording import ROLES, Piece, Recording
-from invdyn_cli.effects.composition import EffectInstance, Stretch, TimeWindow, channel, in_chain, rigid_torque, sign_of
+from invdyn_cli.effects.composition import EffectInstance, Span, TimeWindow, channel, in_chain, rigid_torque, sign_of
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
     AbstractEffect,
     JointState,
     Parameters,
 )
+from invdyn_cli.recording.pieces import ROLES, Piece, Recording
 from invdyn_cli.types import Array, Robot
 
 BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
@@ -47,7 +47,7 @@ class Candidate:
     """An effect on a joint with a trial's nonlinear parameters: which columns of which rows it takes.
 
     `columns[j]` = (fixed columns, free columns) of row j; free columns are in the order of the coefficients, one for
-    each; behind those that the effect reads there may be one that only mends the timing of its reversals. `precision`
+    each; behind those that the effect reads there may be two that only correct the timing of its reversals. `precision`
     (k,) is what is known of the coefficients beforehand: 1 / scale^2. `noise_reduction` is the share of a white noise's
     variance that a channel effect takes away, which is no merit of it. `when` is the window of what comes and goes.
     """
@@ -119,7 +119,7 @@ class Evidence:
                     continue
                 fine = signal.resample_poly(columns[:, at, j].T, filter.keep, 1, padtype="line")
                 t = piece.t[filter.rows(len(piece.t))[0] :][: len(fine)]
-                fine = channel(through, j, fine, Stretch(piece.trajectory, t, filter.rate))
+                fine = channel(through, j, fine, Span(piece.trajectory, t, filter.rate))
                 out[:, at, j] = np.asarray(fine)[:: filter.keep].T
         return out
 

@@ -14,9 +14,9 @@ from scipy import linalg
 
 from invdyn_cli.diagnosis.columns.candidates import STEP, body_columns, gravity_columns
 from invdyn_cli.diagnosis.columns.evidence import filtered, joint_states
-from invdyn_cli.diagnosis.columns.recording import Recording
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
+from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Robot
 
 MOST = 1.05

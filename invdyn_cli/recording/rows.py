@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.logfile import CHANNELS, Log, RawTrajectory
+from invdyn_cli.log import CHANNELS, Log, RawTrajectory
 
 MAX_GAP = 0.1
 """[s] a longer step parts a trajectory, as `data.max_gap` does on reading."""
@@ -47,19 +47,6 @@ def each(log: Log, change: Callable[[RawTrajectory], RawTrajectory | list[RawTra
     """The log with every trajectory changed, into none, one or several."""
     made = [change(raw) for raw in log.trajectories]
     return replace(log, trajectories=tuple(x for one in made for x in (one if isinstance(one, list) else [one])))
-
-
-def newton_metres(log: Log, raw: RawTrajectory) -> np.ndarray:
-    """Torque (T, n) [N m; N], currents times their drive gains where these are known."""
-    return raw.tau * log.drive_gain if log.torque_unit == "A" and log.drive_gain is not None else raw.tau
-
-
-def in_newton_metres(log: Log) -> Log:
-    """The log with torques in N m, where its drive gains are known."""
-    if log.torque_unit != "A" or log.drive_gain is None:
-        return log
-    trajectories = tuple(replace(raw, tau=newton_metres(log, raw)) for raw in log.trajectories)
-    return replace(log, torque_unit="N m", trajectories=trajectories)
 
 
 def median_step(t: np.ndarray) -> float:
@@ -127,13 +114,21 @@ def usable_rows(raw: RawTrajectory) -> np.ndarray:
     return forward_rows(raw.t) & np.isfinite(raw.q).all(1) & np.isfinite(raw.tau).all(1)
 
 
+def longest_step(steps: np.ndarray) -> float:
+    """[s] a longer one of these steps (T - 1,) [s] parts a trajectory: MAX_GAP, or five median steps."""
+    return max(MAX_GAP, 5 * float(np.median(steps))) if len(steps) else MAX_GAP
+
+
+def without_gaps(t: np.ndarray, rows: np.ndarray, longest: float | None = None) -> list[np.ndarray]:
+    """Row numbers, in the order of t (T,) [s], parted where a step is longer than `longest` [s], or `longest_step`."""
+    steps = np.diff(t[rows])
+    longest = longest_step(steps) if longest is None else longest
+    return np.split(rows, np.flatnonzero(steps > longest) + 1) if len(rows) else []
+
+
 def uninterrupted(raw: RawTrajectory) -> list[np.ndarray]:
-    """Row numbers of the stretches of usable rows without a gap longer than MAX_GAP or five median steps."""
-    rows = np.flatnonzero(usable_rows(raw))
-    if len(rows) < 2:
-        return [rows] if len(rows) else []
-    steps = np.diff(raw.t[rows])
-    return np.split(rows, np.flatnonzero(steps > max(MAX_GAP, 5 * np.median(steps))) + 1)
+    """Row numbers of the stretches of usable rows without a gap."""
+    return without_gaps(raw.t, np.flatnonzero(usable_rows(raw)))
 
 
 def windows(log: Log, most: int = MOST) -> Iterator[tuple[RawTrajectory, np.ndarray]]:
@@ -171,7 +166,7 @@ def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0
     q = raw.q[rows]
     moving = np.ptp(q, axis=0) > moved
     steps = np.diff(raw.t[rows])
-    near = steps <= max(MAX_GAP, 5 * np.median(steps))
+    near = steps <= longest_step(steps)
     both = near[1:] & near[:-1]
     if not both.any():  # rows farther apart than a gap: poses, or a clock in other units
         near, both = np.ones_like(near), np.ones_like(both)

@@ -8,7 +8,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from invdyn_cli.diagnosis.columns.evidence import filtered
 from invdyn_cli.errors import LogError
-from invdyn_cli.logfile import RawTrajectory
+from invdyn_cli.log import RawTrajectory
 from tests.diagnosis.analytic import arm, column, evidence_of, log_of, moved, on, raw, recording_of
 from tests.diagnosis.sick import motion
 

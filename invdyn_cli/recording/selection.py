@@ -4,13 +4,15 @@ A selection is "name" or "name[t0:t1]": t0 <= t < t1 in seconds of the log's clo
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from invdyn_cli.errors import LogError, UsageError, closest, listed
+from invdyn_cli.log import Log, Window
+from invdyn_cli.recording.rows import taken
 
 SETS = ("train", "validation", "test")
 _SECONDS = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*"
@@ -62,6 +64,18 @@ def parse(option: str, text: str, keys: Iterable[str]) -> Block:
     return Block(meant[0], start, end)
 
 
+def asked(options: Mapping[str, Iterable[object] | None], keys: Iterable[str]) -> dict[str, list[Block] | None]:
+    """The blocks that the selections of each option mean among trajectories called `keys`, None where nothing was said.
+
+    Raises:
+        LogError, UsageError: as `parse` and `refuse_overlap`.
+    """
+    keys = list(keys)
+    blocks = {k: None if v is None else [parse(k, str(text), keys) for text in v] for k, v in options.items()}
+    refuse_overlap({name: found or () for name, found in blocks.items()})
+    return blocks
+
+
 def refuse_overlap(sets: Mapping[str, Iterable[Block]]) -> None:
     """Raise a UsageError if a stretch was asked for twice: what is tested on must not have been learned from."""
     for (one, a), (two, b) in combinations([(name, block) for name, blocks in sets.items() for block in blocks], 2):
@@ -101,3 +115,52 @@ def complete(
                 train[i] = replace(block, end=cut)
                 validation.append(replace(block, start=cut, asked=False))
     return {"train": train, "validation": validation, "test": test}
+
+
+def windows(
+    blocks: Mapping[str, Sequence[Block] | None], log: Log, train_share: float
+) -> dict[str, list[Window]] | None:
+    """role -> stretches that choose and that judge a diagnosis: validation joins what chooses, and trajectories that
+    nobody named do what was not asked for. None where nothing was asked for: then shares of time decide.
+
+    Raises:
+        LogError: for a selection without samples, or a role without any.
+    """
+    given = {name: None if (some := blocks[name]) is None else list(some) for name in SETS}
+    if all(given[name] is None for name in SETS):
+        return None
+    clocks = {x.name: _clock(x.t) for x in log.trajectories}
+    made = complete(given | {"validation": given["validation"] or []}, clocks, train_share, 0.0)
+    roles = {"train": [*made["train"], *made["validation"]], "test": made["test"]}
+    for block in (x for parts in roles.values() for x in parts if x.asked):
+        if not block.rows(t := clocks[block.key]).any():
+            raise _without_samples(block, t)
+    for role in roles:
+        if not roles[role]:
+            got = f"data.{role} is empty: other sets name all trajectories"
+            raise LogError(got, advice=f"data.{role}=[…] of {listed(clocks)}")
+    return {role: [(x.key, x.start, x.end) for x in parts] for role, parts in roles.items()}
+
+
+def cut(log: Log, blocks: Iterable[Block]) -> Log:
+    """The log with these stretches alone; LogError for one without samples."""
+    found, parts = {x.name: x for x in log.trajectories}, []
+    for block in blocks:
+        one = found[block.key]
+        rows = np.flatnonzero(block.rows(np.ravel(one.t)))
+        if not len(rows):
+            raise _without_samples(block, _clock(one.t))
+        whole = np.isinf(block.start) and np.isinf(block.end)
+        parts.append(one if whole else taken(one, rows, str(block)))
+    return replace(log, trajectories=tuple(parts))
+
+
+def _clock(t: np.ndarray) -> np.ndarray:
+    """What can be read of t [s], at least one number: the doctor has not seen it yet."""
+    t = np.ravel(t)
+    t = t[np.isfinite(t)]
+    return t if len(t) else np.zeros(1)
+
+
+def _without_samples(block: Block, t: np.ndarray) -> LogError:
+    return LogError(f"no samples in {block}; {block.key!r} runs from {t[0]:g} s to {t[-1]:g} s")

@@ -6,16 +6,16 @@ nothing of the one reaches the other.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 from scipy import signal
 from scipy.interpolate import make_interp_spline
 
-from invdyn_cli.effects.composition import Stretch
+from invdyn_cli.effects.composition import Span
 from invdyn_cli.errors import LogError
-from invdyn_cli.logfile import Log, RawTrajectory
-from invdyn_cli.maths.signals import lowpass, settling
+from invdyn_cli.log import Log, RawTrajectory, Window
+from invdyn_cli.maths.signals import lowpass, resample, settling
+from invdyn_cli.recording.rows import without_gaps
 from invdyn_cli.types import Motion
 
 ROLES = ("train", "test", "reference")
@@ -26,12 +26,9 @@ SMALL, NEGLIGIBLE = 0.3, 0.0001
 ANSWER = 5
 """Samples of positions to which a controller's torque is taken to answer at once."""
 
-Window = tuple[str, float, float]
-"""A stretch of a trajectory: its name, start and end [s]."""
-
 
 @dataclass(frozen=True)
-class Conditioning:
+class Preparation:
     """How a log is made ready.
 
     Attributes:
@@ -118,17 +115,7 @@ class Filter:
         return out
 
     def _passed(self, cutoff: float, x: np.ndarray) -> np.ndarray:
-        """`signal.sosfiltfilt`, which would find the filter's state at rest anew each time."""
-        (sections, rest), pad = _sections(self.rate, cutoff), self.inset
-        if x.shape[-1] <= pad:
-            raise ValueError(f"{x.shape[-1]} samples; a filter with {pad} at either end needs more")
-        rest = rest.reshape(len(rest), *[1] * (x.ndim - 1), 2)
-        x = np.concatenate(
-            [2 * x[..., :1] - x[..., pad:0:-1], x, 2 * x[..., -1:] - x[..., -2 : -pad - 2 : -1]], axis=-1
-        )
-        for _ in range(2):
-            x = signal.sosfilt(sections, x, axis=-1, zi=rest * x[..., :1])[0][..., ::-1]
-        return x[..., pad:-pad][..., self.rows(x.shape[-1] - 2 * pad)]
+        return lowpass(x, self.rate, cutoff, axis=-1)[..., self.rows(x.shape[-1])]
 
     def spread(self, mask: np.ndarray) -> np.ndarray:
         """Rows (n, rows) that any True of a mask (n, T) reaches through the filters."""
@@ -137,13 +124,6 @@ class Filter:
             reach = max(1, round(0.5 * self.rate / cutoff))
             out.append(signal.convolve(row.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5)
         return np.array(out)[:, self.rows(mask.shape[-1])]
-
-
-@lru_cache(maxsize=64)
-def _sections(rate: float, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
-    """A low-pass, and its state where all that has come in is 1."""
-    sections = np.asarray(signal.butter(4, cutoff, fs=rate, output="sos"))
-    return sections, signal.sosfilt_zi(sections)
 
 
 @dataclass(frozen=True)
@@ -164,16 +144,16 @@ class Recording:
     notes: tuple[str, ...] = ()
     details: Mapping[str, object] = field(default_factory=dict)
 
-    def stretch(self, piece: Piece) -> Stretch:
+    def stretch(self, piece: Piece) -> Span:
         """Where and when a piece was."""
-        return Stretch(piece.trajectory, piece.t, self.filter.rate)
+        return Span(piece.trajectory, piece.t, self.filter.rate)
 
 
 def prepare(
     log: Log,
     inertia: np.ndarray,
     windows: Mapping[str, Sequence[Window]] | None,
-    options: Conditioning,
+    options: Preparation,
 ) -> Recording:
     """Cut, resample, smooth and differentiate.
 
@@ -237,7 +217,7 @@ def prepare(
     return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
 
 
-def _by_trajectory(log: Log, options: Conditioning) -> dict[str, list[Window]]:
+def _by_trajectory(log: Log, options: Preparation) -> dict[str, list[Window]]:
     """Windows for trajectories too short to be parted: whole ones choose or judge."""
     names = [x.name for x in log.trajectories]
     first = min(max(1, round(options.train_share * len(names))), len(names) - 1)
@@ -246,7 +226,7 @@ def _by_trajectory(log: Log, options: Conditioning) -> dict[str, list[Window]]:
 
 
 def _roles(
-    raw: RawTrajectory, windows: Mapping[str, Sequence[Window]] | None, options: Conditioning
+    raw: RawTrajectory, windows: Mapping[str, Sequence[Window]] | None, options: Preparation
 ) -> list[tuple[str, float, float]]:
     if windows is None:
         cut = raw.t[0] + options.train_share * (raw.t[-1] - raw.t[0])
@@ -255,10 +235,8 @@ def _roles(
 
 
 def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float):
-    rows = np.flatnonzero((raw.t >= start) & (raw.t < end))
-    for piece in np.split(rows, np.flatnonzero(np.diff(raw.t[rows]) > max_gap) + 1):
-        if len(piece):
-            yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
+    for piece in without_gaps(raw.t, np.flatnonzero((raw.t >= start) & (raw.t < end)), max_gap):
+        yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
 
 
 def _thinned(cut, share: float, length: float):
@@ -288,11 +266,8 @@ def _stretches(piece, share: float, length: float):
 
 def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float):
     """On a uniform clock of the log's own period; cubic for positions, since they are differentiated."""
-    ticks = t[0] + period * np.arange(int((t[-1] - t[0]) / period + 1e-6) + 1)
-    if len(ticks) == len(t) and np.all(np.abs(ticks - t) < 1e-3 * period):
-        return ticks, np.asarray(q, float), np.asarray(tau, float)
-    q = make_interp_spline(t, q, k=3, axis=1)(ticks)
-    return ticks, q, make_interp_spline(t, tau, k=1, axis=1)(ticks)
+    ticks, q = resample(t, np.asarray(q, float).T, 1 / period, degree=3, tolerance=1e-3)
+    return ticks, q.T, resample(t, np.asarray(tau, float).T, 1 / period, tolerance=1e-3)[1].T
 
 
 def _noise(fourth: list[np.ndarray]) -> np.ndarray:
@@ -320,9 +295,9 @@ def _cutoff(
     inertia: float,
     period: float,
     rate: float,
-    options: Conditioning,
+    options: Preparation,
 ) -> float:
-    """A joint's cut-off [Hz], as Conditioning says."""
+    """A joint's cut-off [Hz], as Preparation says."""
     possible = [f for f in options.cutoffs if f <= 0.2 * rate] or [min(options.cutoffs[-1], 0.2 * rate)]
     for cutoff in possible:
         acceleration = position_noise * (2 * np.pi) ** 2 * cutoff**2.5 * np.sqrt(2 * period / 5)

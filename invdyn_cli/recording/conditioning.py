@@ -5,16 +5,19 @@ learned. Positions, logged derivatives and torques pass through one and the same
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from invdyn_cli.data.selection import SETS, Block, complete, parse, refuse_overlap
-from invdyn_cli.errors import LogError, RobotError, UsageError, listed
+from invdyn_cli.errors import LogError, UsageError, listed
 from invdyn_cli.interfaces import Progress
-from invdyn_cli.logfile import Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.maths.signals import differentiate, lowpass, resample, settling
+from invdyn_cli.recording import selection
+from invdyn_cli.recording.channels import newton_metres
+from invdyn_cli.recording.rows import without_gaps
+from invdyn_cli.recording.selection import SETS, Block, complete
 from invdyn_cli.types import Dataset, Motion, Robot, Splits, Trajectory
 
 DERIVATIVES = ("auto", "logged", "positions")
@@ -46,19 +49,19 @@ class Conditioning:
         max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
     """
 
-    train: Sequence[str] | None
-    validation: Sequence[str] | None
-    test: Sequence[str] | None
-    train_share: float
-    validation_share: float
-    derivatives: str
-    filter_cutoff: float | None
-    filter_order: int
-    causal: bool
-    torque_lag: int
-    decimate: int
-    rate: float | None
-    max_gap: float
+    train: Sequence[str] | None = None
+    validation: Sequence[str] | None = None
+    test: Sequence[str] | None = None
+    train_share: float = 0.7
+    validation_share: float = 0.1
+    derivatives: str = "auto"
+    filter_cutoff: float | None = 10.0
+    filter_order: int = 4
+    causal: bool = False
+    torque_lag: int = 0
+    decimate: int = 1
+    rate: float | None = None
+    max_gap: float = 0.1
 
     @classmethod
     def of(cls, source: Any, **instead: Any) -> "Conditioning":
@@ -88,10 +91,7 @@ class Conditioning:
 
     def asked(self, keys: Iterable[str]) -> dict[str, list[Block] | None]:
         """The blocks that were selected for each set among trajectories called `keys`, None where nothing was said."""
-        options = {name: getattr(self, name) for name in SETS}
-        asked = {k: None if v is None else [parse(k, str(text), keys) for text in v] for k, v in options.items()}
-        refuse_overlap({name: blocks or () for name, blocks in asked.items()})
-        return asked
+        return selection.asked({name: getattr(self, name) for name in SETS}, keys)
 
     def splits(
         self,
@@ -169,10 +169,9 @@ class Conditioning:
         settled = settling(rate, self.filter_cutoff, self.filter_order) if self.filter_cutoff is not None else 0
         inset = 0 if len(logged) == 2 else max(settled, 2)
         needed = max(2 * inset, settled) + 1 + self.torque_lag
-        gain = log.drive_gain if log.torque_unit == "A" else 1.0
-        channels = {"q": raw.q, "tau": raw.tau * gain, **{c: getattr(raw, c) for c in logged}}
+        channels = {"q": raw.q, "tau": newton_metres(log, raw), **{c: getattr(raw, c) for c in logged}}
         columns = np.concatenate(list(channels.values()), axis=1)
-        pieces = [rows] if timeless else np.split(rows, np.flatnonzero(np.diff(raw.t[rows]) > self.max_gap) + 1)
+        pieces = [rows] if timeless else without_gaps(raw.t, rows, self.max_gap)
         trajectories, longest = [], 0
         for piece in pieces:
             t, x = raw.t[piece], columns[piece]
@@ -223,32 +222,6 @@ class Conditioning:
         now, before = slice(inset + lag, last, self.decimate), slice(inset, last - lag, self.decimate)
         motion = Motion(*(signals[c][now] for c in ("q", "qd", "qdd")))
         return Trajectory(name, t[now], motion, signals["tau"][before], None if stage is None else stage[now])
-
-
-def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
-    """The log with its columns in the robot's order of joints."""
-    if robot is None or robot.joints == log.joints:
-        return log
-    if robot.dofs != len(log.joints):
-        got = f"robot {robot.name!r} moves {robot.dofs} joints: {listed(robot.joints)}; the log has {len(log.joints)}"
-        raise RobotError(f"{got}: {listed(log.joints)}", advice="a URDF of the logged robot, robot.path=…")
-    if known := set(robot.joints) & set(log.joints) if set(robot.joints) != set(log.joints) else set():
-        got = f"robot {robot.name!r} moves {listed(robot.joints)}, the log has {listed(log.joints)}"
-        raise RobotError(
-            f"{got}: only {listed(sorted(known))} in both; allowed: the same names, or all others, taken in order",
-            advice="robot.joints=[…] in the order of the log's columns, or another URDF",
-        )
-    if set(robot.joints) != set(log.joints):
-        notes.append(f"the log's joints {listed(log.joints)} are taken for the robot's {listed(robot.joints)}")
-        return replace(log, joints=robot.joints)
-    order = [log.joints.index(joint) for joint in robot.joints]
-    gain = None if log.drive_gain is None else log.drive_gain[order]
-    columns = ("q", "tau", "qd", "qdd", "q_ref", "q_link")
-    trajectories = tuple(
-        replace(raw, **{c: getattr(raw, c)[:, order] for c in columns if getattr(raw, c) is not None})
-        for raw in log.trajectories
-    )
-    return replace(log, joints=robot.joints, drive_gain=gain, trajectories=trajectories)
 
 
 def _whole(x: float, least: int) -> bool:

@@ -1,23 +1,14 @@
-"""What the costly checks look at: a log's motion and torque, filtered alike, beside the nominal model's torque.
-
-Positions are filtered and differentiated here, so that nothing rests on logged derivatives; all comes from windows of
-the log (`rows.windows`), cut before they are filtered, and from a few thousand rows of them.
-"""
+"""What the costly checks look at: a few thousand rows of a log's stretches beside the nominal model's torque."""
 
 from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.memory import once_for_a_log
-from invdyn_cli.diagnosis.checks.rows import is_series, median_step, newton_metres, taken, windows
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
-from invdyn_cli.maths.signals import lowpass, resample, settling
+from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Motion, Robot
-
-CUTOFF = 6.0
-"""[Hz] of the zero-phase low-pass: what a position-controlled arm moves is below, encoder noise in qdd mostly above."""
 
 ROWS = 4096
 """Rows that regressions see, one shape to compile: 17 a second of a four-minute log, thinner where it is longer."""
@@ -30,23 +21,7 @@ SLOW = 0.02
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """An uninterrupted window on a uniform clock, filtered, its unsettled ends cut off.
-
-    `extra` holds qd, qdd and q_ref as logged, filtered alike; `tau` is (T, n) [N m; N].
-    """
-
-    trajectory: str
-    rate: float
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    tau: np.ndarray
-    extra: dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Evidence:
+class Samples:
     """R rows of all stretches, and what the nominal model says of them.
 
     `stretch` and `row` (R,) say where each comes from; `nominal`, `gravity` (R, n) [N m; N]: the nominal torque
@@ -69,34 +44,8 @@ class Evidence:
         return np.stack([np.clip(qd / SLOW, -1, 1), qd, np.ones_like(qd)], axis=1)
 
 
-@once_for_a_log
-def stretches(log: Log, cutoff: float = CUTOFF) -> tuple[Stretch, ...]:
-    """The windows of all trajectories that are time series, and long enough for the filter."""
-    series = {raw.name for raw in log.trajectories if is_series(raw)}
-    made = []
-    for raw, rows in windows(log):
-        rate = 1 / median_step(raw.t[rows]) if len(rows) > 1 else 0.0
-        at = min(cutoff, rate / 5)
-        inset = settling(rate, at) if at > 0 else 0
-        if raw.name not in series or len(rows) < 3 * inset + 8:
-            continue
-        window = taken(raw, rows)
-        extra = {c: x for c in ("qd", "qdd", "q_ref") if (x := getattr(window, c)) is not None and np.isfinite(x).all()}
-        x = np.concatenate([window.q, newton_metres(log, window), *extra.values()], axis=1, dtype=float)
-        _, x = resample(window.t, x, rate)
-        if len(x) < 3 * inset + 8:
-            continue
-        q, tau, *others = np.split(lowpass(x, rate, at), 2 + len(extra), axis=1)
-        qd = np.gradient(q, 1 / rate, axis=0)
-        settled = slice(inset, len(x) - inset)
-        qdd = np.gradient(qd, 1 / rate, axis=0)
-        logged = {c: y[settled] for c, y in zip(extra, others, strict=True)}
-        made.append(Stretch(raw.name, rate, q[settled], qd[settled], qdd[settled], tau[settled], logged))
-    return tuple(made)
-
-
-def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] | None = None) -> Evidence | None:
-    """The evidence of a log; None where nothing in it is a time series of at least a few hundred milliseconds."""
+def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] | None = None) -> Samples | None:
+    """The samples of a log; None where nothing in it is a time series of at least a few hundred milliseconds."""
     parts = stretches(log) if parts is None else parts
     lengths = np.array([len(x.q) for x in parts], int)
     if not lengths.sum():
@@ -114,7 +63,7 @@ def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] 
     nominal, gravity = nominal_torque(robot, motion)
     if "gravity" in log.compensated:
         nominal, gravity = nominal - gravity, np.zeros_like(gravity)
-    return Evidence(parts, stretch, row, motion, tau, nominal, gravity, reach(robot))
+    return Samples(parts, stretch, row, motion, tau, nominal, gravity, reach(robot))
 
 
 def nominal_torque(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
