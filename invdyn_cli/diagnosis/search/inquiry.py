@@ -10,6 +10,7 @@ from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns.candidates import gear_candidate, load_on, trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search import events, naming, noise, resting
+from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
@@ -202,7 +203,8 @@ def _searched(
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
     if isinstance(ripple, TorqueRipple) and not any(c.effect is ripple for c in evidence.candidates):
-        lines = noise.ripples(evidence, measured, choosing, ripple)
+        residual = _beside_standard(evidence, measured, choosing, wear) if wear else measured.residual
+        lines = noise.ripples(evidence, measured, residual, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines
             measured = noise.measure(evidence, new)
@@ -214,8 +216,10 @@ def _searched(
         always += common
     usual: Hypothesis = ()
     if wear:
-        usual = (*(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect), *wear)
+        usual = _terms(pool, wear)
         pool = [c for c in pool if c.effect.group != "standard"]
+        links, begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        usual, starts = (*usual, links), [begun]
         always += usual
 
     beside = partial(_beside, always, usual)
@@ -271,6 +275,19 @@ def _searched(
         pool = [c for c in pool if c.key not in odd]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
         hypothesis = simplified(hypothesis)
+
+
+def _terms(pool: Sequence[Candidate], wear: Hypothesis) -> Hypothesis:
+    """The standard terms of every joint, beside links."""
+    return tuple(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect)
+
+
+def _beside_standard(evidence: Evidence, measured: noise.Noise, rows: np.ndarray, wear: Hypothesis) -> np.ndarray:
+    """(R, n) what the standard model leaves; a model of all columns would take up a ripple with those of others."""
+    model = (*_terms(evidence.candidates, wear), *wear)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, model, True)
+    judge.refresh()
+    return evidence.residual(model, judge.quick(model)[1])
 
 
 def _begun(

@@ -32,8 +32,9 @@ MEMORY, LAGS = 0.8, 6
 back within it, if only as its opposite."""
 
 
-LEAST_SHARE = 0.1
-"""Of what an effect explains, below which what is in its place does not do the same, however much blocks differ."""
+LEAST_SHARE = 0.7
+"""Of what an effect explains by more than noise can, below which what is in its place does not do the same, however
+much blocks differ: play may come up in a single one."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def rivals(
         refused = judge.refused((*always, *others, c), other.theta)
         equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
         share = 1 - (float(step.sum()) + dearer) / whole if whole > 0 else 0.0
-        equal &= share > LEAST_SHARE
+        equal &= share > LEAST_SHARE or excess < MIN_CLEAR_DIFFERENCE
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
         if refused:
             why, equal = f"{refused} (it {why})", False

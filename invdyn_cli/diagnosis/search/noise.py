@@ -127,8 +127,10 @@ def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
     return fixed if candidate.effect.point == "gear" else free
 
 
-def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
-    """Candidates for every line that stands out in the residual over a joint's angle."""
+def ripples(
+    evidence: Evidence, noise: Noise, residual: np.ndarray, rows: np.ndarray, effect: TorqueRipple
+) -> list[Candidate]:
+    """Candidates for every line that stands out of the noise in a residual (R, n) over a joint's angle."""
     made = []
     angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
     for j in range(evidence.dofs):
@@ -140,12 +142,12 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
             continue
         passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
         grid = ripple.grid(q, effect.most)
-        power = ripple.power(noise.residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
+        power = ripple.power(residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
         for _ in range(PEAKS):
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
                 break
-            cycles, _ = ripple.sharpened(noise.residual[used, j], q, float(grid[best]), **passed)
+            cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
             made.append(torque_candidate(evidence, effect, j, {"cycles": cycles}))
             power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
     return made
