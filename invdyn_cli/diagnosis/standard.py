@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import body_columns, trial_at
+from invdyn_cli.diagnosis.columns.bodies import body_columns
+from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of

@@ -74,7 +74,7 @@ def _added(
             return None
         one = (*base, free[i])
         if not judge.impossible(free[i], own[i]) and not judge.refused(one, judge.quick(one)[1]):
-            return losses[i] + cost, number, (*found, free[i])
+            return float(losses[i] + cost), number, (*found, free[i])
     return None
 
 

@@ -77,7 +77,7 @@ def _simplified(
                 if unsure or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
         if (
-            general.effect.point == "body" and general.effect.of_joint
+            general.effect.changes_inertials and general.effect.of_joint
         ):  # ten coefficients do what fewer of another effect do as well
             for rival in rivals(judge, always, hypothesis, i, pool):
                 if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
@@ -121,7 +121,7 @@ def rivals(
             why, equal = f"{refused} (it {why})", False
         elif equal and clash(c, own):
             why, equal = f"is the more general effect, but {own.effect.title} is enough for these data", False
-        elif equal and own.effect.group == "standard" and c.effect.point == "torque" and len(c.columns) > 1:
+        elif equal and own.effect.group == "standard" and c.effect.coupled:
             why, equal = (
                 f"is for a gear that two joints share, but {own.effect.title} is enough for these data",
                 False,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.columns.candidates import torque_candidate
+from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.maths import ripple
@@ -114,9 +114,9 @@ def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
 def _plain(candidate: Candidate, joint: int) -> bool:
     """Whether a candidate belongs to the model that may use everything: all but the many trials of one effect, and
     drives that two joints share: free factors of another joint's motion take up slow ripples and loads."""
-    if joint not in candidate.columns or (candidate.effect.point == "torque" and len(candidate.columns) > 1):
+    if joint not in candidate.columns or candidate.effect.coupled:
         return False
-    if candidate.effect.point == "gear":
+    if candidate.effect.yields:
         return candidate.joint == joint
     return candidate.effect.is_ordinary(candidate.shape)
 
@@ -124,7 +124,7 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
     """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
     fixed, free = candidate.columns[joint]
-    return fixed if candidate.effect.point == "gear" else free
+    return fixed if candidate.effect.yields else free
 
 
 def ripples(
@@ -148,6 +148,6 @@ def ripples(
             if not len(power) or power[best] < PEAK:
                 break
             cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
-            made.append(torque_candidate(evidence, effect, j, {"cycles": cycles}))
+            made.append(kind_of(effect).candidate(evidence, effect, j, {"cycles": cycles}))
             power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
     return made
