@@ -49,9 +49,9 @@ WORN = 0.005
 CLAIMED = 0.01
 """Share of its joint's RMS torque that a standard term must be worth to be claimed."""
 
-PLAINLY, SURE = 0.75, 4.0
-"""Share of the moving joints that have friction, so many standard deviations above zero, on an arm that is worn for
-sure."""
+PLAINLY, SURE, HEARD = 0.75, 4.0, 0.5
+"""Share of the joints that have friction, so many standard deviations above zero, on an arm that is worn for sure; of
+those that move, and of whose torque less than that is left."""
 
 FELT = 0.1
 """Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
@@ -276,7 +276,7 @@ def wear_of(columns: Columns, inquiry: Inquiry) -> Standard | None:
 
 def plain_wear(columns: Columns) -> Standard | None:
     """The standard model beside nothing else, if it is plain from it alone that the arm is worn: links are off, and
-    PLAINLY of the joints that move have a friction that can be claimed. No single cause makes that, so the arm is not
+    PLAINLY of the joints have a friction that can be claimed. No single cause makes that, so the arm is not
     looked at as if it were as its URDF says."""
     evidence, n = columns.evidence, columns.evidence.dofs
     choosing = evidence.role == ROLES.index("train")
@@ -289,6 +289,7 @@ def plain_wear(columns: Columns) -> Standard | None:
     torque = value * np.sqrt(np.mean(columns.own[of_friction][:, :, choosing] ** 2, axis=2))
     whole = np.sqrt(np.mean(evidence.tau[choosing] ** 2, axis=0))
     moves = (evidence.valid & choosing[:, None]).sum(0) > MOVES * choosing.sum()
+    moves &= fitted.noise < HEARD * whole
     worn = np.any((value > SURE * std) & (torque > CLAIMED * whole), axis=0)
     return fitted if np.sum(worn & moves) >= max(2, np.ceil(PLAINLY * moves.sum())) else None
 

@@ -10,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, HypothesisScorer, parameters_of, strain
+from invdyn_cli.diagnosis.search.judge import (
+    PRICE_OF_COEFFICIENT,
+    PRICE_OF_EFFECT,
+    Hypothesis,
+    HypothesisScorer,
+    parameters_of,
+    strain,
+)
 from invdyn_cli.diagnosis.search.steps import clash, free_beside
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
@@ -110,7 +117,8 @@ def rivals(
         elsewhere = [j for j in range(len(rows)) if j not in own.columns]
         step = other.blocks - now.blocks - sum(np.minimum(rows[j].sum(), 0.0) / rows.shape[1] for j in elsewhere)
         dearer = strain(always, other.theta) - believed
-        excess = float(step.sum() + dearer + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
+        simpler = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)) + _timed(c) - _timed(own)
+        excess = float(step.sum() + dearer + simpler)
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
         equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
@@ -131,6 +139,11 @@ def rivals(
         parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
         made.append(Rival(c, excess, error, equal, why, parameters))
     return made
+
+
+def _timed(candidate: Candidate) -> float:
+    """What a window costs: it was chosen among many, and has two edges."""
+    return 0.0 if candidate.when is None else PRICE_OF_EFFECT + 2 * PRICE_OF_COEFFICIENT
 
 
 def chance(step: np.ndarray, extra: float) -> float:
