@@ -72,8 +72,10 @@ def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | Ef
 
 
 def _apart(wear: Hypothesis, found: Sequence[Candidate | EffectInstance]) -> Hypothesis:
-    """The standard model but for special cases of what was found: a Stribeck friction has its own Coulomb level."""
-    return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in found))
+    """What is worn beside what was found, which may have a standard term as its special case: a Stribeck friction has
+    its own Coulomb level. Bristles may stand beside rigid friction."""
+    general = [x for x in found if not x.effect.contains_as_limit]
+    return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in general))
 
 
 def inquire(
@@ -129,8 +131,14 @@ def inquire(
 
     inquiry: Inquiry | None = None
     held: Windows = {}
-    found = _at_first(evidence, everywhere, nominal, most) if everywhere and not wear else {}
-    if found:  # what a gear carries is known when what comes and goes is
+    found: Windows = {}
+    if everywhere:
+        found = (
+            _standing_out(evidence, everywhere, allowed, most, wear)
+            if wear
+            else _at_first(evidence, everywhere, nominal, most)
+        )
+    if found and not wear:  # what a gear carries is known when what comes and goes is
         inquiry, held = looked(evidence, found, [], [()], 1)
         if held:
             evidence, found = inquiry.evidence, proposed(inquiry, held)
@@ -171,6 +179,26 @@ def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: n
         return {}
     left = evidence.residual(crowd, judge.quick(crowd)[1])
     return events.proposed(evidence, everywhere, [left, nominal], measured)
+
+
+def _standing_out(
+    evidence: Evidence,
+    everywhere: Sequence[events.Place],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    wear: Hypothesis,
+) -> Windows:
+    """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts."""
+    rows = evidence.role == ROLES.index("train")
+    measured = noise.measure_beside(evidence, rows)
+    found = events.proposed(evidence, everywhere, [_beside_standard(evidence, measured, rows, wear)], measured)
+    if not found:
+        return {}
+    pool = [*evidence.candidates, *(c for own in found.values() for c in own)]
+    always = (*known.allowed_for(pool, allowed), *_terms(pool, wear))
+    pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
+    begun = believed(evidence, rows, measured, always, wear[0], pool, [()], most).found
+    return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
 
 
 def _outdoes(judge: HypothesisScorer, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
@@ -219,8 +247,8 @@ def _searched(
     if wear:
         usual = _terms(pool, wear)
         pool = [c for c in pool if c.effect.group != "standard"]
-        links, begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
-        usual, starts = (*usual, links), [begun]
+        begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
         always += usual
 
     beside = partial(_beside, always, usual)

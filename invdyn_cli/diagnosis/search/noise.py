@@ -74,6 +74,17 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
     return Noise(deviation, time, residual)
 
 
+def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: Noise) -> Noise:
+    """The noise beside a hypothesis that leaves this residual (R, n) on the chosen rows: structure and all, but no less
+    than `least` measured, and nothing where that knows nothing."""
+    deviation, time = least.deviation.copy(), least.time.copy()
+    for j in np.flatnonzero(least.deviation > 0):
+        used = rows & evidence.valid[:, j]
+        deviation[j] = max(deviation[j], np.sqrt(np.mean(residual[used, j] ** 2)))
+        time[j] = max(time[j], autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows]))
+    return Noise(deviation, time, residual)
+
+
 def _fitted(x: np.ndarray, y: np.ndarray, independent: float) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of columns x (N, k) of unit mean square for each of the targets y (N, m), and the variance
     (m,) of what they leave. Rows behind a low filter are as many `independent` samples, and may be no more than the
