@@ -8,6 +8,7 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
+from invdyn_cli import registry
 from invdyn_cli.verbs.launch import config_folder, instantiate
 from tests.commands import ROOT
 
@@ -80,6 +81,12 @@ def test_defaults_agree(group, choice, compose):
         assert instantiate(node) == target(**missing, **meant)
     else:
         assert {k: node[k] for k in expected} == expected
+
+
+@pytest.mark.parametrize(("group", "choice"), [x for x in CHOICES if x[0] in ("model", "adaptation")])
+def test_files_may_name_every_choice(group, choice, compose):
+    """A run of each model and adaptation of the package is read back without the trust that foreign code needs."""
+    assert hydra.utils.get_object(compose("run", f"{group}={choice}")[group]._target_) in registry.CLASSES.values()
 
 
 def defaults(node: DictConfig) -> dict[str, object]:
