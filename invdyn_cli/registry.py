@@ -13,7 +13,9 @@ from typing import Any, get_type_hints
 from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.adaptation.error_model import ErrorModel
 from invdyn_cli.adaptation.incremental import Incremental
-from invdyn_cli.adaptation.online import Online
+from invdyn_cli.adaptation.local_error_model import LocalErrorModel
+from invdyn_cli.adaptation.memory_learning_rate import MemoryLearningRate
+from invdyn_cli.adaptation.online import OnlineUpdate
 from invdyn_cli.adaptation.payload import Payload
 from invdyn_cli.adaptation.rls import Rls
 from invdyn_cli.errors import RunFileError, UsageError, closest, listed, shortened
@@ -25,6 +27,8 @@ from invdyn_cli.models.extended import Extended
 from invdyn_cli.models.ffnn import Ffnn, JointNet
 from invdyn_cli.models.gip import Gip
 from invdyn_cli.models.gpr import Gpr
+from invdyn_cli.models.gru import Gru
+from invdyn_cli.models.lagrangian_net import LagrangianNet
 from invdyn_cli.models.local_gp import LocalGp
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.models.rff import Rff
@@ -44,12 +48,16 @@ CLASSES: Mapping[str, type] = {
     "rff": Rff,
     "gip": Gip,
     "local_gp": LocalGp,
+    "lagrangian_net": LagrangianNet,
+    "gru": Gru,
     "batch": Batch,
     "incremental": Incremental,
     "error_model": ErrorModel,
     "payload": Payload,
     "rls": Rls,
-    "online": Online,
+    "online": OnlineUpdate,
+    "memory_learning_rate": MemoryLearningRate,
+    "local_error_model": LocalErrorModel,
 }
 """Names in files. A class may move or change its name; what stands here stays."""
 

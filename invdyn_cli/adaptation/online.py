@@ -10,7 +10,7 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 
 @dataclass(frozen=True)
-class Online(AbstractAdapter):
+class OnlineUpdate(AbstractAdapter):
     """The model's own update (`AbstractModel.learned_from`), sample by sample: model=local_gp, lwpr."""
 
     def fit(

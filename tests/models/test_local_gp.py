@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli import experiment
-from invdyn_cli.adaptation.online import Online
+from invdyn_cli.adaptation.online import OnlineUpdate
 from invdyn_cli.errors import UsageError
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.maths.scaling import standardised
@@ -31,7 +31,7 @@ def data():
 def test_contract(data):
     """It keeps the contract of a model, and adaptation=online that of an adaptation."""
     check_model(SMALL, data)
-    check_adapter(Online(), SMALL, data)
+    check_adapter(OnlineUpdate(), SMALL, data)
 
 
 def test_one_region_that_holds_all_is_the_exact_process(data):
@@ -80,9 +80,9 @@ def test_follows_a_change():
     over the second half."""
     train, test = sine_tasks()
     model = LocalGp(regions=20, capacity=60, hyperparameter_samples=200, steps=30)
-    fit = Online().fit(model, train, KEY)
+    fit = OnlineUpdate().fit(model, train, KEY)
     moved = replace(test, trajectories=tuple(replace(x, tau=x.tau + 3) for x in test.trajectories))
-    said, _ = experiment.follow(Online(), model, fit, moved)
+    said, _ = experiment.follow(OnlineUpdate(), model, fit, moved)
     half = slice(moved.samples // 2, None)
     batch = nmse(moved.tau[half], model.predict(fit, moved.motion)[half])
     assert (nmse(moved.tau[half], said[half]) < 0.2 * batch).all()
@@ -112,4 +112,4 @@ def test_refusals(data):
         with pytest.raises(UsageError, match=f"model.{option}={value}; allowed"):
             LocalGp(**{option: value})
     with pytest.raises(UsageError, match="Pest does not learn from single samples"):
-        Online().fit(Pest(), data, KEY)
+        OnlineUpdate().fit(Pest(), data, KEY)
