@@ -65,8 +65,8 @@ class AbstractDescent(AbstractAdapter):
         return replace(fit, details={**fit.details, SCALE: torque_spread(dataset)})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """Parameters, robot, torque scale, learning rate, the steps' memory, the samples (rate, n) that wait to be learned from, how many
-        these are, and how often was learned."""
+        """Parameters, robot, torque scale, learning rate, the steps' memory, the samples (rate, n) that wait to be
+        learned from, how many these are, and how often was learned."""
         empty = jnp.zeros((self.rate, len(fit.joints)))
         return {
             "params": jax.tree.map(jnp.asarray, fit.params),

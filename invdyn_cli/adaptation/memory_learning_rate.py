@@ -26,10 +26,10 @@ class MemoryLearningRate(AbstractDescent):
     """Gradient descent on new samples as adaptation=incremental, with a memory of learning rates for every array of
     weights.
 
-    rate(g) = sum_k a_k(g) v_k / sum_k a_k(g), a_k Gaussians over log10 |g|. After each step log v_k rises by memory_rate
-    times the mean of sign(g g_before), weighted by a_k(g_before). The paper takes the product of the gradients in the
-    place of its sign and v_k in that of its logarithm: its steps scale with the gradients, and a memory_rate that suits
-    one net does not suit another.
+    rate(g) = sum_k a_k(g) v_k / sum_k a_k(g), a_k Gaussians over log10 |g|. After each step log v_k rises by
+    memory_rate times the mean of sign(g g_before), weighted by a_k(g_before). The paper has the gradients' product in
+    the place of its sign, and v_k in that of its logarithm: then steps scale with the gradients, and a memory_rate that
+    suits one net does not suit another.
 
     Attributes:
         rate: [samples] number of new samples that are learned from at once and then discarded.

