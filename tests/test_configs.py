@@ -18,6 +18,7 @@ CHOICES = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml"))
 MEANT = {
     ("data", "sim_noisy"): {"noisy": True},
     ("model", "ffnn_deep"): {"hidden": (100, 100, 10), "joints": {}, "epochs": 200},
+    ("model", "pest_coulomb"): {"friction": "coulomb_viscous", "offset": True, "weighting": "torque_spread"},
     ("model", "pest_friction"): {
         "rest_speed": 0.003,
         "least_speed": 0.05,

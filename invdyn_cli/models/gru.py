@@ -27,7 +27,8 @@ class _Head(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array) -> Array:
-        return nn.Dense(self.outputs)(nn.relu(nn.Dense(self.width)(x)))
+        wide = nn.relu(nn.Dense(self.width)(x))
+        return nn.Dense(self.outputs)(wide)
 
 
 @dataclass(frozen=True)

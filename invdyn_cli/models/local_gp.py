@@ -3,6 +3,9 @@
 "Local Gaussian process regression for real time online model learning and control" (NIPS 21). A sample belongs to the
 nearest centre by w = exp(-d² / 2), d being the distance in length scales, and begins a region of its own where no
 centre has w above `nearness`. A prediction is the mean of the nearest regions' processes, weighted by w.
+
+Here a sample joins all the `nearest` regions, those that predict it, and not the nearest alone: a process that is asked
+beside its samples extrapolates, which spoils the mean where torques have little noise.
 """
 
 from dataclasses import dataclass
@@ -31,17 +34,17 @@ class LocalGp(AbstractModel):
         nearness: [-] weight below which a sample begins a region of its own, while there are fewer than `regions`.
         regions: most regions of a joint.
         capacity: [samples] most samples of a region; the cost of an update grows with the third power.
-        nearest: number of regions that a prediction is made of.
+        nearest: number of regions that a sample joins, and that a prediction is made of.
         hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
         steps: iterations of L-BFGS on the evidence.
     """
 
     needs_robot = False
 
-    nearness: float = 0.5
+    nearness: float = 0.9
     regions: int = 100
     capacity: int = 100
-    nearest: int = 3
+    nearest: int = 2
     hyperparameter_samples: int = 400
     steps: int = 60
 
@@ -87,19 +90,27 @@ class LocalGp(AbstractModel):
             details={
                 "length_scales": np.exp(hyper["scale"]) * scales["input_scale"],
                 "noise": np.exp(hyper["noise"]) * scales["target_scale"],
-                "regions": (local["count"] > 0).sum(1),
+                "regions": (local["begun"] > 0).sum(1),
             },
         )
 
     def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
-        """The parameters after ONE more sample: it joins its region, in the place of the oldest where that is full."""
+        """The parameters after ONE more sample, in the place of the oldest where its regions are full."""
         x, y = _input(params, motion), (tau - params["target_mean"]) / params["target_scale"]
 
         def one(hyper: PyTree, local: PyTree, y: Array) -> PyTree:
-            k, begins = self._region(hyper, local, x)
-            local = _joined(local, k, begins, local["count"][k] % self.capacity, x, y)
-            row = {name: local[name][k] for name in ("inputs", "targets", "count")}
-            return {**local, "coefficients": local["coefficients"].at[k].set(self._solved(hyper, row))}
+            local = self._centred(hyper, local, x)
+            regions, taken = self._nearest(hyper, local, x)
+            slots = jnp.where(taken, local["count"][regions] % self.capacity, self.capacity)
+            local = {
+                **local,
+                "inputs": local["inputs"].at[regions, slots].set(x, mode="drop"),
+                "targets": local["targets"].at[regions, slots].set(y, mode="drop"),
+                "count": local["count"].at[regions].add(taken),
+            }
+            rows = {name: local[name][regions] for name in ("inputs", "targets", "count")}
+            solved = jax.vmap(partial(self._solved, hyper))(rows)
+            return {**local, "coefficients": local["coefficients"].at[regions].set(solved)}
 
         return {**params, "local": jax.vmap(one)(params["hyper"], params["local"], y)}
 
@@ -108,25 +119,33 @@ class LocalGp(AbstractModel):
         return 64
 
     def _empty(self, n: int) -> PyTree:
-        """Regions (n, regions, …): centres, how many samples came, those that were kept, and coefficients."""
+        """Regions (n, regions, …): centres, of how many samples each is the mean, samples that were kept and how many
+        came, and coefficients."""
         k, c = self.regions, self.capacity
         shapes = {"centres": (n, k, 3 * n), "inputs": (n, k, c, 3 * n), "targets": (n, k, c), "coefficients": (n, k, c)}
         zeros = {name: np.zeros(shape) for name, shape in shapes.items()}
-        return {"local": {**zeros, "count": np.zeros((n, k), np.int32)}}
+        return {"local": {**zeros, **{name: np.zeros((n, k), np.int32) for name in ("begun", "count")}}}
 
     def _mean(self, x: Array, hyper: PyTree, local: PyTree) -> Array:
         """Weighted mean of the nearest regions' posterior means at x (d,), of one joint."""
-        closeness = _closeness(hyper, local, x)
-        weights, nearest = jax.lax.top_k(closeness, min(self.nearest, self.regions))
-        near, coefficients = local["inputs"][nearest], local["coefficients"][nearest]
+        regions, _ = self._nearest(hyper, local, x)
+        near, coefficients = local["inputs"][regions], local["coefficients"][regions]
         k = gp.squared_exponential(hyper, x[None], near.reshape(-1, len(x)))[0].reshape(coefficients.shape)
-        return jax.nn.softmax(weights) @ jnp.sum(k * coefficients, 1)
+        return jax.nn.softmax(_closeness(hyper, local, x)[regions]) @ jnp.sum(k * coefficients, 1)
 
-    def _region(self, hyper: PyTree, local: PyTree, x: Array) -> tuple[Array, Array]:
-        """Index of the region that a sample joins, and whether it begins it."""
-        closeness, used = _closeness(hyper, local, x), jnp.sum(local["count"] > 0)
+    def _nearest(self, hyper: PyTree, local: PyTree, x: Array) -> tuple[Array, Array]:
+        """Indices of the regions that are near a sample, and whether each has begun."""
+        regions = jax.lax.top_k(_closeness(hyper, local, x), min(self.nearest, self.regions))[1]
+        return regions, local["begun"][regions] > 0
+
+    def _centred(self, hyper: PyTree, local: PyTree, x: Array) -> PyTree:
+        """The centres after a sample: the nearest one moves towards it, or a region begins there."""
+        closeness, used = _closeness(hyper, local, x), jnp.sum(local["begun"] > 0)
         begins = (used < self.regions) & (jnp.max(closeness) < np.log(self.nearness))
-        return jnp.where(begins, used, jnp.argmax(closeness)), begins
+        k = jnp.where(begins, used, jnp.argmax(closeness))
+        begun = jnp.where(begins, 1, local["begun"][k] + 1)
+        centre = jnp.where(begins, x, local["centres"][k] + (x - local["centres"][k]) / begun)
+        return {**local, "centres": local["centres"].at[k].set(centre), "begun": local["begun"].at[k].set(begun)}
 
     def _solved(self, hyper: PyTree, region: PyTree) -> Array:
         """Coefficients (capacity,) of a region's posterior mean; slots without a sample have none."""
@@ -141,43 +160,35 @@ def _input(params: PyTree, motion: Motion) -> Array:
 
 
 def _closeness(hyper: PyTree, local: PyTree, x: Array) -> Array:
-    """log w (regions,) of a sample; very small for a region without samples."""
+    """log w (regions,) of a sample; very small for a region that has not begun."""
     squares = jnp.sum(((x - local["centres"]) / jnp.exp(hyper["scale"])) ** 2, 1)
-    return jnp.where(local["count"] > 0, -0.5 * squares, -1e30)
-
-
-def _joined(local: PyTree, k: Array, begins: Array, slot: Array, x: Array, y: Array) -> PyTree:
-    """The regions with a sample in a slot of region k (a slot beyond the capacity: it is counted and not kept), whose
-    centre is the mean of all samples that came."""
-    count = jnp.where(begins, 1, local["count"][k] + 1)
-    centre = local["centres"][k] + (x - local["centres"][k]) / count
-    return {
-        **local,
-        "centres": local["centres"].at[k].set(jnp.where(begins, x, centre)),
-        "count": local["count"].at[k].set(count),
-        "inputs": local["inputs"].at[k, slot].set(x, mode="drop"),
-        "targets": local["targets"].at[k, slot].set(y, mode="drop"),
-    }
+    return jnp.where(local["begun"] > 0, -0.5 * squares, -1e30)
 
 
 @partial(jax.jit, static_argnums=0)
 def _sorted_in(model: LocalGp, hyper: PyTree, x: Array, y: Array, key: jax.Array, local: PyTree) -> PyTree:
-    """The regions of all joints after all samples; each keeps an even random choice of its own (reservoir sampling,
-    Vitter 1985), and is solved at the end."""
+    """The regions of all joints: a first turn over all samples decides the centres; in a second one each region keeps
+    an even random choice of the samples that it is near to (reservoir sampling, Vitter 1985), and is solved."""
     numbers = jnp.arange(len(x))
 
     def one(part: tuple) -> PyTree:
         hyper, local, y = part
+        centred = jax.lax.scan(lambda state, x: (model._centred(hyper, state, x), None), local, x)[0]
 
-        def step(local: PyTree, sample: tuple) -> tuple[PyTree, None]:
-            number, x, y = sample
-            k, begins = model._region(hyper, local, x)
-            before = local["count"][k]
-            drawn = jax.random.randint(jax.random.fold_in(key, number), (), 0, before + 1)
-            return _joined(local, k, begins, jnp.where(before < model.capacity, before, drawn), x, y), None
+        def keep(count: Array, sample: tuple) -> tuple[Array, tuple]:
+            number, x = sample
+            regions, taken = model._nearest(hyper, centred, x)
+            came = count[regions]
+            drawn = jax.random.randint(jax.random.fold_in(key, number), came.shape, 0, came + 1)
+            slots = jnp.where(came < model.capacity, came, drawn)
+            return count.at[regions].add(taken), (regions, jnp.where(taken, slots, model.capacity))
 
-        local = jax.lax.scan(step, local, (numbers, x, y))[0]
-        rows = {name: local[name] for name in ("inputs", "targets", "count")}
-        return {**local, "coefficients": jax.lax.map(partial(model._solved, hyper), rows)}
+        count, at = jax.lax.scan(keep, local["count"], (numbers, x))
+        rows = {
+            "inputs": local["inputs"].at[at].set(x[:, None], mode="drop"),
+            "targets": local["targets"].at[at].set(y[:, None], mode="drop"),
+            "count": count,
+        }
+        return {**centred, **rows, "coefficients": jax.lax.map(partial(model._solved, hyper), rows)}
 
     return jax.lax.map(one, (hyper, local, y.T))

@@ -1,6 +1,6 @@
 """GRU: the unit's equations in numpy, and that it learns what no function of the present state can say."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -11,12 +11,13 @@ from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.adaptation.rls import Rls
 from invdyn_cli.errors import UsageError
 from invdyn_cli.hybrid import Hybrid
+from invdyn_cli.interfaces import AbstractSource, silent
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.maths.scaling import standardised
 from invdyn_cli.models.gru import Gru
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.testing import check_model
-from invdyn_cli.types import Fit, Splits
+from invdyn_cli.types import Dataset, Fit, Splits
 from tests.records import make_dataset, make_robot
 
 KEY = jax.random.key(0)
@@ -58,8 +59,8 @@ def test_equations_are_the_units(data):
 
 
 def hidden_state(rng: np.random.Generator, data):
-    """The same motions, their torque a first-order lag of 20 samples behind a noise that qd of joint a shows for one
-    sample alone: what the present state says of it is the last of twenty terms."""
+    """The same motions with a push of white noise in the place of qdd, and a torque that follows it with a first-order
+    lag of 20 samples: what the present state says of it is the last of many terms."""
     made = []
     for one in data.trajectories:
         push = rng.normal(size=(len(one.t), 2))
@@ -91,21 +92,21 @@ def test_a_recording_shorter_than_the_window(data):
     assert SMALL.predict(fit, data.motion[slice(0, 0)]).shape == (0, 2)
 
 
-class _Held:
-    needs_robot = False
+@dataclass(frozen=True)
+class Held(AbstractSource):
+    """Data that are there, learned from and judged on."""
 
-    def __init__(self, data):
-        self.data = data
+    data: Dataset
 
-    def load(self, robot, progress=None):
+    def load(self, robot, progress=silent):
         return Splits(self.data, None, {"test": self.data})
 
 
 def test_is_not_adapted(data):
     """An adaptation takes samples one by one and would lose the memory: said in a line, and batch works."""
     with pytest.raises(UsageError, match="Gru has a memory along a recording"):
-        experiment.run(_Held(data), SMALL, Rls(), data.robot)  # type: ignore[arg-type]
-    record = experiment.run(_Held(data), SMALL, Batch(), data.robot)  # type: ignore[arg-type]
+        experiment.run(Held(data), SMALL, Rls(), data.robot)
+    record = experiment.run(Held(data), SMALL, Batch(), data.robot)
     said = [SMALL.predict(record.fit, x.motion) for x in data.trajectories]
     np.testing.assert_array_equal(record.predictions["test"].tau, np.concatenate(said))
 
