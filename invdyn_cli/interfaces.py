@@ -80,7 +80,7 @@ class AbstractModel(abc.ABC):
         """The parameters, of the same shapes, after ONE more measured sample; UsageError where a model has no such
         update of its own."""
         got = f"{type(self).__name__} does not learn from single samples"
-        raise UsageError(got, advice="model=local_gp or lwpr; other models: adaptation=incremental, rls or error_model")
+        raise UsageError(got, advice="model=local_gp; other models: adaptation=incremental, rls or error_model")
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The single models that a fit of several seeds holds; most fits hold one: themselves."""

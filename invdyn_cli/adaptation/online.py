@@ -11,7 +11,7 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 @dataclass(frozen=True)
 class OnlineUpdate(AbstractAdapter):
-    """The model's own update (`AbstractModel.learned_from`), sample by sample: model=local_gp, lwpr."""
+    """The model's own update (`AbstractModel.learned_from`), sample by sample: model=local_gp."""
 
     def fit(
         self,
