@@ -61,7 +61,7 @@ class AbstractModel(abc.ABC):
     def weights(self, params: PyTree) -> PyTree:
         """The part that steps down a gradient may move while the robot works; UsageError where there is none."""
         got = f"{type(self).__name__} has no weights that can be adapted"
-        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep")
+        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep, lagrangian_net")
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
         """The parameters with other weights."""

@@ -24,8 +24,8 @@ class OnlineUpdate(AbstractAdapter):
     ) -> Fit:
         """The model's own fit; UsageError for a model without an update of its own."""
         params = model.init(dataset, key)
-        first = jax.tree.map(lambda x: x[0], (dataset.motion, dataset.tau))
-        jax.eval_shape(lambda p: model.learned_from(p, *first, dataset.robot), params)
+        first, tau = jax.tree.map(lambda x: x[0], dataset.motion), dataset.tau[0]
+        jax.eval_shape(lambda p: model.learned_from(p, first, tau, dataset.robot), params)
         return model.fit(dataset, key, validation=validation, progress=progress)
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:

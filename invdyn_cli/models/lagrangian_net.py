@@ -8,6 +8,7 @@ tau = H qdd + dH/dt qd - grad_q(qd' H qd / 2) + grad_q V + friction
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -168,12 +169,12 @@ class LagrangianNet(AbstractModel):
         n = len(q)
         place = (q - _single(scales["input_mean"])[:n]) / _single(scales["input_scale"])[:n]
         turned = jnp.where(slides, place, jnp.cos(q)), jnp.where(slides, 0.0, jnp.sin(q))
-        out = _Net(self._widths(n)).apply({"params": nets["net"]}, jnp.concatenate(turned))
+        out: Any = _Net(self._widths(n)).apply({"params": nets["net"]}, jnp.concatenate(turned))
         torque, push = _single(scales["target_scale"]), jnp.split(_single(scales["input_scale"]), 3)[2]
-        lower = jnp.zeros((n, n), q.dtype).at[jnp.tril_indices(n, -1)].set(out[n:-1])  # type: ignore[index]
+        lower = jnp.zeros((n, n), q.dtype).at[jnp.tril_indices(n, -1)].set(out[n:-1])
         lower = lower + jnp.diag(nn.softplus(out[:n]) + LEAST)
         lower = jnp.sqrt(torque / push)[:, None] * lower
-        return lower @ lower.T, jnp.max(torque) * out[-1]  # type: ignore[index]
+        return lower @ lower.T, jnp.max(torque) * out[-1]
 
 
 def _single(x: Array) -> Array:

@@ -184,9 +184,9 @@ def _sorted_in(model: LocalGp, hyper: PyTree, x: Array, y: Array, key: jax.Array
             return count.at[regions].add(taken), (regions, jnp.where(taken, slots, model.capacity))
 
         count, at = jax.lax.scan(keep, local["count"], (numbers, x))
-        rows = {
-            "inputs": local["inputs"].at[at].set(x[:, None], mode="drop"),
-            "targets": local["targets"].at[at].set(y[:, None], mode="drop"),
+        rows: dict = {
+            "inputs": jnp.asarray(local["inputs"]).at[at].set(x[:, None], mode="drop"),
+            "targets": jnp.asarray(local["targets"]).at[at].set(y[:, None], mode="drop"),
             "count": count,
         }
         return {**centred, **rows, "coefficients": jax.lax.map(partial(model._solved, hyper), rows)}
