@@ -175,7 +175,7 @@ def _sorted_in(model: LocalGp, hyper: PyTree, x: Array, y: Array, key: jax.Array
         hyper, local, y = part
         centred = jax.lax.scan(lambda state, x: (model._centred(hyper, state, x), None), local, x)[0]
 
-        def keep(count: Array, sample: tuple) -> tuple[Array, tuple]:
+        def keep(count: jax.Array, sample: tuple) -> tuple[jax.Array, tuple]:
             number, x = sample
             regions, taken = model._nearest(hyper, centred, x)
             came = count[regions]
@@ -184,11 +184,9 @@ def _sorted_in(model: LocalGp, hyper: PyTree, x: Array, y: Array, key: jax.Array
             return count.at[regions].add(taken), (regions, jnp.where(taken, slots, model.capacity))
 
         count, at = jax.lax.scan(keep, local["count"], (numbers, x))
-        rows: dict = {
-            "inputs": jnp.asarray(local["inputs"]).at[at].set(x[:, None], mode="drop"),
-            "targets": jnp.asarray(local["targets"]).at[at].set(y[:, None], mode="drop"),
-            "count": count,
-        }
+        latest = jnp.full(local["targets"].shape, -1).at[at].max(numbers[:, None], mode="drop")
+        kept = latest >= 0
+        rows = {"inputs": x[latest] * kept[..., None], "targets": y[latest] * kept, "count": count}
         return {**centred, **rows, "coefficients": jax.lax.map(partial(model._solved, hyper), rows)}
 
     return jax.lax.map(one, (hyper, local, y.T))

@@ -73,7 +73,7 @@ def test_recovers_from_a_rate_that_is_too_low():
     train, test = sine_tasks()
     model = Ffnn(hidden=(32,), joints=(), epochs=60)
     moved = replace(test, trajectories=tuple(replace(x, tau=x.tau + 3) for x in test.trajectories))
-    options = {"learning_rate": 1e-5, "rate": 10, "batch_size": 10}
+    options: dict = {"learning_rate": 1e-5, "rate": 10, "batch_size": 10}
     fit = Incremental().fit(model, train, KEY)
     half = slice(moved.samples // 2, None)
     errors = []
@@ -85,6 +85,7 @@ def test_recovers_from_a_rate_that_is_too_low():
 
 def test_bad_options():
     """Options outside their ranges are refused by name."""
-    for options in ({"highest": 0.001}, {"memory_rate": -1.0}, {"centres": 1}, {"rate": 0}):
+    each: list[dict] = [{"highest": 0.001}, {"memory_rate": -1.0}, {"centres": 1}, {"rate": 0}]
+    for options in each:
         with pytest.raises(UsageError, match=f"{next(iter(options))}="):
             MemoryLearningRate(**options)

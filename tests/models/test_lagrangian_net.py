@@ -10,7 +10,7 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.lagrangian_net import LagrangianNet
-from invdyn_cli.robots import load_urdf
+from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.testing import check_model
 from invdyn_cli.types import Fit, Motion
 from tests.records import make_dataset, make_robot
@@ -82,20 +82,17 @@ def test_learns_an_arm_and_its_mass_matrix():
     net = Ffnn(epochs=200)
     assert error(model, fit, test).mean() < 0.5 * error(net, net.fit(train, KEY), test).mean()
     robot = load_urdf("apollo_arm", dofs=2)
-    q = test.motion.q[100]
+    q = np.asarray(test.motion.q[100])
     true = true_mass_matrix(robot, q)
     assert np.abs(model.mass_matrix(fit, q) - true).max() < 0.1 * true.max()
 
 
 def true_mass_matrix(robot, q: np.ndarray) -> np.ndarray:
     """By Pinocchio's composite rigid bodies."""
-    import pinocchio
+    import pinocchio as pin
 
-    model = pinocchio.buildModelFromXML(robot.urdf)
-    keep = [model.getJointId(name) for name in robot.joints]
-    locked = [k for k in range(1, model.njoints) if k not in keep]
-    reduced = pinocchio.buildReducedModel(model, locked, pinocchio.neutral(model))
-    mass = pinocchio.crba(reduced, reduced.createData(), q)
+    model = pinocchio_model(robot)
+    mass = pin.crba(model, model.createData(), q)
     return np.triu(mass) + np.triu(mass, 1).T
 
 
