@@ -61,7 +61,7 @@ class AbstractModel(abc.ABC):
     def weights(self, params: PyTree) -> PyTree:
         """The part that steps down a gradient may move while the robot works; UsageError where there is none."""
         got = f"{type(self).__name__} has no weights that can be adapted"
-        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep")
+        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep, lagrangian_net")
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
         """The parameters with other weights."""
@@ -69,12 +69,15 @@ class AbstractModel(abc.ABC):
 
     def linear(self, params: PyTree) -> PyTree:
         """The part of the parameters in which the torque is linear, or nearly so; UsageError where there is none."""
-        got = f"{type(self).__name__} has no linear parameters"
-        raise UsageError(got, advice="model=pest, standard, extended or rff")
+        raise UsageError(f"{type(self).__name__} has no linear parameters", advice="pest, standard, extended or rff")
 
     def with_linear(self, params: PyTree, linear: PyTree) -> PyTree:
         """The parameters with others in the place of the linear ones."""
         return {**params, **linear}
+
+    def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
+        """Parameters of the same shapes after ONE more measured sample; UsageError for a model without this update."""
+        raise UsageError(f"{type(self).__name__} does not learn from single samples", advice="model=local_gp")
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The single models that a fit of several seeds holds; most fits hold one: themselves."""
@@ -231,8 +234,7 @@ class AbstractEffect(abc.ABC):
     coupled: ClassVar[bool] = False
     """Whether it is of a gear that its joint shares with the joint before it (`JointState.driver`)."""
     invertible: ClassVar[bool] = True
-    """Of a channel: whether what was logged follows from what reached the joint; if not, models are compared with the
-    latter."""
+    """Of a channel: whether what reached the joint tells what was logged; if not, models are compared with it."""
     factor: ClassVar[str] = ""
     """Of a channel that only multiplies what was logged: the parameter that does."""
     late_by: ClassVar[str] = ""
@@ -242,8 +244,7 @@ class AbstractEffect(abc.ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     """What a joint's motion must have to show it, names of `diagnosis.checks.excitation.NEEDS`."""
     sum_of: ClassVar[Mapping[str, Mapping[str, float]]] = {}
-    """Of an effect that is the sum of others whatever the motion: each one's name, and how much its parameter adds to
-    each parameter here."""
+    """Of an effect that always is a sum of others: each one's name, and what its parameter adds to each one here."""
     scanned: ClassVar[tuple[Parameters, ...]] = ()
     """Of an effect whose nonlinear parameters are scanned for in a log: those that a design of motions tries."""
     shows: ClassVar[tuple[str, ...]] = ()
@@ -255,8 +256,7 @@ class AbstractEffect(abc.ABC):
         return True
 
     def is_plain(self, parameters: Parameters, state: JointState) -> bool:
-        """Whether an effect of these parameters can be told, on this motion of its joint, from what only looks like
-        it."""
+        """Whether an effect of these parameters can be told, on its joint's motion, from what only looks like it."""
         return True
 
     def typical(self, usual: UsualJoint) -> dict[str, Any] | None:
