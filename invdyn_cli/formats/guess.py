@@ -241,6 +241,9 @@ class _Guess:
             self.known["tau"] = "no name says torque, current or load"
             self.notes.append("The file has no torques or currents: tau is NaN. The log keeps the clock, positions and")
             self.notes[-1] += " commands; check, run and diagnose need torques."
+            if len(rest) >= len(self.joints):
+                columns = f"'data.columns={{tau: {{columns: \"{ranged(rest)}\", unit: A}}}}'"
+                self.notes[-1] += f" If {ranged(rest)} are torques or currents: {columns}, or another unit."
             return
         n = len(self.joints)
         blocks = [ranged(rest[k : k + n]) for k in range(0, len(rest) - n + 1, n)]
