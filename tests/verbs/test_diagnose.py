@@ -11,6 +11,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+import invdyn_cli
 from experiments.arms import random_arm
 from invdyn_cli import load_model
 from invdyn_cli.data.recorded import RealLog
@@ -160,9 +161,9 @@ def test_the_lines_of_the_docs_run(folder, command):
     page = (ROOT / "docs" / "python.md").read_text()
     script = next(code for code in page.split("```python\n")[1:] if code.startswith("checked =")).split("```")[0]
     os.link(folder / "arm.urdf", "arm.urdf")
-    one = invdyn.read(folder / "log.h5").trajectories[0]
+    one = read_log(folder / "log.h5").trajectories[0]
     qd = np.gradient(one.q, one.t, axis=0)
-    known = {"invdyn": invdyn, "q": one.q, "tau": one.tau, "t": one.t, "qd": qd, "qdd": np.gradient(qd, one.t, axis=0)}
+    known = {"invdyn": invdyn_cli, "q": one.q, "tau": one.tau, "t": one.t, "qd": qd, "qdd": np.gradient(qd, one.t, axis=0)}
     exec(script, known)
     found = known["result"].findings[0]
     assert known["checked"].usable and (found.effect, found.joint) == ("coulomb_friction", JOINT)
