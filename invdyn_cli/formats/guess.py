@@ -95,7 +95,7 @@ class _Guess:
         first = next(iter(self.table.columns))
         column = self.table.columns[first]
         named = any(meaning(name).quantity for name in self.table.columns)
-        unfit = named and (meaning(first).quantity or not values.time_unit(column))  # an index, say, beside named channels
+        unfit = named and (meaning(first).quantity or not values.time_unit(column))  # an index, for example
         return [(first, VALUES)] if not unfit and values.is_clock(column) else []
 
     def time_unit(self) -> None:
@@ -354,6 +354,8 @@ class _Guess:
             return "motor"
         if any(x.word in ("effort", "efforts") for x in read) and self.known.get("tau.unit") != GIVEN:
             self.notes.append("Some drivers publish currents as effort; if this one does, tau.unit=A says so.")
-        said = "The torque side is unknown; it decides which effects the log can show. Say where the torque was measured:"
-        self.notes.append(f"{said} 'data.columns={{torque_side: motor}}' (or link, command; convert: torque_side=motor).")
+        said = "The torque side is unknown; it decides which effects the log can show. Say where it was measured:"
+        self.notes.append(
+            f"{said} 'data.columns={{torque_side: motor}}', or link, command (convert: torque_side=motor)."
+        )
         return "unknown"

@@ -341,8 +341,9 @@ def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
         offer = f"; allowed: {listed(allowed, most=30)}{closest(key, allowed)}" if allowed else ""
         return f"there is no option {key}{offer}"
     if isinstance(error, OverrideParseException):
-        advice = f". Try: {_file_option(error.override)}{error.override}" if Path(error.override or "").is_file() else ""
-        return f"{error.override!r} is no option; allowed: group=choice, option=value{advice}"
+        got = error.override or ""
+        advice = f". Try: {_file_option(got)}{got}" if Path(got).is_file() else ""
+        return f"{got!r} is no option; allowed: group=choice, option=value{advice}"
     if "Missing mandatory value" in text:
         key = getattr(error, "full_key", None) or text.split(":")[-1].strip()
         return f"{key} is not set. Try: {key}=…"

@@ -144,7 +144,7 @@ def test_no_clock():
 
 
 def test_a_clock_in_another_language():
-    """Beside named channels a first column of an unknown name that grows as a clock does is the clock; an index is not."""
+    """A first column of an unknown name that grows as a clock does is the clock of named channels; an index is not."""
     columns = {"Zeit": 1000 * DATA["t"]} | {k: x for k, x in named(DATA, q="q_{}", tau="tau_{}").items() if k != "t"}
     found = guessed(columns)
     assert (found.channel("t").columns, found.channel("t").unit) == (("Zeit",), ("ms",))
