@@ -1,6 +1,6 @@
 """Stands for a robot and its controller in docs/tutorial.md: python arm.py slow|fast|trajectory.csv log.csv
 
-Plays a motion on a simulated arm with two effects that its URDF lacks, and writes arm.urdf and a CSV in ms, degrees, N m.
+Plays a motion on a simulated arm with two effects that its URDF lacks, and writes arm.urdf and a CSV in ms, deg, N m.
 """
 
 import sys
