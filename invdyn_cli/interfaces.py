@@ -218,6 +218,16 @@ class AbstractEffect(abc.ABC):
     """Whether it is a body that the last link carries."""
     turns_gravity: ClassVar[bool] = False
     """Whether it moves gravity and no inertials: nothing of it shows where nothing falls."""
+    reaches_others: ClassVar[bool] = False
+    """Whether other joints feel it than the one it acts on (and the one that shares its gear)."""
+    is_local: ClassVar[bool] = True
+    """Whether it must be worth something on its own joint; if not, on the arm as a whole."""
+    yields: ClassVar[bool] = False
+    """Whether a link moves against its motor by it, the more the more it carries."""
+    stays_near: ClassVar[bool] = False
+    """Whether its columns are true near the parameters of their trial only."""
+    coupled: ClassVar[bool] = False
+    """Whether it is of a gear that its joint shares with the joint before it (`JointState.driver`)."""
     invertible: ClassVar[bool] = True
     """Of a channel: whether what was logged follows from what reached the joint; if not, models are compared with the
     latter."""
@@ -261,6 +271,31 @@ class AbstractEffect(abc.ABC):
         adds = self.point in ("torque", "force")
         return EffectText(self.title, self.meaning, self.equation, tuple(self.parameters), adds, self.panels)
 
+    @abc.abstractmethod
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        """Parameters from the coefficients of its columns, which were made for a trial's parameters."""
+
+    def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float] | None:
+        """The coefficients that `found` makes these parameters from, where the torque is linear in them; None where it
+        is not."""
+        return None
+
+    def precision(self, robot: Robot, joint: int | None, count: int) -> np.ndarray:
+        """(count,) what is known of its columns' coefficients beforehand: 1 / scale^2."""
+        return np.zeros(count)
+
+    @property
+    def changes_inertials(self) -> bool:
+        """Whether it is another body in the place of a link, or on it."""
+        return False
+
+    @property
+    def bends(self) -> bool:
+        """Whether its torque is far from a straight line of its size."""
+        return False
+
     def refuse(self, parameters: Parameters) -> str:
         """Why these values are no physics, "" if they are."""
         for name, bound in self.parameters.items():
@@ -277,8 +312,6 @@ class AbstractTorqueEffect(AbstractEffect):
     joint before it in the chain as well, which drives the same gear."""
 
     point = "torque"
-    coupled: ClassVar[bool] = False
-    """Whether it is of a gear that its joint shares with the joint before it (`JointState.driver`)."""
 
     @abc.abstractmethod
     def term(self, parameters: Parameters, state: JointState) -> Array:
@@ -311,11 +344,17 @@ class AbstractTorqueEffect(AbstractEffect):
     def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
         """Parameters from the columns' coefficients."""
 
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        return self.read(coefficients, trial)
+
 
 class AbstractChannelEffect(AbstractEffect):
     """An effect between the logged torque of a joint and what the joint receives."""
 
     point = "channel"
+    stays_near = True
 
     def is_ordinary(self, shape: Parameters) -> bool:
         return bool(self.factor)
@@ -332,11 +371,20 @@ class AbstractChannelEffect(AbstractEffect):
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         """What is logged where tau (T, …) at `rate` [Hz] reaches the joint."""
 
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        if self.factor:  # its column is the model's torque
+            return {self.factor: float(1 / max(1 + coefficients[0], 1e-3))}
+        return _corrected(self, coefficients, trial)
+
 
 class AbstractBodyEffect(AbstractEffect):
     """An effect on masses or gravity: another robot; of a joint, on the inertials of its link."""
 
     point = "body"
+    reaches_others = True
+    is_local = False
 
     @abc.abstractmethod
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
@@ -355,15 +403,45 @@ class AbstractBodyEffect(AbstractEffect):
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         """The coefficients that `read` makes these parameters from: coordinates without singular points."""
 
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        return self.read(coefficients, robot, joint)
+
+    def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        return self.coefficients(parameters, robot, joint)
+
+    def precision(self, robot: Robot, joint: int | None, count: int) -> np.ndarray:
+        return np.array([1 / scale**2 for *_, scale in self.directions(robot, joint)])
+
+    @property
+    def changes_inertials(self) -> bool:
+        return not self.turns_gravity
+
+    @property
+    def bends(self) -> bool:
+        return self.turns_gravity
+
 
 class AbstractMotionEffect(AbstractEffect):
     """An effect between the logged and the true motion."""
 
     point = "motion"
+    reaches_others = True
+    is_local = False
 
     @abc.abstractmethod
     def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
         """The true motion of a logged one, (n, *batch) arrays."""
+
+    @property
+    def bends(self) -> bool:
+        return True
+
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        return _corrected(self, coefficients, trial)
 
 
 class AbstractGearEffect(AbstractEffect):
@@ -371,6 +449,9 @@ class AbstractGearEffect(AbstractEffect):
 
     point = "gear"
     loaded = True
+    reaches_others = True
+    yields = True
+    stays_near = True
     position_sides = ("motor", "unknown")
 
     @abc.abstractmethod
@@ -397,11 +478,18 @@ class AbstractGearEffect(AbstractEffect):
         (name,) = self.parameters
         return {name: compliance}
 
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        return self.from_compliance(self.compliance(trial) + float(coefficients[0]))
+
 
 class AbstractForceEffect(AbstractEffect):
     """A force on the arm from outside, linear in its parameters."""
 
     point = "force"
+    reaches_others = True
+    is_local = False
     scale: ClassVar[float]
     """What a coefficient hardly exceeds: what a log does not show of a force stays near zero."""
 
@@ -416,6 +504,22 @@ class AbstractForceEffect(AbstractEffect):
     @abc.abstractmethod
     def coefficients(self, parameters: Parameters) -> list[float]:
         """The coefficients that `read` makes these parameters from."""
+
+    def found(
+        self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
+    ) -> dict[str, Any]:
+        return self.read(coefficients)
+
+    def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        return self.coefficients(parameters)
+
+    def precision(self, robot: Robot, joint: int | None, count: int) -> np.ndarray:
+        return np.full(count, 1 / self.scale**2)
+
+
+def _corrected(effect: AbstractEffect, corrections: Sequence[float], trial: Parameters) -> dict[str, float]:
+    """A trial's parameters, each with the correction that its column found."""
+    return {name: float(trial.get(name, 0.0) + x) for name, x in zip(effect.parameters, corrections, strict=True)}
 
 
 class AbstractCheck(abc.ABC):

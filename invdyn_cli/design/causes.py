@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import body_columns, gravity_columns
+from invdyn_cli.diagnosis.columns.bodies import body_columns, gravity_columns
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
     EffectInstance,

@@ -9,7 +9,7 @@ import numpy as np
 from invdyn_cli.design.causes import Usual
 from invdyn_cli.effects.composition import has_driver
 from invdyn_cli.errors import UsageError, listed
-from invdyn_cli.interfaces import AbstractEffect, AbstractTorqueEffect, Parameters
+from invdyn_cli.interfaces import AbstractEffect, Parameters
 from invdyn_cli.joints import UsualJoint
 from invdyn_cli.types import Robot
 
@@ -45,7 +45,7 @@ def unplayable(
     effect: AbstractEffect, robot: Robot, parameters: Parameters | None = None, joint: str | None = None
 ) -> str:
     """Why no motion can be designed for an effect on a robot, and on this joint of it; "" if one can."""
-    coupled = isinstance(effect, AbstractTorqueEffect) and effect.coupled
+    coupled = effect.coupled
     if coupled and joint in robot.joints and not has_driver(robot, robot.joints.index(joint)):
         return f"there is no joint before {joint} that could share a gear with it"
     if effect.passing:

@@ -14,7 +14,7 @@ from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.effects.composition import EffectInstance, changed
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError, listed
-from invdyn_cli.interfaces import AbstractBodyEffect, Progress, silent
+from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.log import Log
 from invdyn_cli.maths.pseudo_inertia import realisable
 from invdyn_cli.recording.pieces import Recording
@@ -48,16 +48,12 @@ def _mjcf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     for one in model.acting:
         terms = one.effect.in_simulator(one.parameters)
         parts.append(mjcf.Part(None if one.joint is None else model.robot.joints[one.joint], one.effect.title, terms))
-        bodies += [one] * (terms.body is None and _is_lasting_body(one))
+        bodies += [one] * (terms.body is None and not one.effect.passing)
     return mjcf.written(_bare(_changed(model.robot, bodies)), parts)
 
 
-def _is_lasting_body(one: EffectInstance) -> bool:
-    return isinstance(one.effect, AbstractBodyEffect) and not one.effect.passing
-
-
 def _changed(robot: Robot, acting: Sequence[EffectInstance]) -> Robot:
-    """The robot with other inertials and gravity."""
+    """The robot with the inertials and gravity of the bodies among these effects."""
     return changed(robot, acting, Motion(*np.zeros((3, robot.dofs, 1))))[0]
 
 
@@ -73,7 +69,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     own <inertial>, also where the robot's row is the sum of several links that are fixed to each other.
     """
     robot, said = model.robot, []
-    heavier = _changed(robot, [x for x in model.acting if _is_lasting_body(x)])
+    heavier = _changed(robot, [x for x in model.acting if not x.effect.passing])
     change, links = {}, urdf.moving_links(robot.urdf, robot.joints)
     for link, old, new in zip(links, np.asarray(robot.inertial), np.asarray(heavier.inertial), strict=True):
         if np.array_equal(old, new):

@@ -14,6 +14,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.effects.composition import (
     EffectInstance,
     changed,
+    delivered,
     has_driver,
     in_chain,
     joint_terms,
@@ -22,12 +23,7 @@ from invdyn_cli.effects.composition import (
     sign_of,
 )
 from invdyn_cli.errors import UsageError, closest, listed
-from invdyn_cli.interfaces import (
-    AbstractChannelEffect,
-    AbstractEffect,
-    AbstractTorqueEffect,
-    JointState,
-)
+from invdyn_cli.interfaces import AbstractEffect, JointState
 from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Motion, Robot
 
@@ -78,7 +74,7 @@ def read(
         if joint is None and not whole:
             raise UsageError(f"diagnosis.known: {name} needs a joint; allowed: {listed(robot.joints)}")
         parameters = {k: _numbers(name, k, v) for k, v in given.items()}
-        if isinstance(effect, AbstractTorqueEffect) and effect.coupled:
+        if effect.coupled:
             can = [x for j, x in enumerate(robot.joints) if has_driver(robot, j)]
             if joint not in can:
                 got = f"diagnosis.known: {name} on {joint!r}, which has no joint before it to share a gear with"
@@ -125,15 +121,12 @@ def taken_out(
         tau = piece.tau.copy()
         actual, motion = changed(robot, facts, piece.motion)
         body = link_torque(robot, facts, piece.motion, recording.stretch(piece))
-        for one in facts:
-            j = one.joint
-            if isinstance(one.effect, AbstractChannelEffect):
-                tau[j] = one.effect.delivered(one.parameters, tau[j], recording.filter.rate)
         width = np.maximum(2 * piece.motion_noise, 1e-6)
         rows = zip(motion.q, piece.qd, piece.qdd, sign_of(piece.qd, width[:, None]), body, strict=True)
         states = [JointState(piece.t, *row, width=float(x)) for row, x in zip(rows, width, strict=True)]
         states = in_chain(states, robot.parents)
         for j in range(robot.dofs):
+            tau[j] = delivered(facts, j, tau[j], recording.filter.rate)
             tau[j] = tau[j] - sum(np.asarray(x) for x in joint_terms(facts, j, states, robot.parents))
         if gravity:
             tau = tau + rigid_torque(robot, Motion(motion.q, 0 * motion.q, 0 * motion.q))

@@ -177,19 +177,19 @@ def joint_terms(
     effects are of `in_chain`."""
     made = []
     for one in acting:
-        if isinstance(one.effect, AbstractTorqueEffect) and joint in felt_by(one, parents):
+        share = shares(one, parents).get(joint)
+        if isinstance(one.effect, AbstractTorqueEffect) and share is not None:
             assert one.joint is not None
-            share = 1.0 if one.joint == joint else one.effect.share_on_driver(one.parameters)
             made.append(share * one.effect.term(one.parameters, states[one.joint]))
     return made
 
 
-def felt_by(one: EffectInstance, parents: Sequence[int]) -> tuple[int | None, ...]:
-    """The joint of a torque or channel effect, and the one before it where their gear is coupled."""
-    if not getattr(one.effect, "coupled", False):
-        return (one.joint,)
+def shares(one: EffectInstance, parents: Sequence[int]) -> dict[int | None, float]:
+    """What share of a torque or channel effect its joint feels, and the one before it where their gear is coupled."""
+    if not one.effect.coupled or not isinstance(one.effect, AbstractTorqueEffect):
+        return {one.joint: 1.0}
     assert one.joint is not None
-    return one.joint, parents[one.joint]
+    return {one.joint: 1.0, parents[one.joint]: one.effect.share_on_driver(one.parameters)}
 
 
 def has_driver(robot: Robot, joint: int) -> bool:
@@ -201,6 +201,19 @@ def has_driver(robot: Robot, joint: int) -> bool:
 def in_chain(states: Sequence[JointState], parents: Sequence[int]) -> list[JointState]:
     """The joints' states, each with that of the joint before it."""
     return [s._replace(driver=states[p]) if p >= 0 else s for s, p in zip(states, parents, strict=True)]
+
+
+def channels(acting: Sequence[EffectInstance]) -> list[EffectInstance]:
+    """Those among `acting` that stand between the logged and the delivered torque."""
+    return [one for one in acting if isinstance(one.effect, AbstractChannelEffect)]
+
+
+def delivered(acting: Sequence[EffectInstance], joint: int, tau: Array, rate: float) -> Array:
+    """What reaches a joint of a logged torque (T,) at `rate` [Hz]; windows do not count."""
+    for one in acting:
+        if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:
+            tau = one.effect.delivered(one.parameters, tau, rate)
+    return tau
 
 
 def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: Span) -> Array:

@@ -15,10 +15,10 @@ from invdyn_cli.effects.composition import (
     TimeWindow,
     body_torque,
     channel,
-    felt_by,
     in_chain,
     joint_terms,
     link_torque,
+    shares,
     sign_of,
 )
 from invdyn_cli.errors import UsageError, closest, listed
@@ -173,7 +173,7 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
 
 def driver_name(one: EffectInstance, robot: Robot) -> dict[str, str]:
     """Which joint drives the gear of a coupled effect, by its name; nothing of any other."""
-    joints = [robot.joints[j] for j in felt_by(one, robot.parents)[1:] if j is not None]
+    joints = [robot.joints[j] for j in list(shares(one, robot.parents))[1:] if j is not None]
     return {"driver": joints[0]} if joints else {}
 
 

@@ -170,7 +170,7 @@ def _parameters(effect: Any, robot: Any) -> list[tuple[int | None, dict[str, Any
     from invdyn_cli.design.trajectory import usual_of
 
     usual = usual_of(robot)
-    first = 1 if getattr(effect, "coupled", False) else 0
+    first = 1 if effect.coupled else 0
     joints = range(first, robot.dofs) if effect.of_joint else [None]
     try:
         return [(joint, typical(effect, joint, robot, usual, 30.0)) for joint in joints]

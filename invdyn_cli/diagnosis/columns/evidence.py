@@ -12,9 +12,17 @@ from functools import cached_property
 import numpy as np
 from scipy import signal
 
-from invdyn_cli.effects.composition import EffectInstance, Span, TimeWindow, channel, in_chain, rigid_torque, sign_of
+from invdyn_cli.effects.composition import (
+    EffectInstance,
+    Span,
+    TimeWindow,
+    channel,
+    channels,
+    in_chain,
+    rigid_torque,
+    sign_of,
+)
 from invdyn_cli.interfaces import (
-    AbstractChannelEffect,
     AbstractEffect,
     JointState,
     Parameters,
@@ -110,7 +118,7 @@ class Evidence:
         """Torque (m, R, n) that reaches the joints as it is logged, behind the channels among `acting`: at the full
         rate again, since rows are so few that a slope between them is none."""
         out, filter = columns, self.recording.filter
-        through = [a for a in acting if isinstance(a.effect, AbstractChannelEffect) and a.effect.invertible]
+        through = [a for a in channels(acting) if a.effect.invertible]
         for j in {a.joint for a in through if len(columns) and a.joint is not None}:
             out = out.copy() if out is columns else out
             for number, piece in enumerate(self.recording.pieces):

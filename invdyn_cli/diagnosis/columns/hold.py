@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.columns.candidates import STEP, body_columns, gravity_columns
+from invdyn_cli.diagnosis.columns.bodies import STEP, body_columns, gravity_columns
 from invdyn_cli.diagnosis.columns.evidence import filtered, joint_states
 from invdyn_cli.effects.actuator import shifted
 from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque

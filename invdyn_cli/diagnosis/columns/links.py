@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import joint_candidate, nominal
+from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.kind import nominal
 from invdyn_cli.effects.composition import rigid_torque
 
 
@@ -26,5 +27,5 @@ def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
         candidates=[c for c in evidence.candidates if not c.effect.loaded],
     )
     again = [c for c in evidence.candidates if c.effect.loaded]
-    made.candidates += [joint_candidate(made, c.effect, c.joint, c.shape) for c in again if c.joint is not None]
+    made.candidates += [kind_of(c.effect).candidate(made, c.effect, c.joint, c.shape) for c in again]
     return made

@@ -10,7 +10,6 @@ from invdyn_cli.effects.actuator import RotorInertia, TorqueGainError
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.load import LinkInertiaError
-from invdyn_cli.interfaces import AbstractBodyEffect
 from invdyn_cli.types import Finding, Quantity, Robot
 
 LINK = LinkInertiaError.name
@@ -36,10 +35,9 @@ def as_link(robot: Robot, acting: EffectInstance) -> EffectInstance:
     if mass > 0 and np.linalg.norm(com) <= FARTHEST_TOOL:
         return acting
     link, last = EFFECTS[LINK], robot.dofs - 1
-    assert isinstance(link, AbstractBodyEffect) and isinstance(acting.effect, AbstractBodyEffect)
-    return EffectInstance(
-        link, last, link.read(acting.effect.coefficients(acting.parameters, robot, None), robot, last)
-    )
+    change = acting.effect.coordinates(acting.parameters, robot, None)
+    assert change is not None  # a body's torque is linear in its inertials
+    return EffectInstance(link, last, link.found(change, {}, robot, last))
 
 
 def may_be_payload(ends: Mapping[str, tuple]) -> bool:
@@ -59,7 +57,7 @@ def told(finding: Finding, acting: EffectInstance, robot: Robot, ends: Mapping[s
                 alternatives=(*finding.alternatives, (LINK,)),
                 evidence={**finding.evidence, "mass_of_last_link_kg": nominal},
             )
-    elif effect.point == "body" and joint is not None:
+    elif effect.changes_inertials and joint is not None:
         scales = {"mass": 1.0, "moment": 0.2, "inertia": 0.05}
         shown = {
             name: q if np.all(np.asarray(q.interval95[1]) - np.asarray(q.interval95[0]) < 2 * scales[name]) else None

@@ -170,7 +170,7 @@ def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], aft
     evidence = inquiry.evidence
     before = support.without(inquiry, hypothesis, without, after)
     own = [hypothesis[k] for k in without]
-    local = all(c.effect.point in ("torque", "channel") for c in own)
+    local = all(not c.effect.reaches_others for c in own)
     felt = {j for c in own for j in c.columns} if local else range(evidence.dofs)
     gains = {name: gain_of(evidence, j, before, after) for j, name in enumerate(evidence.robot.joints) if j in felt}
     return {name: gain for name, gain in gains.items() if gain is not None}
@@ -257,7 +257,7 @@ def unit_of(effect: AbstractEffect, name: str, slides: bool) -> str:
 
 
 def _slides(robot: Robot, candidate: Candidate) -> bool:
-    return candidate.effect.point != "body" and candidate.joint is not None and robot.prismatic[candidate.joint]
+    return not candidate.effect.changes_inertials and candidate.joint is not None and robot.prismatic[candidate.joint]
 
 
 def _plain(value: Any) -> Any:
@@ -349,7 +349,7 @@ def in_doubt(
         shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
         unknown = sum(shares.values())
         effect = effects[one.effect]
-        near = [x for j, x in shares.items() if j == one.joint or effect.point != "gear"]
+        near = [x for j, x in shares.items() if j == one.joint or not effect.yields]
         mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
         least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
         if one.status == "named" and saved < least * unknown:

@@ -73,7 +73,7 @@ def _systematic(evidence: Evidence, acting: EffectInstance, name: str, value) ->
         return STUCK * np.abs(value)
     if name in EDGES:
         return 1 / evidence.recording.filter.rate
-    if acting.effect.point == "gear":
+    if acting.effect.yields:
         return GEARED * np.abs(value)
     if name in ("phase", "azimuth", "rest", "cycles"):
         return 0.0

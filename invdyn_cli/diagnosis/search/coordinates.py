@@ -5,10 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import beforehand
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.interfaces import AbstractBodyEffect, AbstractForceEffect
 
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
@@ -34,12 +32,8 @@ def flat(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.ndarr
 
 
 def coordinates(evidence: Evidence, acting: EffectInstance) -> list[float] | None:
-    """What the torque is linear in, of bodies and forces."""
-    if isinstance(acting.effect, AbstractBodyEffect):
-        return acting.effect.coefficients(acting.parameters, evidence.robot, acting.joint)
-    if isinstance(acting.effect, AbstractForceEffect):
-        return acting.effect.coefficients(acting.parameters)
-    return None
+    """What the torque is linear in, of bodies and forces; None of other effects."""
+    return acting.effect.coordinates(acting.parameters, evidence.robot, acting.joint)
 
 
 def with_parameters(
@@ -52,10 +46,8 @@ def with_parameters(
         linear = [x for (name, _), x in own.items() if not name]
         if a.when is not None:
             a = replace(a, when=a.when._replace(**{name: float(own[name, 0]) for name in EDGES}))
-        if isinstance(a.effect, AbstractBodyEffect):
-            made.append(replace(a, parameters=a.effect.read(linear, evidence.robot, a.joint)))
-        elif isinstance(a.effect, AbstractForceEffect):
-            made.append(replace(a, parameters=a.effect.read(linear)))
+        if linear:
+            made.append(replace(a, parameters=a.effect.found(linear, a.parameters, evidence.robot, a.joint)))
         else:
             refined = {name: float(x) for (name, _), x in own.items() if name not in EDGES}
             made.append(replace(a, parameters={**a.parameters, **refined}))
@@ -81,5 +73,5 @@ def precision_of(evidence: Evidence, acting: Sequence[EffectInstance], labels) -
     for number, a in enumerate(acting):
         own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]
         if own:
-            out[own] = beforehand(evidence.robot, a.effect, a.joint, len(own))
+            out[own] = a.effect.precision(evidence.robot, a.joint, len(own))
     return out

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import beforehand, passing_candidate, passing_columns
+from invdyn_cli.diagnosis.columns.candidates import passing_candidate, passing_columns
 from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT
 from invdyn_cli.diagnosis.search.noise import Noise
@@ -81,7 +81,7 @@ def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str)
         own: list[Place] = []
         for joint in (None,) if whole else reversed(range(evidence.dofs)):
             columns = passing_columns(evidence, effect, joint, None)
-            precision = beforehand(evidence.robot, effect, joint, len(columns))
+            precision = effect.precision(evidence.robot, joint, len(columns))
             felt = np.abs(columns).max() > 1e-6 * loud
             if felt and not any(np.allclose(columns, x.columns, atol=1e-6 * np.abs(columns).max()) for x in own):
                 own.append(Place(effect, joint, columns, precision))

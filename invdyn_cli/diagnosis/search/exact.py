@@ -10,20 +10,23 @@ from functools import partial
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import gear_columns, passing_columns, passing_torque
+from invdyn_cli.diagnosis.columns.candidates import kind_of, passing_columns, passing_torque
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates, flat, inside, precision_of, with_parameters
 from invdyn_cli.diagnosis.search.edges import summed, within
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
 from invdyn_cli.diagnosis.search.judge import Hypothesis
-from invdyn_cli.diagnosis.search.steps import WHOLE
-from invdyn_cli.effects.composition import EffectInstance, channel, felt_by, identity, joint_terms, link_torque
-from invdyn_cli.effects.friction import STICK_TIME, about_reversals
-from invdyn_cli.interfaces import (
-    AbstractChannelEffect,
-    AbstractGearEffect,
-    AbstractTorqueEffect,
+from invdyn_cli.effects.composition import (
+    EffectInstance,
+    channel,
+    channels,
+    delivered,
+    identity,
+    joint_terms,
+    link_torque,
+    shares,
 )
+from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 
 STEPS = 4
 """Newton steps at most: columns start within a few percent."""
@@ -105,13 +108,13 @@ class Model:
         """The key of the inverse dynamics (n, T) of every piece with the effects that reach more than one joint, which
         are there. What comes and goes adds to that of the nominal motion, its columns being at hand; but a gear yields
         to it."""
-        whole = [a for a in acting if a.effect.point in WHOLE]
+        whole = [a for a in acting if a.effect.reaches_others]
         key = identity(whole)
         if key not in self._bodies:
             if len(self._bodies) > 40:
                 self._bodies.clear()
             lasting = [a for a in whole if a.when is None]
-            if lasting == whole or any(a.effect.point == "gear" for a in whole):
+            if lasting == whole or any(a.effect.yields for a in whole):
                 robot, recording = self.evidence.robot, self.evidence.recording
                 made = []
                 for piece, kept, base in zip(recording.pieces, self._gears, self._base, strict=True):
@@ -143,23 +146,18 @@ class Model:
     def _own(self, acting: Sequence[EffectInstance], joint: int) -> list[EffectInstance]:
         """The torque and channel effects that a joint feels."""
         parents = self.evidence.robot.parents
-        return [a for a in acting if a.effect.point in ("torque", "channel") and joint in felt_by(a, parents)]
+        return [a for a in acting if not a.effect.reaches_others and joint in shares(a, parents)]
 
     def _parts(self, own: Sequence[EffectInstance], bodies: tuple, j: int) -> list[np.ndarray]:
         parts = []
         pieces, moved = self.evidence.recording.pieces, self._bodies[bodies]
+        back = [a for a in own if a.effect.invertible]
+        forth = [a for a in own if not a.effect.invertible]
         for piece, states, body, base in zip(pieces, self.evidence.states, moved, self._base, strict=True):
             loaded = [s._replace(transmitted=x) for s, x in zip(states, body - base, strict=True)]
             tau = body[j] + sum(joint_terms(own, j, loaded, self.evidence.robot.parents))
-            logged = piece.tau[j]
-            for a in own:
-                if not isinstance(a.effect, AbstractChannelEffect):
-                    continue
-                if a.effect.invertible:
-                    tau = np.asarray(channel([a], j, tau, self.evidence.recording.stretch(piece)))
-                else:
-                    logged = a.effect.delivered(a.parameters, logged, self.rate)
-            parts.append(logged - tau)
+            tau = np.asarray(channel(back, j, tau, self.evidence.recording.stretch(piece)))
+            parts.append(delivered(forth, j, piece.tau[j], self.rate) - tau)
         return parts
 
 
@@ -199,7 +197,7 @@ def refine(
     def squares(extra: np.ndarray, there: Sequence[EffectInstance]) -> np.ndarray:
         return np.sum((left_by(extra, there) * scale) ** 2, axis=1)
 
-    gears = np.array([acting[n].effect.point == "gear" for n, *_ in labels] + [False] * len(extra))
+    gears = np.array([acting[n].effect.yields for n, *_ in labels] + [False] * len(extra))
     edges = np.array([name in EDGES for _, name, _ in labels] + [False] * len(extra))
     ways = [~(g & gears | e & edges) for e in {False, bool(edges.any())} for g in {False, bool(gears.any())}]
     loss, left, y = weighed(theta, extra)
@@ -225,7 +223,7 @@ def refine(
         (theta, extra), (loss, left, y) = there, after
         acting = with_parameters(evidence, acting, labels, theta)
     model.scanned |= {
-        (*acting[n].key, rows.sum()): theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.point == "gear"
+        (*acting[n].key, rows.sum()): theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.yields
     }
     spread = _spread(evidence, model, acting, theta, labels, extra, timing, precision, scale, rows, left)
     allowed = extra[: sum(len(c.precision) for c in always)]
@@ -245,7 +243,7 @@ def _scanned(evidence: Evidence, model: Model, acting, theta, labels, scale, row
     new = [
         i
         for i, (number, *_) in enumerate(labels)
-        if acting[number].effect.point == "gear"
+        if acting[number].effect.yields
         and abs(theta[i] / model.scanned.get((*acting[number].key, rows), np.inf) - 1) > NEAR
     ]
 
@@ -324,16 +322,17 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, timing, e
                 out[i, :, j] = evidence.tables[j][:, free[index]]
             unlogged.append(i)
             continue
-        step = _step(a, name, theta[i], evidence.recording.filter.rate)
+        kind, rate = kind_of(a.effect), evidence.recording.filter.rate
+        step = 1 / rate if name in EDGES else kind.step(a.effect, name, theta[i])
         moved = theta.copy()
         moved[i] += step
         there = with_parameters(evidence, acting, labels, moved)
-        if isinstance(a.effect, AbstractGearEffect):
-            others = [x for x in acting if x is not a and x.effect.point in WHOLE]
-            softer = a.effect.compliance(there[number].parameters) - a.effect.compliance(a.parameters)
-            out[i] = (gear_columns(evidence, a, others)[1] * softer / step).T
+        others = [x for x in acting if x is not a and x.effect.reaches_others]
+        slope = kind.slope(evidence, a.effect, a.joint, a.parameters, there[number].parameters, others)
+        if slope is not None:
+            out[i] = (slope / step).T
             unlogged.append(i)
-        elif name in EDGES and a.effect.point in WHOLE:
+        elif name in EDGES and a.effect.reaches_others:
             factors = np.array(coordinates(evidence, a))
             ends = [passing_torque(evidence, x, factors) for x in (there[number], a)]
             change = filtered(evidence.recording, [x - y for x, y in zip(*ends, strict=True)])
@@ -341,24 +340,10 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, timing, e
             unlogged.append(i)
         else:
             out[i] = (residual - model.residual(there)) / step
-            if isinstance(a.effect, AbstractChannelEffect) and beside.any():
+            if channels([a]) and beside.any():
                 out[i] += (evidence.logged(there, beside)[0] - behind) / step
     out[unlogged] = evidence.logged(acting, out[unlogged])
     return np.concatenate([out, evidence.logged(acting, timing)])
-
-
-def _step(acting: EffectInstance, name: str, value: float, rate: float) -> float:
-    if name in EDGES:
-        return 1 / rate
-    if acting.effect.point == "gear":
-        return max(3e-2 * value, 1e-6)
-    if name == acting.effect.late_by:
-        return 2e-4
-    if acting.effect.point == "motion":
-        return 1e-4
-    if name in ("velocity", "stiffness"):
-        return max(1e-2 * abs(value), 1e-6)
-    return 1e-4 * max(abs(value), 1e-2)
 
 
 def _allowed(evidence: Evidence, always: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
@@ -378,14 +363,12 @@ def _timing(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.nd
     for a in acting:
         if not a.effect.jumps:
             continue
-        assert isinstance(a.effect, AbstractTorqueEffect) and a.joint is not None
-        states = [s[a.joint] for s in evidence.states]
-        terms = [np.asarray(a.effect.term(a.parameters, s)) for s in states]
+        assert a.joint is not None
+        parents = evidence.robot.parents
+        terms = [np.asarray(sum(joint_terms([a], a.joint, states, parents))) for states in evidence.states]
         for parts in zip(*(about_reversals(x, evidence.recording.filter.rate) for x in terms), strict=True):
             column = np.zeros(evidence.tau.shape)
-            for j in felt_by(a, evidence.robot.parents):
-                assert j is not None
-                share = 1.0 if j == a.joint else a.effect.share_on_driver(a.parameters)
+            for j, share in shares(a, parents).items():
                 column[:, j] = share * filtered(evidence.recording, parts, j)
             columns.append(column)
             precision.append(1 / STICK_TIME**2)

@@ -7,18 +7,20 @@ from functools import partial
 import numpy as np
 
 from invdyn_cli.diagnosis import known
-from invdyn_cli.diagnosis.columns.candidates import gear_candidate, load_on, trial_at
+from invdyn_cli.diagnosis.columns.candidates import kind_of, trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.gears import load_on
 from invdyn_cli.diagnosis.search import events, naming, noise, resting
+from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer, parameters_of, read_all
 from invdyn_cli.diagnosis.search.likely import unlikely
-from invdyn_cli.diagnosis.search.steps import WHOLE, search
+from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.transmission import TorqueRipple
-from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
+from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.recording.pieces import ROLES
 
 ROUNDS = 3
@@ -99,14 +101,14 @@ def inquire(
         start: trials of what lasts, from which the search starts as well as from nothing.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
-    gears = [c for c in evidence.candidates if c.effect.point == "gear"]
+    gears = [c for c in evidence.candidates if c.effect.yields]
     nominal = evidence.residual((), np.zeros(0))
 
     def looked(
         evidence: Evidence, windows: Windows, gears: Sequence[Candidate], starts: Sequence[Hypothesis], rounds: int
     ) -> tuple[Inquiry, Windows]:
         """What a search among what lasts, these gears and windows came to; and the windows that it made use of."""
-        lasting = [c for c in evidence.candidates if c.when is None and c.effect.point != "gear"]
+        lasting = [c for c in evidence.candidates if c.when is None and not c.effect.yields]
         if windows and not parted:
             evidence = events.interleaved(evidence, windows)
         taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
@@ -202,7 +204,8 @@ def _searched(
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
     if isinstance(ripple, TorqueRipple) and not any(c.effect is ripple for c in evidence.candidates):
-        lines = noise.ripples(evidence, measured, choosing, ripple)
+        residual = _beside_standard(evidence, measured, choosing, wear) if wear else measured.residual
+        lines = noise.ripples(evidence, measured, residual, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines
             measured = noise.measure(evidence, new)
@@ -214,8 +217,10 @@ def _searched(
         always += common
     usual: Hypothesis = ()
     if wear:
-        usual = (*(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect), *wear)
+        usual = _terms(pool, wear)
         pool = [c for c in pool if c.effect.group != "standard"]
+        links, begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        usual, starts = (*usual, links), [begun]
         always += usual
 
     beside = partial(_beside, always, usual)
@@ -225,7 +230,7 @@ def _searched(
 
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.load for c in pool):
-        pool = [c for c in pool if c.effect.point != "body" or c.joint != last]
+        pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
     pool += [c for start in starts for c in start if not any(c is p for p in pool)]
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
@@ -273,6 +278,19 @@ def _searched(
         hypothesis = simplified(hypothesis)
 
 
+def _terms(pool: Sequence[Candidate], wear: Hypothesis) -> Hypothesis:
+    """The standard terms of every joint, beside links."""
+    return tuple(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect)
+
+
+def _beside_standard(evidence: Evidence, measured: noise.Noise, rows: np.ndarray, wear: Hypothesis) -> np.ndarray:
+    """(R, n) what the standard model leaves; a model of all columns would take up a ripple with those of others."""
+    model = (*_terms(evidence.candidates, wear), *wear)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, model, True)
+    judge.refresh()
+    return evidence.residual(model, judge.quick(model)[1])
+
+
 def _begun(
     judge: HypothesisScorer, pool: Sequence[Candidate], always: Hypothesis, starts: Sequence[Hypothesis], most: int
 ) -> Hypothesis:
@@ -283,7 +301,7 @@ def _begun(
         found = (search(judge, pool, always, start, most) for start in starts)
         return min(found, key=lambda one: judge.loss((*always, *one)))
 
-    simple = [c for c in pool if c.effect.point != "torque" or len(c.columns) == 1]
+    simple = [c for c in pool if not c.effect.coupled]
     if len(simple) == len(pool):
         return best(pool, starts)
     late = best(pool, [best(simple, starts)])
@@ -295,7 +313,7 @@ def _begun(
 
 def others_of(acting: Sequence[EffectInstance], one: EffectInstance) -> list[EffectInstance]:
     """The other effects that reach more than a joint of their own."""
-    return [a for a in acting if a is not one and a.effect.point in WHOLE]
+    return [a for a in acting if a is not one and a.effect.reaches_others]
 
 
 ALIKE = 0.02
@@ -310,16 +328,16 @@ def _geared(
     made = []
     for one in acting:
         others = others_of(acting, one)
-        if one.effect.point == "gear" and one.joint is not None and others:
+        if one.effect.yields and one.joint is not None and others:
             loads = tried.setdefault(one.joint, [load_on(evidence, one.joint)])
             load = load_on(evidence, one.joint, others)
             if min(np.std(load - x) for x in loads) < ALIKE * np.std(load):
                 continue
             loads.append(load)
             made += [
-                gear_candidate(evidence, c.effect, one.joint, c.shape, others)
+                kind_of(c.effect).candidate(evidence, c.effect, one.joint, c.shape, others)
                 for c in evidence.candidates
-                if isinstance(c.effect, AbstractGearEffect) and c.joint == one.joint
+                if c.effect.yields and c.joint == one.joint
             ]
     return made
 
@@ -343,12 +361,12 @@ def _sharpened(
     allowed = {c.key for c in pool}
     bent: dict[tuple, list[Candidate]] = {}
     for c in judge.evidence.candidates:
-        if c.key in allowed and (c.effect.point == "motion" or c.effect.turns_gravity):
+        if c.key in allowed and c.effect.bends:
             bent.setdefault(c.key, []).append(c)
     now = judge.quick((*always, *hypothesis))[0]
     for found in hypothesis:
         for key, trials in bent.items():
-            if found.effect.point not in WHOLE or key == found.key:
+            if not found.effect.reaches_others or key == found.key:
                 continue
             others = (*always, *(e for e in hypothesis if e is not found and e.key != key))
             without = judge.quick(others)[0]

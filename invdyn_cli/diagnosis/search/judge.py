@@ -11,14 +11,6 @@ from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, inverted
 from invdyn_cli.diagnosis.search.grams import Grams
 from invdyn_cli.diagnosis.search.shared_part import Equations, Hypothesis, Shared, columns_of, precision_of
 from invdyn_cli.effects.friction import REVERSAL_COLUMNS
-from invdyn_cli.interfaces import (
-    AbstractBodyEffect,
-    AbstractChannelEffect,
-    AbstractForceEffect,
-    AbstractGearEffect,
-    AbstractMotionEffect,
-    AbstractTorqueEffect,
-)
 
 PRICE_OF_EFFECT, PRICE_OF_COEFFICIENT = 12.0, 4.0
 """In units of the noise variance: an effect must gain more. About 2 log(tries) and log(samples), as BIC has it
@@ -34,9 +26,6 @@ FARTHEST = 1.5
 CANCELLED = 3.0
 """Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
 other effects take back: of two that cancel each other, neither is known."""
-
-LOCAL = ("torque", "channel", "gear")
-"""Points of effects that are worth what they are to their own joint; others to the whole arm."""
 
 
 @dataclass(frozen=True)
@@ -257,8 +246,8 @@ class HypothesisScorer:
         """What a hypothesis must gain at least."""
         for c in hypothesis:
             if id(c) not in self._prices:
-                local = c.joint if c.effect.point in LOCAL else None
-                least = 0.0 if self.worn and c.effect.point not in LOCAL else self.least[local]
+                local = c.joint if c.effect.is_local else None
+                least = 0.0 if self.worn and not c.effect.is_local else self.least[local]
                 quiet = (
                     c.noise_reduction * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2
                     if c.noise_reduction
@@ -275,9 +264,9 @@ class HypothesisScorer:
                 continue
             if why := self.impossible(candidate, own):
                 return why
-            if candidate.effect.point in ("channel", "gear"):
+            if candidate.effect.stays_near:
                 continue
-            if self.worn and candidate.effect.point not in LOCAL and self._worth(candidate, own) < self.least[None]:
+            if self.worn and not candidate.effect.is_local and self._worth(candidate, own) < self.least[None]:
                 return f"{candidate.effect.title}: smaller than the errors of clocks and filters"
             if any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
                 return f"{candidate.effect.title}: so large that other effects would have to cancel most of it"
@@ -289,7 +278,7 @@ class HypothesisScorer:
         why = candidate.effect.refuse(parameters)
         if why:
             return f"{candidate.effect.title}: {why}"
-        if candidate.effect.point in ("channel", "gear") and np.any(own**2 * candidate.precision > FARTHEST**2):
+        if candidate.effect.stays_near and np.any(own**2 * candidate.precision > FARTHEST**2):
             return f"{candidate.effect.title}: {parameters} is far from the trial value {candidate.shape}"
         return ""
 
@@ -326,20 +315,9 @@ def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndar
 
 def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
     """Parameters of one candidate from its coefficients."""
-    effect, shape = candidate.effect, candidate.shape
-    if isinstance(effect, AbstractGearEffect):
-        return effect.from_compliance(effect.compliance(shape) + float(coefficients[0]))
-    if isinstance(effect, AbstractForceEffect):
-        return effect.read([float(c) for c in coefficients])
-    if isinstance(effect, AbstractChannelEffect) and effect.factor:  # its column is the model's torque
-        return {effect.factor: float(1 / max(1 + coefficients[0], 1e-3))}
-    if isinstance(effect, AbstractChannelEffect | AbstractMotionEffect):
-        return {name: float(shape.get(name, 0.0) + c) for name, c in zip(effect.parameters, coefficients, strict=True)}
-    if isinstance(effect, AbstractBodyEffect):
-        return effect.read([float(c) for c in coefficients], evidence.robot, candidate.joint)
-    assert isinstance(effect, AbstractTorqueEffect)
-    known = [float(c) for c in coefficients]
-    return effect.read(known[:-REVERSAL_COLUMNS] if effect.jumps else known, shape)
+    own = [float(x) for x in coefficients]
+    own = own[:-REVERSAL_COLUMNS] if candidate.effect.jumps else own
+    return candidate.effect.found(own, candidate.shape, evidence.robot, candidate.joint)
 
 
 def strain(always: Hypothesis, theta: np.ndarray) -> float:

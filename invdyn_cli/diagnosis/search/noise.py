@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from invdyn_cli.diagnosis.columns.candidates import torque_candidate
+from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.maths import ripple
@@ -114,9 +114,9 @@ def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
 def _plain(candidate: Candidate, joint: int) -> bool:
     """Whether a candidate belongs to the model that may use everything: all but the many trials of one effect, and
     drives that two joints share: free factors of another joint's motion take up slow ripples and loads."""
-    if joint not in candidate.columns or (candidate.effect.point == "torque" and len(candidate.columns) > 1):
+    if joint not in candidate.columns or candidate.effect.coupled:
         return False
-    if candidate.effect.point == "gear":
+    if candidate.effect.yields:
         return candidate.joint == joint
     return candidate.effect.is_ordinary(candidate.shape)
 
@@ -124,11 +124,13 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
     """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
     fixed, free = candidate.columns[joint]
-    return fixed if candidate.effect.point == "gear" else free
+    return fixed if candidate.effect.yields else free
 
 
-def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
-    """Candidates for every line that stands out in the residual over a joint's angle."""
+def ripples(
+    evidence: Evidence, noise: Noise, residual: np.ndarray, rows: np.ndarray, effect: TorqueRipple
+) -> list[Candidate]:
+    """Candidates for every line that stands out of the noise in a residual (R, n) over a joint's angle."""
     made = []
     angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
     for j in range(evidence.dofs):
@@ -140,12 +142,12 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
             continue
         passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
         grid = ripple.grid(q, effect.most)
-        power = ripple.power(noise.residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
+        power = ripple.power(residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
         for _ in range(PEAKS):
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
                 break
-            cycles, _ = ripple.sharpened(noise.residual[used, j], q, float(grid[best]), **passed)
-            made.append(torque_candidate(evidence, effect, j, {"cycles": cycles}))
+            cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
+            made.append(kind_of(effect).candidate(evidence, effect, j, {"cycles": cycles}))
             power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
     return made

@@ -153,7 +153,7 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
     bodies, notes = [], []
     nominal = np.asarray(evidence.robot.inertial)
     for number, one in enumerate(refined.acting):
-        if one.effect.point != "body" or one.effect.turns_gravity:
+        if not one.effect.changes_inertials:
             continue
         places = np.array([k for k, (of, name, _) in enumerate(refined.labels) if of == number and not name])
         if one.effect.load:

@@ -16,7 +16,7 @@ from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates
 from invdyn_cli.diagnosis.search.exact import Model, Refined
 from invdyn_cli.effects.composition import EffectInstance, joint_terms
-from invdyn_cli.interfaces import AbstractChannelEffect, JointState
+from invdyn_cli.interfaces import JointState
 
 SHORTEST = 0.05
 """[s] of a rest that hides an edge: shorter ones are bridged by the rows on either side."""
@@ -36,10 +36,10 @@ def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, 
     (value, lower, upper)} of these."""
     acting, known, left = list(refined.acting), [{} for _ in refined.acting], _left(evidence, refined)
     for i, one in enumerate(refined.acting):
-        if one.when is None or isinstance(one.effect, AbstractChannelEffect):
+        factors = coordinates(evidence, one)
+        if one.when is None or factors is None:
             continue
-        columns = passing_columns(evidence, one.effect, one.joint, None)
-        always = np.tensordot(_factors(evidence, one), columns, 1).T
+        always = np.tensordot(factors, passing_columns(evidence, one.effect, one.joint, None), 1).T
         telling = np.any(evidence.valid & (np.abs(always) > left), axis=1)
         for edge in EDGES:
             rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
@@ -82,7 +82,7 @@ def _bearable(
     one, others = refined.acting[place], [a for k, a in enumerate(refined.acting) if k != place]
     assert one.when is not None
     left = _left(evidence, refined)
-    loads = passing_torque(evidence, replace(one, when=None), _factors(evidence, one))
+    loads = passing_torque(evidence, replace(one, when=None), np.array(coordinates(evidence, one)))
     bare = [model.unfiltered([a for a in others if a.effect.point != "torque"], j) for j in range(evidence.dofs)]
     times, asked = [], []
     for number, piece in enumerate(evidence.recording.pieces):
@@ -115,8 +115,3 @@ def _levels(
     either_way = [[s._replace(sign=still + sign) for s in states] for sign in (-1.0, 1.0)]
     levels = np.array([still + sum(joint_terms(acting, joint, x, parents)) for x in either_way])
     return levels.min(axis=0), levels.max(axis=0)
-
-
-def _factors(evidence: Evidence, one: EffectInstance) -> np.ndarray:
-    """What its columns are multiplied by."""
-    return np.array(coordinates(evidence, one))

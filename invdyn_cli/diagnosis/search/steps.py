@@ -16,9 +16,6 @@ from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 SHORTLIST = 10
 """Candidates of a step whose held-out loss is computed; the others gain less on the data that fits them."""
 
-WHOLE = {"body", "motion", "gear", "force"}
-"""Points at which an effect reaches more than its own joint."""
-
 Move = tuple[Hypothesis, list[Candidate]]
 """A hypothesis, and candidates of which one each is put beside it; none: it stands alone."""
 
@@ -95,10 +92,10 @@ def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]
     """One effect of the whole arm in the place of one such and another: what it does to many joints takes many others
     to imitate. And one that comes and goes in the place of one such and what always is: a change until some time is
     another from then on."""
-    whole = [c for c in pool if c.effect.point in WHOLE or c.when is not None]
+    whole = [c for c in pool if c.effect.reaches_others or c.when is not None]
     for i, k in combinations(range(len(hypothesis)), 2):
         pair = hypothesis[i], hypothesis[k]
-        if not any(c.effect.point in WHOLE or c.when is not None for c in pair):
+        if not any(c.effect.reaches_others or c.when is not None for c in pair):
             continue
         others = tuple(c for m, c in enumerate(hypothesis) if m not in (i, k))
         fitting = free_beside(others, whole)

@@ -1,0 +1,177 @@
+"""Columns of effects that make all joints feel another arm: bodies, gravity, the motion itself, forces from outside."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, change, known
+from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of, rebuilt, rigid_torque
+from invdyn_cli.interfaces import (
+    AbstractBodyEffect,
+    AbstractEffect,
+    AbstractForceEffect,
+    AbstractMotionEffect,
+    Parameters,
+)
+from invdyn_cli.maths import rigid_body
+
+ZEROS = (-0.04, 0.04)
+"""[rad] Encoder offsets at which the torque is taken anew: far from zero it is no straight line of the offset."""
+
+STEP = 1e-3
+"""[rad; m] Step of finite differences in an encoder's zero."""
+
+MOST = 0.3
+"""[rad; m] What an encoder's zero is hardly off by."""
+
+
+class Bodies(AbstractKind[AbstractBodyEffect]):
+    """The torque is linear in inertials and in gravity: a column for each direction in which an effect moves them."""
+
+    at_once = True
+
+    def gathered(self, evidence: Evidence, effects: Sequence[AbstractBodyEffect]) -> list[Candidate]:
+        robot, recording, n = evidence.robot, evidence.recording, evidence.dofs
+        places = [(e, j) for e in effects for j in (range(n) if e.of_joint else (None,))]
+        directions = [e.directions(robot, j) for e, j in places]
+        moves = np.stack([inertial.reshape(-1) for d in directions for inertial, _, _ in d])
+        falls = np.stack([gravity for d in directions for _, gravity, _ in d])
+        own = moves.any(axis=1)
+        kinematics, inertial = kinematics_of(robot), jnp.asarray(robot.inertial)
+        linear = partial(body_columns, kinematics, jnp.asarray(robot.gravity), jnp.asarray(moves[own]))
+        gravity = partial(gravity_columns, kinematics, inertial, jnp.asarray(falls[~own]))
+        parts: list[np.ndarray] = []
+        for piece in recording.pieces:
+            motion = piece.q, piece.qd, piece.qdd
+            columns = np.empty((len(moves), n, len(piece.t)))
+            columns[own] = chunked(linear, *motion)
+            columns[~own] = chunked(gravity, *motion)
+            parts.append(columns)
+        columns = filtered(recording, parts)  # (directions, n, rows)
+        made, k = [], 0
+        for (effect, joint), direction in zip(places, directions, strict=True):
+            count = len(direction)
+            where = {j: ((), evidence.append(j, list(columns[k : k + count, j]))) for j in range(n)}
+            made.append(Candidate(effect, joint, {}, where, effect.precision(robot, joint, count)))
+            k += count
+        return made
+
+    def candidate(
+        self,
+        evidence: Evidence,
+        effect: AbstractBodyEffect,
+        joint: int | None,
+        trial: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        return _linearised(evidence, effect, joint, trial)
+
+    def basis(self, evidence: Evidence, effect: AbstractBodyEffect, joint: int | None, piece: int) -> np.ndarray:
+        robot, motion = evidence.robot, evidence.recording.pieces[piece]
+        moves = np.stack([inertial.reshape(-1) for inertial, *_ in effect.directions(robot, joint)])
+        linear = partial(body_columns, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
+        return chunked(linear, motion.q, motion.qd, motion.qdd)
+
+
+class Motions(AbstractKind[AbstractMotionEffect]):
+    """The slope of all torques over what the motion is off by."""
+
+    at_once = True
+
+    def gathered(self, evidence: Evidence, effects: Sequence[AbstractMotionEffect]) -> list[Candidate]:
+        made = []
+        for effect in effects:
+            for joint in range(evidence.dofs):
+                straight, (name,) = _slope(evidence, effect, joint), effect.parameters
+                made += [straight, *(_linearised(evidence, effect, joint, {name: x}, straight) for x in ZEROS)]
+        return made
+
+    def candidate(
+        self,
+        evidence: Evidence,
+        effect: AbstractMotionEffect,
+        joint: int,
+        trial: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        return _linearised(evidence, effect, joint, trial)
+
+    def step(self, effect: AbstractEffect, name: str, value: float) -> float:
+        return 1e-4
+
+
+class Forces(AbstractKind[AbstractForceEffect]):
+    """Torques that hold the arm against unit forces."""
+
+    def gathered(self, evidence: Evidence, effects: Sequence[AbstractForceEffect]) -> list[Candidate]:
+        places = [(e, j) for e in effects for j in (range(evidence.dofs) if e.of_joint else (None,))]
+        return [self.candidate(evidence, effect, joint, {}) for effect, joint in places]
+
+    def candidate(
+        self,
+        evidence: Evidence,
+        effect: AbstractForceEffect,
+        joint: int | None,
+        trial: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        count = len(evidence.recording.pieces)
+        columns = filtered(evidence.recording, [self.basis(evidence, effect, joint, k) for k in range(count)])
+        where = {j: ((), evidence.append(j, list(columns[:, j]))) for j in range(evidence.dofs)}
+        return Candidate(effect, joint, {}, where, effect.precision(evidence.robot, joint, len(columns)))
+
+    def refined(
+        self,
+        evidence: Evidence,
+        effect: AbstractForceEffect,
+        joint: int | None,
+        at: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        return known(evidence, effect, joint)
+
+    def basis(self, evidence: Evidence, effect: AbstractForceEffect, joint: int | None, piece: int) -> np.ndarray:
+        return np.asarray(effect.basis(evidence.robot, joint, evidence.recording.pieces[piece].motion))
+
+
+def _slope(evidence: Evidence, effect: AbstractMotionEffect, joint: int) -> Candidate:
+    """A motion effect about zero."""
+    (name,), slopes = effect.parameters, []
+    for piece in evidence.recording.pieces:
+        ends = [rigid_torque(evidence.robot, effect.true({name: x}, piece.motion, joint)) for x in (STEP, -STEP)]
+        slopes.append((ends[0] - ends[1]) / (2 * STEP))
+    columns = filtered(evidence.recording, slopes)
+    where = {j: ((), evidence.append(j, [columns[j]])) for j in range(evidence.dofs)}
+    return Candidate(effect, joint, {}, where, np.array([1 / MOST**2]))
+
+
+def _linearised(
+    evidence: Evidence, effect: AbstractEffect, joint: int | None, at: Parameters, about: Candidate | None = None
+) -> Candidate:
+    """An effect beside parameters that were found already: the change so far is fixed, its slopes are those `about`
+    zero."""
+    base, made = about or known(evidence, effect, joint), change(evidence, EffectInstance(effect, joint, at))
+    columns = {j: (evidence.append(j, [made[j]]), free) for j, (_, free) in base.columns.items()}
+    return replace(base, shape=at, columns=columns)
+
+
+@jax.jit
+def body_columns(kinematics, gravity, moves, q, qd, qdd):
+    """Torque (k, n, T) of unit moves (k, 10 n) of the inertials."""
+    robot = rebuilt(kinematics, jnp.zeros((q.shape[0], 10)), gravity)
+    rows = rigid_body.regressor(robot, q, qd, qdd)
+    return jnp.tensordot(moves, rows.reshape(-1, *rows.shape[2:]), 1)
+
+
+@jax.jit
+def gravity_columns(kinematics, inertial, falls, q, qd, qdd):
+    """Torque (k, n, T) at rest of unit moves (k, 3) of gravity."""
+    still = jnp.zeros_like(q)
+    return jax.vmap(lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still))(
+        falls
+    )

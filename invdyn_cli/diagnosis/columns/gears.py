@@ -1,0 +1,146 @@
+"""Columns of gears that yield to what they carry."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, change, nominal
+from invdyn_cli.effects.composition import (
+    LEAST_INERTIA,
+    EffectInstance,
+    identity,
+    inertia_column,
+    link_torque,
+    rigid_torque,
+)
+from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect, Parameters
+from invdyn_cli.types import Array
+
+ANGLE_STEP = 1e-3
+"""[rad; m] Step of the slope of a torque over a joint's angle."""
+
+STRAIGHT = 0.005
+"""[rad] As far as a gear may yield for torques to go with its angle as a line does."""
+
+YIELD = 0.1
+"""Relative step of finite differences in how far a gear yields: play shows at its edges, which move by samples."""
+
+
+class Gears(AbstractKind[AbstractGearEffect]):
+    """A gear that yields so far to what it carries with others: what that changes (fixed), and the change with its
+    compliance (free)."""
+
+    def gathered(self, evidence: Evidence, effects: Sequence[AbstractGearEffect]) -> list[Candidate]:
+        made = []
+        for effect in effects:
+            for joint in range(evidence.dofs):
+                load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
+                if inertia.min() > LEAST_INERTIA:  # links without inertia follow any gear: nothing of it shows
+                    shapes = effect.shapes(load, inertia, evidence.recording.filter.rate)
+                    made += [self.candidate(evidence, effect, joint, shape) for shape in shapes]
+        return made
+
+    def candidate(
+        self,
+        evidence: Evidence,
+        effect: AbstractGearEffect,
+        joint: int,
+        trial: Parameters,
+        beside: Sequence[EffectInstance] = (),
+        exact: bool = False,
+    ) -> Candidate:
+        """`exact`: the fixed column as it is, however small."""
+        fixed, slope, far = _columns(evidence, effect, joint, trial, beside)
+        if exact or far > STRAIGHT:
+            fixed = change(evidence, EffectInstance(effect, joint, trial), beside)
+        columns = {}
+        for j in range(evidence.dofs):
+            numbers = evidence.append(j, [fixed[j], slope[j]])
+            columns[j] = numbers[:1], numbers[1:]
+        return Candidate(effect, joint, trial, columns, np.array([1 / (0.3 * effect.compliance(trial)) ** 2]))
+
+    def refined(
+        self,
+        evidence: Evidence,
+        effect: AbstractGearEffect,
+        joint: int,
+        at: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        return self.candidate(evidence, effect, joint, at, beside, exact=True)
+
+    def slope(
+        self,
+        evidence: Evidence,
+        effect: AbstractGearEffect,
+        joint: int,
+        before: Parameters,
+        after: Parameters,
+        beside: Sequence[EffectInstance],
+    ) -> np.ndarray:
+        softer = effect.compliance(after) - effect.compliance(before)
+        return _columns(evidence, effect, joint, before, beside)[1] * softer
+
+    def step(self, effect: AbstractEffect, name: str, value: float) -> float:
+        return max(3e-2 * value, 1e-6)
+
+
+def load_on(evidence: Evidence, joint: int, beside: Sequence[EffectInstance] = ()) -> np.ndarray:
+    """(T,) of all pieces: the torque that a joint transmits with other effects."""
+    return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
+
+
+def _columns(
+    evidence: Evidence,
+    effect: AbstractGearEffect,
+    joint: int,
+    parameters: Parameters,
+    beside: Sequence[EffectInstance] = (),
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """(n, R) what a gear that yields changes of the torque with others, and the change with its compliance, to first
+    order: it goes with the link's acceleration against the motor's, and with its angle; how far it yields [rad; m]."""
+    recording, compliance, carried = (
+        evidence.recording,
+        effect.compliance(parameters),
+        _carried(evidence, joint, beside),
+    )
+
+    def yielded(factor: float) -> list[tuple[np.ndarray, float]]:
+        own, made = effect.from_compliance(factor * compliance), []
+        for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
+            b, b2 = effect.deflection(own, load, inertia, recording.filter.rate)
+            made.append((mass * b2 + slope * b, float(np.abs(b).max())))
+        return made
+
+    softer = [more - less for (more, _), (less, _) in zip(yielded(1 + YIELD), yielded(1 - YIELD), strict=True)]
+    parts, far = zip(*yielded(1.0), strict=True)
+    return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * compliance), max(far)
+
+
+def _carried(evidence: Evidence, joint: int, beside: Sequence[EffectInstance] = ()) -> list[tuple[Array, Array]]:
+    """Of every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
+    kept."""
+    key = ("carried", joint, identity(beside))
+    if key not in evidence.kept:
+        robot, recording = evidence.robot, evidence.recording
+        loads = [link_torque(robot, beside, p.motion, recording.stretch(p))[joint] for p in recording.pieces]
+        inertias = [mass[joint] for mass, _ in _answers(evidence, joint)]
+        evidence.kept[key] = list(zip(loads, inertias, strict=True))
+    return evidence.kept[key]
+
+
+def _answers(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of every piece the torques (n, T) for unit acceleration of a joint, and their change with its angle; kept."""
+    if ("answers", joint) not in evidence.kept:
+        robot, own = evidence.robot, (np.arange(evidence.dofs) == joint)[:, None]
+        evidence.kept["answers", joint] = [
+            (
+                inertia_column(robot, piece.q, joint),
+                (rigid_torque(robot, replace(piece.motion, q=piece.q + ANGLE_STEP * own)) - nominal(states))
+                / ANGLE_STEP,
+            )
+            for piece, states in zip(evidence.recording.pieces, evidence.states, strict=True)
+        ]
+    return evidence.kept["answers", joint]

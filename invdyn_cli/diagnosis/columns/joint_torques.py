@@ -1,0 +1,68 @@
+"""Columns of effects that add to one joint's torque: what `basis` says, for every trial of the nonlinear parameters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, known
+from invdyn_cli.effects.composition import EffectInstance, has_driver
+from invdyn_cli.effects.friction import STICK_TIME, about_reversals
+from invdyn_cli.interfaces import AbstractTorqueEffect, Parameters
+
+
+class JointTorques(AbstractKind[AbstractTorqueEffect]):
+    """Friction, springs, rotors, offsets."""
+
+    def gathered(self, evidence: Evidence, effects: Sequence[AbstractTorqueEffect]) -> list[Candidate]:
+        made = []
+        for effect in effects:
+            for joint in range(evidence.dofs):
+                if not effect.coupled or has_driver(evidence.robot, joint):
+                    # what the shapes depend on is the same for all pieces: the longest one tells
+                    longest = max((s[joint] for s in evidence.states), key=lambda s: len(s.t))
+                    made += [self.candidate(evidence, effect, joint, shape) for shape in effect.shapes(longest)]
+        return made
+
+    def candidate(
+        self,
+        evidence: Evidence,
+        effect: AbstractTorqueEffect,
+        joint: int,
+        trial: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        """The columns are added to the joint's table; those of a coupled effect to that of the joint before it, too,
+        with the same coefficients."""
+        parts, precision = [], np.zeros(len(effect.basis(evidence.states[0][joint], trial)))
+        for s in evidence.states:
+            columns = list(effect.basis(s[joint], trial))
+            if effect.jumps:
+                columns += about_reversals(effect.jump(columns), evidence.recording.filter.rate)
+            parts.append(np.stack(columns))
+        numbers = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
+        where: dict[int, tuple] = {joint: ((), numbers)}
+        if effect.coupled:
+            driver, share = evidence.robot.parents[joint], effect.share_on_driver(trial)
+            where[driver] = (), evidence.append(driver, list(share * filtered(evidence.recording, parts, driver)))
+        if len(numbers) > len(precision):
+            level = np.sqrt(np.mean(evidence.tables[joint][:, 0] ** 2))
+            unit = np.sqrt(np.mean(np.concatenate([p[0] for p in parts], axis=-1) ** 2))
+            timing = 1 / max(STICK_TIME * level / max(unit, 1e-12), 1e-12) ** 2
+            precision = np.append(precision, np.full(len(numbers) - len(precision), timing))
+        return Candidate(effect, joint, trial, where, precision)
+
+    def refined(
+        self,
+        evidence: Evidence,
+        effect: AbstractTorqueEffect,
+        joint: int,
+        at: Parameters,
+        beside: Sequence[EffectInstance] = (),
+    ) -> Candidate:
+        shape = effect.shape_of(at)
+        return self.candidate(evidence, effect, joint, shape) if shape else known(evidence, effect, joint)
+
+    def basis(self, evidence: Evidence, effect: AbstractTorqueEffect, joint: int, piece: int) -> np.ndarray:
+        columns = np.stack(effect.basis(evidence.states[piece][joint], {}))
+        return (np.arange(evidence.dofs) == joint)[:, None] * columns[:, None]

@@ -1,0 +1,82 @@
+"""What the diagnosis asks of a kind of effects: how they become columns beside the logged torque."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.effects.composition import EffectInstance, link_torque
+from invdyn_cli.interfaces import AbstractEffect, JointState, Parameters
+
+E = TypeVar("E", bound=AbstractEffect)
+
+
+class AbstractKind(abc.ABC, Generic[E]):
+    """How effects that act at one point become columns; `kinds.KINDS` lists all of them."""
+
+    at_once: bool = False
+    """Whether `gathered` takes all effects of the kind at a time, and before those of others."""
+
+    @abc.abstractmethod
+    def gathered(self, evidence: Evidence, effects: Sequence[E]) -> list[Candidate]:
+        """Every trial of lasting effects, wherever they show."""
+
+    @abc.abstractmethod
+    def candidate(
+        self, evidence: Evidence, effect: E, joint: Any, trial: Parameters, beside: Sequence[EffectInstance] = ()
+    ) -> Candidate:
+        """The trial of an effect at these parameters, beside others."""
+
+    def refined(
+        self, evidence: Evidence, effect: E, joint: Any, at: Parameters, beside: Sequence[EffectInstance] = ()
+    ) -> Candidate:
+        """The candidate of an effect at parameters that were found, beside others."""
+        return self.candidate(evidence, effect, joint, at, beside)
+
+    def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int) -> np.ndarray:
+        """Columns (k, n, T) of a piece, of an effect that may come and go."""
+        raise NotImplementedError(f"{effect.name} cannot come and go")
+
+    def slope(
+        self,
+        evidence: Evidence,
+        effect: E,
+        joint: Any,
+        before: Parameters,
+        after: Parameters,
+        beside: Sequence[EffectInstance],
+    ) -> np.ndarray | None:
+        """(n, R) how the torque changes from one set of parameters to another nearby; None where the formula itself
+        shows it best."""
+        return None
+
+    def step(self, effect: AbstractEffect, name: str, value: float) -> float:
+        """By how much a parameter is moved to see what it changes."""
+        if name == effect.late_by:
+            return 2e-4
+        if name in ("velocity", "stiffness"):
+            return max(1e-2 * abs(value), 1e-6)
+        return 1e-4 * max(abs(value), 1e-2)
+
+
+def known(evidence: Evidence, effect: AbstractEffect, joint: int | None) -> Candidate:
+    """The candidate of an effect that is tried once, at no parameters."""
+    return next(c for c in evidence.candidates if c.key == (effect.name, joint) and not c.shape)
+
+
+def nominal(states: Sequence[JointState]) -> np.ndarray:
+    """(n, T) torques of the nominal model in a piece's states."""
+    return np.stack([np.asarray(s.transmitted) for s in states])
+
+
+def change(evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()) -> np.ndarray:
+    """(n, R) what an effect that reaches other joints changes of the torque with others."""
+    robot, recording = evidence.robot, evidence.recording
+    changes = []
+    for piece, states in zip(recording.pieces, evidence.states, strict=True):
+        stretch = recording.stretch(piece)
+        before = link_torque(robot, beside, piece.motion, stretch) if beside else nominal(states)
+        changes.append(link_torque(robot, (*beside, acting), piece.motion, stretch) - before)
+    return filtered(recording, changes)
