@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+DOCS := .docs-venv
 SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
 # The longest first, so that two at a time end together.
@@ -17,7 +18,7 @@ ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# eac
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables figures real experiment fuzz wheel clean $(ALIASES)
+.PHONY: help venv run test lint format tables figures real experiment fuzz docs wheel clean $(ALIASES)
 
 help:  ## what there is to make
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -56,10 +57,16 @@ $(ALIASES): $(INSTALLED)
 fuzz: $(INSTALLED)  ## damaged logs, URDFs, runs and options, drawn anew (examples=)
 	$(ONE_THREAD) INVDYN_FUZZ_EXAMPLES=$(or $(examples),2000) $(BIN)/python -m pytest -q -n 2 tests/fuzz
 
+docs: $(DOCS)/.installed  ## the pages as a site, into site (mkdocs-material, in an environment of its own)
+	rm -rf build/pages && mkdir -p build/pages/experiments
+	cp -R docs README.md ARCHITECTURE.md CHANGELOG.md CONTRIBUTING.md SECURITY.md LICENSE build/pages
+	cp experiments/*.md experiments/*.yaml build/pages/experiments
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --strict --quiet
+
 wheel: dist/.built  ## the wheel, into dist
 
 clean:  ## remove what building and testing left; outputs and .venv stay
-	rm -rf dist build .cache .pytest_cache .ruff_cache .import_linter_cache *.egg-info
+	rm -rf dist build site .cache .pytest_cache .ruff_cache .import_linter_cache *.egg-info
 	find invdyn_cli tests experiments -name __pycache__ -prune -exec rm -rf {} +
 
 $(INSTALLED): pyproject.toml
@@ -68,6 +75,12 @@ $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet --editable . --group dev
+	@touch $@
+
+$(DOCS)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(DOCS)/bin/python -m pip install --quiet --group docs
 	@touch $@
 
 dist/.built: $(INSTALLED) $(SOURCES)

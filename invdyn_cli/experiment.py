@@ -41,7 +41,7 @@ def run(
     if robot is None and (source.needs_robot or model.needs_robot):
         who = "this data source" if source.needs_robot else f"the model {type(model).__name__}"
         raise UsageError(
-            f"{who} needs the robot's kinematics, and these data bring no URDF",
+            f"{who} needs the robot's kinematics, but these data have no URDF",
             advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
         )
     if model.has_memory and adaptation.adapts:

@@ -179,7 +179,7 @@ def _class_of(name: Any, trust: Sequence[str]) -> type:
         kind = vars(import_module(module)).get(own)
     except ImportError as error:
         got = f"the trusted module {module} cannot be imported ({error})"
-        advice = "the folder that holds its file as working directory, or on PYTHONPATH"
+        advice = "run invdyn in the folder of its file, or put that folder on PYTHONPATH"
         raise RunFileError(got, advice=advice) from None
     if not (isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == module):
         raise RunFileError(f"the trusted module {module} has no dataclass {shortened(own)!r} of its own")

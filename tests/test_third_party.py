@@ -1,4 +1,4 @@
-"""A third party's model, data source and adaptation: the code of docs/extending.md, in a folder of its own."""
+"""A third party's model, adaptation and data source: the code of docs/extending.md and own_data.md, in a folder."""
 
 import json
 import re
@@ -16,7 +16,7 @@ from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from tests.commands import ROOT, TINY, invdyn, python
 
-PAGE = (ROOT / "docs" / "extending.md").read_text()
+PAGE = "".join((ROOT / "docs" / name).read_text() for name in ("extending.md", "own_data.md"))
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 FILES = {code.split("\n")[0].removeprefix("# "): code for _, code in BLOCKS if re.match(r"# \S+\.(py|yaml)\n", code)}
 COMMANDS = [line.removeprefix("$ ") for kind, code in BLOCKS if kind == "console" for line in code.splitlines()]
@@ -102,7 +102,7 @@ def test_a_third_partys_run_is_drawn_anew(folder, finished):
 
 def test_all_three_together(folder):
     """Model, data source and adaptation of one's own make a run together: a pendulum's joint, learned nearly."""
-    made = run(folder, COMMANDS[3])
+    made = run(folder, COMMANDS[1])
     metrics = json.loads((made / "metrics.json").read_text())
     assert [metrics[k] for k in ("model", "data", "adaptation")] == ["mine", "pendulum", "offset"]
     assert metrics["joints"] == ["hinge"]
@@ -116,9 +116,9 @@ def test_a_log_of_a_third_party_is_checked_and_diagnosed(folder):
     log = record(load_urdf(folder / "arm.urdf"), [Multisine()], [hidden], duration=12, noise=Noise(torque=0.02))
     one = log.trajectories[0]
     np.save(folder / "telemetry.npy", np.column_stack([one.t, one.q, one.tau])[::2])
-    checked = told(folder, COMMANDS[1], "check.json")
+    checked = told(folder, COMMANDS[2], "check.json")
     assert checked["usable"] and checked["corrections"] == []
-    said = told(folder, COMMANDS[2] + " diagnosis.design=false", "diagnosis.json")["findings"]
+    said = told(folder, COMMANDS[3] + " diagnosis.design=false", "diagnosis.json")["findings"]
     (found,) = (one for one in said if one["status"] == "named")
     assert (found["effect"], found["joint"]) == ("coulomb_friction", "axis2")
     assert found["parameters"]["coulomb"]["value"] == pytest.approx(size, rel=0.03)  # three intervals

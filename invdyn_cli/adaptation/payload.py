@@ -99,7 +99,7 @@ class Payload(AbstractAdapter):
             UsageError: without a robot, whose kinematics say where a load acts.
         """
         if dataset.robot is None:
-            got = "adaptation=payload needs the robot's kinematics, and these data bring no URDF"
+            got = "adaptation=payload needs the robot's kinematics, but these data have no URDF"
             raise UsageError(got, advice="robot=urdf robot.path=arm.urdf, or adaptation=error_model")
         fit = model.fit(dataset, key, validation=validation, progress=lambda done, note: progress(0.5 * done, note))
         if validation is not None and _apart(validation, dataset):

@@ -90,10 +90,13 @@ class _Guess:
         named = [c for c in self.candidates if c.meaning.quantity == "t" and not c.meaning.commanded]
         told = [(x, c.known) for c in named for joint, x in c.columns.items() if not joint]
         grows = [x for x in told if (np.diff(self.table.columns[x[0]]) >= 0).mean() > 0.5]
-        if grows or any(meaning(name).quantity for name in self.table.columns):
+        if grows:
             return grows
         first = next(iter(self.table.columns))
-        return [(first, VALUES)] if values.is_clock(self.table.columns[first]) else []
+        column = self.table.columns[first]
+        named = any(meaning(name).quantity for name in self.table.columns)
+        unfit = named and (meaning(first).quantity or not values.time_unit(column))  # an index, for example
+        return [(first, VALUES)] if not unfit and values.is_clock(column) else []
 
     def time_unit(self) -> None:
         one = self.channels["t"]
@@ -238,6 +241,9 @@ class _Guess:
             self.known["tau"] = "no name says torque, current or load"
             self.notes.append("The file has no torques or currents: tau is NaN. The log keeps the clock, positions and")
             self.notes[-1] += " commands; check, run and diagnose need torques."
+            if len(rest) >= len(self.joints):
+                columns = f"'data.columns={{tau: {{columns: \"{ranged(rest)}\", unit: A}}}}'"
+                self.notes[-1] += f" If {ranged(rest)} are torques or currents: {columns}, or another unit."
             return
         n = len(self.joints)
         blocks = [ranged(rest[k : k + n]) for k in range(0, len(rest) - n + 1, n)]
@@ -348,6 +354,8 @@ class _Guess:
             return "motor"
         if any(x.word in ("effort", "efforts") for x in read) and self.known.get("tau.unit") != GIVEN:
             self.notes.append("Some drivers publish currents as effort; if this one does, tau.unit=A says so.")
-        said = "The torque side is unknown: torque_side=link|motor|command says where the torque was taken,"
-        self.notes.append(f"{said} which decides what effects the log can show.")
+        said = "The torque side is unknown; it decides which effects the log can show. Say where it was measured:"
+        self.notes.append(
+            f"{said} 'data.columns={{torque_side: motor}}', or link, command (convert: torque_side=motor)."
+        )
         return "unknown"

@@ -22,7 +22,7 @@ from invdyn_cli.report.fragment import Shown
 from invdyn_cli.types import Check, Examination, Robot
 
 CHECK, REPORT = "check.json", "report.html"
-NO_ROBOT = "no robot: what needs its kinematics was not looked at"
+NO_ROBOT = "no robot: checks that need its kinematics were skipped"
 
 
 @dataclass(frozen=True, repr=False)

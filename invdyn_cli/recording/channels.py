@@ -29,7 +29,7 @@ def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
             advice="robot.joints=[…] in the order of the log's columns, or another URDF",
         )
     if set(robot.joints) != set(log.joints):
-        notes.append(f"the log's joints {listed(log.joints)} are taken for the robot's {listed(robot.joints)}")
+        notes.append(f"the log's joints {listed(log.joints)} are read as the robot's {listed(robot.joints)}")
         return replace(log, joints=robot.joints)
     order = [log.joints.index(joint) for joint in robot.joints]
     gain = None if log.drive_gain is None else log.drive_gain[order]

@@ -174,7 +174,7 @@ def prepare(
     ]
     periods = [np.median(np.diff(t)) for _, _, t, _, _ in cut if len(t) > 3]
     if not periods:
-        raise LogError("no stretch of the log has four samples without a gap")
+        raise LogError("no part of the log has four consecutive samples without a gap")
     period = float(np.median(periods))
     total = sum(t[-1] - t[0] for _, _, t, _, _ in cut)
     if total > options.longest:

@@ -66,7 +66,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
     maps = imports.show_all(source, console)
     robot = make_robot(config, header, optional=False, console=console)
     if robot is None:
-        got = "a diagnosis needs the robot's kinematics, and these data bring no URDF"
+        got = "a diagnosis needs the robot's kinematics, but these data have no URDF"
         raise UsageError(got, advice="robot=urdf robot.path=arm.urdf")
     for note in robot.notes:
         console.note(f"robot: {note}")

@@ -330,18 +330,28 @@ def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
     text = str(error)
     if isinstance(error, MissingConfigException) and error.options:
         group, wanted = error.missing_cfg_file.rsplit("/", 1) if error.missing_cfg_file else ("", "")
+        if group == "robot" and wanted.endswith((".urdf", ".xacro")):
+            return f"{group}={wanted} names a file. Try: robot=urdf robot.path={wanted}"
         return f"{group}={wanted}; allowed: {listed(sorted(error.options))}{closest(wanted, error.options)}"
     if isinstance(error, ConfigCompositionException) and "Could not override" in text:
         key = getattr(_cause(error), "full_key", None) or text.split("'")[1]
         allowed = _siblings(verb, key, argv)
+        if key == "data.path":
+            return "data.path belongs to measured logs. Try: data=real_log data.path=…"
         offer = f"; allowed: {listed(allowed, most=30)}{closest(key, allowed)}" if allowed else ""
         return f"there is no option {key}{offer}"
     if isinstance(error, OverrideParseException):
-        return f"{error.override!r} cannot be read as an override; allowed: group=choice, option=value"
+        got = error.override or ""
+        advice = f". Try: {_file_option(got)}{got}" if Path(got).is_file() else ""
+        return f"{got!r} is no option; allowed: group=choice, option=value{advice}"
     if "Missing mandatory value" in text:
         key = getattr(error, "full_key", None) or text.split(":")[-1].strip()
         return f"{key} is not set. Try: {key}=…"
     return text.split("\nfull_key")[0].split("\nSee https")[0].split("\nSet the environment")[0]
+
+
+def _file_option(name: str) -> str:
+    return "robot.path=" if name.endswith((".urdf", ".xacro")) else "data.path="
 
 
 def _siblings(verb: str, key: str, argv: Sequence[str]) -> list[str]:

@@ -122,7 +122,7 @@ def test_columns_follow_the_robots_order(log):
 def test_foreign_joint_names_are_taken_in_order_and_noted(log):
     """As many joints under other names are accepted in the log's order, and the record says so."""
     splits = RealLog(log()).load(robot("j1", "j2"))
-    assert splits.train.joints == ("j1", "j2") and "shoulder, elbow are taken for" in splits.description["notes"][0]
+    assert splits.train.joints == ("j1", "j2") and "shoulder, elbow are read as" in splits.description["notes"][0]
 
 
 def test_the_description_is_plain_json(log):

@@ -252,6 +252,12 @@ def test_currents_without_gains_get_some_suggested(log, arm):
     assert f"{arm.joints[1]} 20" in seen(examination, "unit_error")[0].seen
 
 
+def test_currents_tell_nothing_of_tool_and_gravity(log, arm):
+    """Amperes are not compared with the URDF's N m: no tool is missing, and gravity is not said to be subtracted."""
+    bad = replace(changed(log, tau=log.trajectories[0].tau / 20), torque_unit="A")
+    assert [x.seen for x in Description().examine(bad, arm) if x.severity == "warn"] == []
+
+
 def test_a_torque_that_is_noise_is_no_torque(log, arm):
     """Noise of the right size fails as a mismatch: no inertials explain it."""
     tau = np.random.default_rng(0).normal(size=log.trajectories[0].tau.shape) * log.trajectories[0].tau.std(0)

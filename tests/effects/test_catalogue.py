@@ -138,8 +138,7 @@ def test_ambiguity_holds_both_ways():
 
 
 def test_the_docs_list_every_effect():
-    """docs/effects.md has every effect with its equation's parameters."""
+    """docs/effects.md names every effect, and how many there are; `invdyn effects NAME` tells the rest."""
     page = (ROOT / "docs" / "effects.md").read_text()
-    for effect in EFFECTS.values():
-        assert f"`{effect.name}`" in page
-        assert all(f"{name} [{p.unit}]" in page for name, p in effect.parameters.items())
+    assert f"For {len(EFFECTS)} physical effects" in page
+    assert [name for name in EFFECTS if f"`{name}`" not in page] == []

@@ -143,6 +143,14 @@ def test_no_clock():
     np.testing.assert_allclose(log(columns, rate=100.0).t, DATA["t"], atol=1e-12)
 
 
+def test_a_clock_in_another_language():
+    """A first column of an unknown name that grows as a clock does is the clock of named channels; an index is not."""
+    columns = {"Zeit": 1000 * DATA["t"]} | {k: x for k, x in named(DATA, q="q_{}", tau="tau_{}").items() if k != "t"}
+    found = guessed(columns)
+    assert (found.channel("t").columns, found.channel("t").unit) == (("Zeit",), ("ms",))
+    assert "rate=HZ" in refused(columns | {"Zeit": np.arange(len(DATA["t"]))})
+
+
 def test_no_torques():
     """A position servo's log keeps what it has: tau is NaN, and a note says what that leaves undone."""
     columns = named(DATA | {"q_ref": DATA["q"]}, q="present_position_{}", q_ref="goal_position_{}")

@@ -84,7 +84,7 @@ def test_nothing_is_written(case, tmp_path, monkeypatch):
 def test_columns_without_names_follow_the_urdf(case):
     """Without `joints`, the columns are the URDF's joints, and a note says so."""
     result = invdyn.check(**case.arrays, urdf=case.folder / "arm.urdf")
-    assert result.log.joints == case.robot.joints and any("are taken for" in x for x in result.notes)
+    assert result.log.joints == case.robot.joints and any("are read as" in x for x in result.notes)
 
 
 def test_defects_are_described(case):

@@ -11,6 +11,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+import invdyn_cli
 from experiments.arms import random_arm
 from invdyn_cli import load_model
 from invdyn_cli.data.recorded import RealLog
@@ -155,15 +156,19 @@ def test_the_report_promises_what_works(diagnosed, folder, command):
     assert known["tau"].shape == (50, 3)
 
 
-def test_the_lines_of_the_docs_run(folder, command, capfd):
-    """The script in docs/diagnosis.md runs as it stands, prints the cause and leaves a model that can be loaded."""
-    page = (ROOT / "docs" / "diagnosis.md").read_text()
-    script = next(code for code in page.split("```python\n")[1:] if code.startswith("# diagnose.py")).split("```")[0]
-    for name in ("log.h5", "arm.urdf"):
-        os.link(folder / name, name)
-    exec(script, {})
-    assert f"coulomb_friction {JOINT} " in capfd.readouterr().out
-    assert Path("model.json").is_file()
+def test_the_lines_of_the_docs_run(folder, command):
+    """The lines on check and diagnosis in docs/python.md run as they stand, and find the cause."""
+    page = (ROOT / "docs" / "python.md").read_text()
+    script = next(code for code in page.split("```python\n")[1:] if code.startswith("checked =")).split("```")[0]
+    os.link(folder / "arm.urdf", "arm.urdf")
+    one = read_log(folder / "log.h5").trajectories[0]
+    qd = np.gradient(one.q, one.t, axis=0)
+    known = {"invdyn": invdyn_cli, "q": one.q, "tau": one.tau, "t": one.t, "qd": qd}
+    known["qdd"] = np.gradient(qd, one.t, axis=0)
+    exec(script, known)
+    found = known["result"].findings[0]
+    assert known["checked"].usable and (found.effect, found.joint) == ("coulomb_friction", JOINT)
+    assert known["tau"].shape == one.q.shape
 
 
 def test_what_is_known_is_not_found_again(folder, command):

@@ -262,7 +262,7 @@ class TooShort(AbstractCheck):
                     threshold=self.log,
                     seen=f"{total:.3g} s of motion in the whole log",
                     meaning="too little to compute with",
-                    advice="a recording of a minute or more, all joints moving there and back",
+                    advice="a recording of a minute or more in which all joints move back and forth",
                     source="ours: less than one slow movement of an arm",
                 )
             )

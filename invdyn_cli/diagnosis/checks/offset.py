@@ -60,7 +60,7 @@ class TimeOffset(AbstractCheck):
         for session in sessions.values():
             shifts = [self._shifts(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
             found += self._session(log, [x for x in shifts if x is not None], session)
-        return found or [self.skipped("no joint's torque follows the URDF's closely enough to be timed", "tau")]
+        return found or [self.skipped("no joint's torque follows the URDF's closely enough to time it", "tau")]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""
@@ -166,7 +166,7 @@ class TimeOffset(AbstractCheck):
                 log.joints[joint],
                 value=float(s),
                 threshold={"channel": "tau", "seconds": limit},
-                seen=f"this joint's torque alone comes {1e3 * s:.3g} ms later (others {1e3 * x.common:.3g} ms)",
+                seen=f"this joint's torque comes {_apart(s)}; that of the others {_apart(x.common)}",
                 meaning="a delay or a lag of its drive, or gear play: an effect, not a defect of the log",
                 source="ours",
             )
