@@ -1,4 +1,7 @@
-"""What all pages share: one HTML file that needs nothing else, no script, good in light, dark and print."""
+"""What all pages share: one HTML file that needs nothing else, good in light, dark and print, and without its script.
+
+Colours are those of Okabe and Ito by the names of `canvas`; on a dark ground some of them are lighter.
+"""
 
 import base64
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,13 +12,17 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.files import write_file
+from invdyn_cli.report.interactive import SCRIPT
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
-  --worst: #b84e00; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12;
-    --worst: #ff9a57; } }
+  --worst: #b84e00; --grid: #eceff2; --black: #000; --orange: #e69f00; --sky: #56b4e9; --green: #009e73; --blue: #0072b2;
+  --vermillion: #d55e00; --purple: #cc79a7; --grey: #8a8f94; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12; --worst: #ff9a57;
+    --grid: #262c32; --black: #fff; --orange: #f0b440; --sky: #8fd0f5; --green: #35c79a; --blue: #4a9fe0;
+    --vermillion: #ff7f32; --purple: #e39cc4; --grey: #8a9199; }
+  figure img { filter: invert(.92) hue-rotate(180deg); } }
 body { max-width: 68rem; margin: 2rem auto; padding: 0 1.2rem; color: var(--ink); background: var(--ground);
   font: 1rem/1.5 system-ui, sans-serif; }
 h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
@@ -34,10 +41,33 @@ table.pairs td { text-align: left; white-space: normal; overflow-wrap: anywhere;
 table.pairs td:first-child { color: var(--soft); white-space: nowrap; }
 figure { margin: 1.4rem 0; break-inside: avoid; } figure img { width: 100%; box-sizing: border-box; padding: .4rem;
   background: #fff; border-radius: 4px; }
+.plots { display: none; } .live .plots { display: block; }
+.live > img, .plotted .replaced { display: none; }
+.plots .main { display: grid; grid-template-columns: minmax(0, 1fr); gap: 0 1rem; }
+.plots .main:has(.arm) { grid-template-columns: minmax(0, 1fr) 15rem; }
+.plots .area { position: relative; } .plots canvas { position: absolute; inset: 0; width: 100%; height: 100%;
+  touch-action: pan-y; } .plots canvas + canvas { cursor: crosshair; }
+.plots .tools { position: sticky; top: 0; z-index: 2; background: var(--ground); padding: .3rem 0; font-size: .85rem;
+  color: var(--soft); display: flex; flex-wrap: wrap; gap: .3rem; align-items: center; }
+.plots button { font: inherit; color: var(--ink); background: none; border: 1px solid var(--line); border-radius: 4px;
+  padding: .1rem .55rem; cursor: pointer; } .plots .when { min-width: 9rem; color: var(--ink); margin-left: .4rem; }
+.plots .head { font-size: .82rem; margin: .55rem 0 .1rem 62px; display: flex; flex-wrap: wrap; gap: 0 .9rem; }
+.plots .key i { display: inline-block; width: 1.1em; height: 3px; vertical-align: .25em; margin-right: .35em; }
+.plots .key i.mark { height: .7em; vertical-align: 0; opacity: .6; } .plots .key i.dot { width: .5em; height: .5em;
+  border-radius: 50%; vertical-align: .1em; } .plots .key output { display: inline-block; min-width: 4.6em;
+  margin-left: .35em; font-variant-numeric: tabular-nums; } .plots .said { color: var(--worst); }
+.plots .arm { position: sticky; top: 2.6rem; align-self: start; } .plots .arm .area { height: 17rem; }
+.plots .arm .sub { font-size: .78rem; min-height: 3.2em; } .plots .arm canvas { touch-action: none; cursor: grab; }
+.plots .clouds { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 19rem), 1fr)); gap: .4rem 1rem; }
+@media (max-width: 46rem) { figure { overflow-x: auto; } figure img { width: 46rem; } figcaption { position: sticky; left: 0; }
+  .plots .main:has(.arm) { grid-template-columns: minmax(0, 1fr); }
+  .plots .arm { order: -1; top: 2.2rem; background: var(--ground); z-index: 1; display: flex; gap: .5rem; }
+  .plots .arm .area { height: 8rem; width: 9rem; flex: none; } .plots .hint { display: none; }
+  .plots .head { margin-left: 0; } }
 td small { display: block; white-space: normal; max-width: 40rem; color: var(--soft); }
 pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
 summary { cursor: pointer; margin-bottom: .4rem; }
-@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
+@media print { .live .plots { display: none; } .live > img, .plotted .replaced { display: block; } html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
   th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
   details::details-content { content-visibility: visible; } }
 """
@@ -50,11 +80,12 @@ def write_whole(path: Path, text: str) -> Path:
 
 def document(title: str, body: str, style: str = "") -> str:
     """A page with this title (plain text) and this body (HTML); `style` is added to STYLE."""
+    script = f"<script>{SCRIPT.read_text(encoding='utf-8')}</script>" if 'class="plots"' in body else ""
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}{style}</style></head>\n<body>"
-        f"<h1>{escape(title)}</h1>{body}</body></html>\n"
+        f"<h1>{escape(title)}</h1>{body}{script}</body></html>\n"
     )
 
 
@@ -63,13 +94,14 @@ def section(title: str, content: str) -> str:
     return f"<section><h2>{escape(title)}</h2>{content}</section>\n" if content else ""
 
 
-def picture(path: Path, caption: str, alt: str = "") -> str:
+def picture(path: Path, caption: str, alt: str = "", live: str = "", *, replaced: bool = False) -> str:
     """A PNG put inside the page, its caption (plain text) below; `alt` is read in its place, else the caption's first
-    sentence."""
+    sentence. For print and readers without a script alone: beside plots (`interactive.plots`) as `live`, or where the
+    plots of another picture have `replaced` it."""
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     alt = escape(alt or caption.partition(".")[0], quote=True)
     image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
-    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+    return f"<figure{' class="replaced"' * replaced}>{live}{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
 
 
 def table(heads: Sequence[str], body: str, style: str = "words") -> str:
