@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.files import write_file
-from invdyn_cli.report.interactive import SCRIPT
+from invdyn_cli.report.interactive import SCRIPT, STYLES
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
-  --worst: #b84e00; --grid: #eceff2; --black: #000; --orange: #e69f00; --sky: #56b4e9; --green: #009e73; --blue: #0072b2;
-  --vermillion: #d55e00; --purple: #cc79a7; --grey: #8a8f94; }
+  --worst: #b84e00; --grid: #eceff2; --black: #000; --orange: #e69f00; --sky: #56b4e9; --green: #009e73;
+  --blue: #0072b2; --vermillion: #d55e00; --purple: #cc79a7; --grey: #8a8f94; }
 @media screen and (prefers-color-scheme: dark) {
   :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12; --worst: #ff9a57;
     --grid: #262c32; --black: #fff; --orange: #f0b440; --sky: #8fd0f5; --green: #35c79a; --blue: #4a9fe0;
@@ -41,33 +41,12 @@ table.pairs td { text-align: left; white-space: normal; overflow-wrap: anywhere;
 table.pairs td:first-child { color: var(--soft); white-space: nowrap; }
 figure { margin: 1.4rem 0; break-inside: avoid; } figure img { width: 100%; box-sizing: border-box; padding: .4rem;
   background: #fff; border-radius: 4px; }
-.plots { display: none; } .live .plots { display: block; }
-.live > img, .plotted .replaced { display: none; }
-.plots .main { display: grid; grid-template-columns: minmax(0, 1fr); gap: 0 1rem; }
-.plots .main:has(.arm) { grid-template-columns: minmax(0, 1fr) 15rem; }
-.plots .area { position: relative; } .plots canvas { position: absolute; inset: 0; width: 100%; height: 100%;
-  touch-action: pan-y; } .plots canvas + canvas { cursor: crosshair; }
-.plots .tools { position: sticky; top: 0; z-index: 2; background: var(--ground); padding: .3rem 0; font-size: .85rem;
-  color: var(--soft); display: flex; flex-wrap: wrap; gap: .3rem; align-items: center; }
-.plots button { font: inherit; color: var(--ink); background: none; border: 1px solid var(--line); border-radius: 4px;
-  padding: .1rem .55rem; cursor: pointer; } .plots .when { min-width: 9rem; color: var(--ink); margin-left: .4rem; }
-.plots .head { font-size: .82rem; margin: .55rem 0 .1rem 62px; display: flex; flex-wrap: wrap; gap: 0 .9rem; }
-.plots .key i { display: inline-block; width: 1.1em; height: 3px; vertical-align: .25em; margin-right: .35em; }
-.plots .key i.mark { height: .7em; vertical-align: 0; opacity: .6; } .plots .key i.dot { width: .5em; height: .5em;
-  border-radius: 50%; vertical-align: .1em; } .plots .key output { display: inline-block; min-width: 4.6em;
-  margin-left: .35em; font-variant-numeric: tabular-nums; } .plots .said { color: var(--worst); }
-.plots .arm { position: sticky; top: 2.6rem; align-self: start; } .plots .arm .area { height: 17rem; }
-.plots .arm .sub { font-size: .78rem; min-height: 3.2em; } .plots .arm canvas { touch-action: none; cursor: grab; }
-.plots .clouds { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 19rem), 1fr)); gap: .4rem 1rem; }
-@media (max-width: 46rem) { figure { overflow-x: auto; } figure img { width: 46rem; } figcaption { position: sticky; left: 0; }
-  .plots .main:has(.arm) { grid-template-columns: minmax(0, 1fr); }
-  .plots .arm { order: -1; top: 2.2rem; background: var(--ground); z-index: 1; display: flex; gap: .5rem; }
-  .plots .arm .area { height: 8rem; width: 9rem; flex: none; } .plots .hint { display: none; }
-  .plots .head { margin-left: 0; } }
 td small { display: block; white-space: normal; max-width: 40rem; color: var(--soft); }
 pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
 summary { cursor: pointer; margin-bottom: .4rem; }
-@media print { .live .plots { display: none; } .live > img, .plotted .replaced { display: block; } html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
+@media (max-width: 46rem) { figure:not(.live) { overflow-x: auto; } figure img { width: 46rem; }
+  figcaption { position: sticky; left: 0; } }
+@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
   th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
   details::details-content { content-visibility: visible; } }
 """
@@ -80,7 +59,10 @@ def write_whole(path: Path, text: str) -> Path:
 
 def document(title: str, body: str, style: str = "") -> str:
     """A page with this title (plain text) and this body (HTML); `style` is added to STYLE."""
-    script = f"<script>{SCRIPT.read_text(encoding='utf-8')}</script>" if 'class="plots"' in body else ""
+    script = ""
+    if '<div class="plots"' in body:
+        style += STYLES.read_text(encoding="utf-8")
+        script = f"<script>{SCRIPT.read_text(encoding='utf-8')}</script>"
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -101,7 +83,13 @@ def picture(path: Path, caption: str, alt: str = "", live: str = "", *, replaced
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     alt = escape(alt or caption.partition(".")[0], quote=True)
     image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
-    return f"<figure{' class="replaced"' * replaced}>{live}{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+    kind = ' class="replaced"' if replaced else ""
+    return f"<figure{kind}>{live}{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def lively(plots: str, caption: str) -> str:
+    """Plots (`interactive.plots`) with a caption (plain text), for the screen and with a script alone."""
+    return f'<figure class="lively">{plots}<figcaption>{escape(caption)}</figcaption></figure>\n' if plots else ""
 
 
 def table(heads: Sequence[str], body: str, style: str = "words") -> str:

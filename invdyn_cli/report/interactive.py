@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-SCRIPT = Path(__file__).with_name("plots.js")
+SCRIPT, STYLES = (Path(__file__).with_name(name) for name in ("plots.js", "plots.css"))
+"""What a page with plots has in it once (`html.document`)."""
 
 MOST_VALUES = 150_000
 """Values of all lines of a figure, 0.8 MB of its page."""

@@ -27,23 +27,22 @@ def run_plots(record: RunRecord, note: str = "") -> str:
     }
     time, tau, motion = timeline(data), data.tau, data.motion
     q, qd = np.asarray(motion.q), np.asarray(motion.qd)
-    adapts = len(found) > 1
-    words = {"test": "not adapted" if adapts else "predicted", "test_adapted": "adapted"}
-    looks = {"test": "grey" if adapts else "vermillion", "test_adapted": "vermillion"}
+    last = list(found)[-1]
+    words = {name: "adapted" if name != "test" else "predicted" if name == last else "not adapted" for name in found}
     panels, clouds = [], []
     for j, (joint, unit) in enumerate(zip(record.fit.joints, units(record), strict=True)):
-        said = [Line("measured", tau[:, j], "ink", 2.4)]
-        said += [Line(words[x], y[:, j], looks[x], 1.1, frames=False) for x, y in found.items()]
-        left = [
-            Line("residual" + f", {words[x]}" * adapts, tau[:, j] - y[:, j], "grey" if x != list(found)[-1] else "blue", 1.1)
-            for x, y in found.items()
-        ]
-        score = record.scores.get("test_adapted" if adapts else "test")
+        said, left = [Line("measured", tau[:, j], "ink", 2.4)], []
+        for name, y in found.items():
+            colours = ("vermillion", "blue") if name == last else ("grey", "grey")
+            said.append(Line(words[name], y[:, j], colours[0], 1.1, frames=False))
+            of = "residual" if len(found) == 1 else f"residual, {words[name]}"
+            left.append(Line(of, tau[:, j] - y[:, j], colours[1], 1.1))
+        score = record.scores.get(last)
         note = "" if score is None else f"NMSE {significant(score.nmse[j])}, RMSE {significant(score.rmse[j])} {unit}"
         panels.append(Panel(f"{joint}: {note}" if note else joint, f"torque [{unit}]", said, joint=j, height=140))
         panels.append(Panel("", f"residual [{unit}]", left, joint=j, height=95, zero=True))
         speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
-        rest = tau[:, j] - list(found.values())[-1][:, j]
+        rest = tau[:, j] - found[last][:, j]
         fine = np.isfinite(rest) & np.isfinite(qd[:, j])
         centre, _, middle, _ = binned(qd[fine, j], rest[fine])
         sides = ("median of a bin", np.insert(centre, np.searchsorted(centre, 0), np.nan),
