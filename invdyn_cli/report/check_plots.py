@@ -18,12 +18,10 @@ COLOURS = {"outliers": "vermillion", "not_finite": "purple", "duplicates": "sky"
            "saturation": "orange"}  # fmt: skip
 """Of marks of samples and spans."""
 
-NAMES = {"q": "position q", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
-
 MODEL_NOTE = (
-    "First of each pair: measured torque over that of the URDF's rigid bodies. Points along the grey line agree; "
+    "Blue: measured torque over that of the URDF's rigid bodies. Points along the grey line agree; "
     "another slope is a unit, a sign or a gain, a cloud without a slope a wrong column; two parallel bands are "
-    "friction. Second: velocity over position. What a joint never did, this log cannot show."
+    "friction. Green: velocity over position. What a joint never did, this log cannot show."
 )
 
 
@@ -47,10 +45,10 @@ def channel_plots(drawn: CheckedLog) -> str:
                 lines.append(Line("as corrected", new, "blue", 1.1))
             else:
                 lines = [Line("as logged", lines[0].y, "ink", 1.3)]
-            if channel == "q" and (asked := drawn.column(log, "q_ref", j)):
-                lines.append(Line("q_ref as logged", _dense(asked, total), "orange", 1.1, dashed=True, frames=False))
             marks, note = _marks(drawn, channel, j, lines[0].y)
-            quantity = f"{NAMES[channel]} [{drawn.logged_unit(channel, j)}]"
+            if channel == "q" and (asked := drawn.column(log, "q_ref", j)):
+                lines.insert(0, Line("q_ref as logged", _dense(asked, total), "orange", 3.5, frames=False))
+            quantity = f"{QUANTITIES[channel]} [{drawn.logged_unit(channel, j)}]"
             panels.append(Panel(joint, quantity, lines, marks, note, joint=j, height=105))
     q = np.stack([_dense(drawn.column(drawn.corrected, "q", j), total) for j in range(len(log.joints))], axis=1)
     return plots(time, panels, arm=posture(drawn.robot, time, q), label="the log over time")
@@ -67,21 +65,23 @@ def model_plots(drawn: CheckedLog) -> str:
     names = [(row, found.stretches[k].trajectory) for k, row in enumerate(starts) if (found.stretch == k).any()]
     time = Timeline(found.row / rate[found.stretch], names, "time in a stretch [s]")
     q, qd = np.asarray(found.motion.q), np.asarray(found.motion.qd)
-    panels, clouds = [], []
+    panels, over_model, visited = [], [], []
     for j, joint in enumerate(drawn.log.joints):
         unit = drawn.unit("tau", j).replace("A", "A" if drawn.log.drive_gain is None else "N m")
         rest = found.tau[:, j] - found.nominal[:, j]
         title = f"{joint}: RMS difference {significant(float(np.sqrt(np.mean(rest**2))))} {unit}"
-        lines = [Line("measured", found.tau[:, j], "ink", 2.4),
+        lines = [Line("measured", found.tau[:, j], "ink", 3.0),
                  Line("URDF's model", found.nominal[:, j], "vermillion", 1.1, frames=False)]  # fmt: skip
         panels.append(Panel(title, f"torque [{unit}]", lines, joint=j, height=120))
         points = [("samples in view", found.nominal[:, j], found.tau[:, j], "blue")]
-        clouds.append(Cloud(joint, f"URDF's model [{unit}]", f"measured [{unit}]", points, diagonal=True, joint=j))
-        points = [("samples in view", q[:, j], qd[:, j], "blue")]
-        clouds.append(
-            Cloud(joint, f"position [{drawn.unit('q', j)}]", f"velocity [{drawn.unit('qd', j)}]", points, joint=j)
-        )
-    return plots(time, panels, clouds, posture(robot, time, q), "measured torque and the model's", MODEL_NOTE)
+        labels = f"URDF's model [{unit}]", f"measured torque [{unit}]"
+        over_model.append(Cloud(joint, *labels, points, diagonal=True, joint=j))
+        points = [("samples in view", q[:, j], qd[:, j], "green")]
+        labels = f"position [{drawn.unit('q', j)}]", f"velocity [{drawn.unit('qd', j)}]"
+        visited.append(Cloud(joint, *labels, points, joint=j))
+    return plots(
+        time, panels, [*over_model, *visited], posture(robot, time, q), "measured torque and the model's", MODEL_NOTE
+    )
 
 
 def _dense(pieces: Pieces, total: int) -> np.ndarray:

@@ -187,7 +187,7 @@ def curves(runs: Sequence[Compared]) -> str:
     for j, (joint, unit) in enumerate(zip(records[0].fit.joints, units(records[0]), strict=True)):
         measured = data.tau[:, j]
         lines = [Line(name, tau[:, j], colour, 1.1, frames=False) for name, tau, colour in looks]
-        panels.append(Panel(joint, f"torque [{unit}]", [Line("measured", measured, "ink", 2.4), *lines], joint=j))
+        panels.append(Panel(joint, f"torque [{unit}]", [Line("measured", measured, "ink", 3.0), *lines], joint=j))
         left = [Line(name, measured - tau[:, j], colour, 1.1) for name, tau, colour in looks]
         panels.append(Panel(f"{joint}: residual", f"residual [{unit}]", left, joint=j, height=110, zero=True))
     time = timeline(data)

@@ -39,7 +39,7 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
         measured, nominal, extended = (x[:, j] for x in (signals.tau, signals.nominal, signals.extended))
         before, after = (significant(x.get(joint, {}).get("rmse")) for x in (diagnosis.baseline, diagnosis.extended))
         lines = [
-            Line("measured", measured, "ink", 2.4),
+            Line("measured", measured, "ink", 3.0),
             Line("nominal model", nominal, "grey", 1.2, frames=False),
             Line("extended model", extended, "vermillion", 1.1, frames=False),
         ]
@@ -53,7 +53,7 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
         points = [(f"residual, {name}", signals.qd[:, j], measured - x, colour)
                   for name, x, colour in (("nominal", nominal, "orange"), ("extended", extended, "blue"))]  # fmt: skip
         clouds.append(Cloud(joint, speed, f"residual [{unit}]", points, joint=j))
-    robot = None if diagnosis.fit is None else diagnosis.fit.robot
+    robot = None if diagnosis.model is None else diagnosis.model.robot
     return plots(time, panels, clouds, posture(robot, time, signals.q), "torques of the log", NOTE)
 
 

@@ -4,14 +4,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, limit_bars, plain, thinned
+from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, plain, thinned
 from invdyn_cli.report.exhibits import as_numpy, telling_window
+from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import joints_of, units_of
 from invdyn_cli.types import Diagnosis
 
 BEFORE, AFTER = GREY, RESIDUAL
-LOG_FROM = 20.0
-"""Largest over smallest bar from which errors are shown on a log axis."""
+NUMBERED = 10
+"""Joints up to which a bar has its value above it: bars begin at zero, and small ones do not show."""
 
 
 def overview(diagnosis: Diagnosis) -> Figure:
@@ -42,7 +43,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.set_xlim(0, 112)
     shares.set_xticks([0, 25, 50, 75, 100])
     shares.grid(False, axis="y")
-    shares.set_xlabel("[%] of the residual")
+    shares.set_xlabel("share of the residual's variance [%]")
     shares.set_title("unexplained: share that a learner predicts")
     bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
@@ -74,10 +75,12 @@ def _error_bars(axes: Axes, diagnosis: Diagnosis) -> None:
         axes.bar(where + side, np.nan_to_num(values), 0.37, color=colour, label=label)
     if np.isfinite(found[2]).any():
         axes.hlines(found[2], where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
-    values = np.concatenate(found)
-    seen = values[np.isfinite(values) & (values > 0)]
-    if len(seen) and seen.max() > LOG_FROM * seen.min():
-        limit_bars(axes, values, float(np.median(seen)))
+    for values, side in zip(found, (-0.2, 0.2), strict=False):
+        for x, value in zip(where, values, strict=True) if len(joints) <= NUMBERED else ():
+            if np.isfinite(value):
+                axes.annotate(significant(value), (x + side, value), xytext=(0, 2), textcoords="offset points",
+                              ha="center", fontsize=6, rotation=0 if len(joints) < 5 else 60)  # fmt: skip
+    axes.set_ylim(bottom=0)
     axes.grid(False, axis="x")
     axes.set_title("error of every joint")
     axes.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units_of(diagnosis).values()))}]")

@@ -4,7 +4,10 @@
   const LEFT = 62, RIGHT = 8, TOP = 6, BOTTOM = 20;
   const style = getComputedStyle(document.documentElement);
   const colour = name => style.getPropertyValue("--" + name).trim() || name;
-  const floats = text => new Float32Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer);
+  const floats = ({ b, low, step }) => { /* numbers of `interactive._packed` */
+    const bytes = Uint8Array.from(atob(b), c => c.charCodeAt(0)).buffer;
+    return step ? Float32Array.from(new Uint16Array(bytes), k => k === 65535 ? NaN : low + k * step) : new Float32Array(bytes);
+  };
   const clamp = (x, low, high) => Math.max(low, Math.min(high, x));
   const make = (tag, parent, kind, text) => {
     const made = document.createElement(tag);

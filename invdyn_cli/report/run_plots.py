@@ -31,7 +31,7 @@ def run_plots(record: RunRecord, note: str = "") -> str:
     words = {name: "adapted" if name != "test" else "predicted" if name == last else "not adapted" for name in found}
     panels, clouds = [], []
     for j, (joint, unit) in enumerate(zip(record.fit.joints, units(record), strict=True)):
-        said, left = [Line("measured", tau[:, j], "ink", 2.4)], []
+        said, left = [Line("measured", tau[:, j], "ink", 3.0)], []
         for name, y in found.items():
             colours = ("vermillion", "blue") if name == last else ("grey", "grey")
             said.append(Line(words[name], y[:, j], colours[0], 1.1, frames=False))
