@@ -4,15 +4,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, plain, thinned
+from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, number_bars, plain, thinned
 from invdyn_cli.report.exhibits import as_numpy, telling_window
-from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import joints_of, units_of
 from invdyn_cli.types import Diagnosis
 
 BEFORE, AFTER = GREY, RESIDUAL
-NUMBERED = 10
-"""Joints up to which a bar has its value above it: bars begin at zero, and small ones do not show."""
 
 
 def overview(diagnosis: Diagnosis) -> Figure:
@@ -73,13 +70,9 @@ def _error_bars(axes: Axes, diagnosis: Diagnosis) -> None:
         found, (BEFORE, AFTER), (-0.2, 0.2), ("nominal model", "extended model"), strict=False
     ):
         axes.bar(where + side, np.nan_to_num(values), 0.37, color=colour, label=label)
+        number_bars(axes, where + side, values)
     if np.isfinite(found[2]).any():
         axes.hlines(found[2], where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
-    for values, side in zip(found, (-0.2, 0.2), strict=False):
-        for x, value in zip(where, values, strict=True) if len(joints) <= NUMBERED else ():
-            if np.isfinite(value):
-                axes.annotate(significant(value), (x + side, value), xytext=(0, 2), textcoords="offset points",
-                              ha="center", fontsize=6, rotation=0 if len(joints) < 5 else 60)  # fmt: skip
     axes.set_ylim(bottom=0)
     axes.grid(False, axis="x")
     axes.set_title("error of every joint")
