@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, plain
+from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, number_bars, plain
 from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.wording import joints_of, units_of
 from invdyn_cli.types import Diagnosis

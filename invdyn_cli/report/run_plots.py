@@ -38,8 +38,10 @@ def run_plots(record: RunRecord, note: str = "") -> str:
             of = "residual" if len(found) == 1 else f"residual, {words[name]}"
             left.append(Line(of, tau[:, j] - y[:, j], colours[1], 1.1))
         score = record.scores.get(last)
-        note = "" if score is None else f"NMSE {significant(score.nmse[j])}, RMSE {significant(score.rmse[j])} {unit}"
-        panels.append(Panel(f"{joint}: {note}" if note else joint, f"torque [{unit}]", said, joint=j, height=140))
+        title = joint
+        if score is not None:
+            title += f": NMSE {significant(score.nmse[j])}, RMSE {significant(score.rmse[j])} {unit}"
+        panels.append(Panel(title, f"torque [{unit}]", said, joint=j, height=140))
         panels.append(Panel("", f"residual [{unit}]", left, joint=j, height=95, zero=True))
         speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
         rest = tau[:, j] - found[last][:, j]

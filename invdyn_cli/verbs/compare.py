@@ -83,6 +83,6 @@ def _names(paths: Sequence[Path]) -> list[str]:
     deepest = max(len(x.parts) for x in places)
     for depth in range(1, deepest + 1):
         names = ["/".join(x.parts[-depth:]) for x in places]
-        if len(set(names)) == len(names):
+        if len(set(names)) == len(names) and not any(x.isdigit() for x in names):  # a sweep's jobs are numbered
             return names
     raise UsageError(f"a run is named twice among {listed(map(str, paths))}; allowed: different runs")
