@@ -91,7 +91,14 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
 
 
 def summary(record: RunRecord) -> str:
-    """Two sentences: how large the test error is and where it is worst; how it compares with the training error."""
+    """How large the test error is and where it is worst; how it compares with the training error; what adapting makes
+    of it."""
+    adapted = record.scores["test_adapted"].mean("nmse") if "test_adapted" in record.scores else math.nan
+    more = "" if math.isnan(adapted) else f" During adaptation the mean NMSE is {significant(adapted)}."
+    return _as_learned(record) + more
+
+
+def _as_learned(record: RunRecord) -> str:
     if "test" not in record.scores:
         return "This run was not evaluated on a test set."
     score = record.scores["test"]

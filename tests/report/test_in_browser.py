@@ -1,4 +1,4 @@
-"""Every kind of page in headless Chromium: three widths, light and dark, no console error, nothing wider than the window.
+"""Every kind of page in headless Chromium: three widths, light and dark, no error, nothing wider than the window.
 
 Chromium is no dependency; where there is none, these tests are skipped with a word.
 """
@@ -62,7 +62,10 @@ window.addEventListener("load", () => setTimeout(() => {
 
 HOST = """<!DOCTYPE html><html><body><script>
 const got = [];
-window.addEventListener("message", e => { got.push(e.data); document.getElementById("got").textContent = got.join("\\n"); });
+window.addEventListener("message", e => {
+  got.push(e.data);
+  document.getElementById("got").textContent = got.join("\\n");
+});
 </script><pre id="got"></pre>FRAMES</body></html>"""
 
 
@@ -152,7 +155,7 @@ def test_no_error_and_nothing_is_too_wide(looked):
 
 
 def test_the_cursor_tells_the_value(looked):
-    """Beside the key stands the measured torque at the cursor, first that of the first sample; an arrow key moves it."""
+    """Beside the key stands the measured torque at the cursor, at first of the first sample; an arrow key moves it."""
     _, found, _ = looked
     one = found["run", 800]
     data = make_record(4).predictions["test"].data
