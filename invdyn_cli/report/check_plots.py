@@ -2,6 +2,7 @@
 torque beside that of the URDF's model."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,14 +39,12 @@ def channel_plots(drawn: CheckedLog) -> str:
             logged = drawn.column(log, channel, j)
             if not logged:
                 continue
-            lines = [Line("as logged", _dense(logged, total), "ink", 2.2, frames=False)]
-            share, comparable = drawn.corrected_share(channel, j)
-            if share > MANY and comparable:
-                new = _dense(drawn.column(drawn.corrected, channel, j), total)
-                lines.append(Line("as corrected", new, "blue", 1.1))
-            else:
-                lines = [Line("as logged", lines[0].y, "ink", 1.3)]
+            lines = [Line(f"{channel} as logged", _dense(logged, total), "ink", 1.3)]
             marks, note = _marks(drawn, channel, j, lines[0].y)
+            share, comparable = drawn.corrected_share(channel, j)
+            if comparable and (share > MANY or any(x.name == "outliers" for x in marks)):
+                new = _dense(drawn.column(drawn.corrected, channel, j), total)
+                lines = [replace(lines[0], width=2.6, frames=False), Line(f"{channel} as corrected", new, "blue", 1.1)]
             if channel == "q" and (asked := drawn.column(log, "q_ref", j)):
                 lines.insert(0, Line("q_ref as logged", _dense(asked, total), "orange", 3.5, frames=False))
             quantity = f"{QUANTITIES[channel]} [{drawn.logged_unit(channel, j)}]"

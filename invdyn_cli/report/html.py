@@ -29,7 +29,8 @@ h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2
 .sub, figcaption, caption, .note { color: var(--soft); font-size: .9rem; } .sub { margin-top: .2rem; }
 .lead { font-size: 1.1rem; max-width: 52rem; } .warning { background: var(--mark); border-left: 4px solid #d55e00;
   padding: .4rem .8rem; margin: .4rem 0; }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
+.wide { overflow-x: auto; } .wide + .wide { margin-top: 1.2rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
 th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
 thead th { white-space: normal; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }

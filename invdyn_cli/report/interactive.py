@@ -230,9 +230,9 @@ def _panel(panel: Panel, pick: _Thinned, t: np.ndarray) -> dict[str, Any]:
     def mark(one: Mark) -> dict[str, Any]:
         rows = np.asarray(one.rows, int)
         if rows.ndim == 2:
-            return {"name": one.name, "colour": one.colour, "spans": [[_number(t[a]), _number(t[b])] for a, b in rows]}
+            return {"name": one.name, "colour": one.colour, "spans": [[float(t[x]) for x in one] for one in rows]}
         y = np.full(len(rows), np.nan) if one.y is None else one.y
-        at = [[_number(t[row]), _number(v)] for row, v in zip(rows, y, strict=True)]
+        at = [[float(t[row]), _number(float(v))] for row, v in zip(rows, y, strict=True)]
         return {"name": one.name, "colour": one.colour, "at": at}
 
     return {
