@@ -14,29 +14,16 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from invdyn_cli.report.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    WIDTH,
-    add_legend,
-    house_style,
-    save,
-)
+from invdyn_cli.report.canvas import COLOURS, WIDTH, add_legend, house_style, save
 from invdyn_cli.report.canvas import plain as unformatted
-from invdyn_cli.report.html import document, folded, picture, section, table, write_whole
+from invdyn_cli.report.html import document, folded, lively, picture, section, table, write_whole
 from invdyn_cli.report.interactive import Line, Panel, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.run_plots import timeline
 from invdyn_cli.report.tables import robot_of, round_by_error, significant, units
 from invdyn_cli.types import RunRecord
 
-LOOKS = {"blue": BLUE, "vermillion": VERMILLION, "green": GREEN, "orange": ORANGE, "purple": PURPLE, "sky": SKY,
-         "grey": GREY}  # fmt: skip
+LOOKS = ("blue", "vermillion", "green", "orange", "purple", "sky", "grey")
 """Colours of the runs, in their order."""
 
 MOST_BARS, MOST_CURVES = len(LOOKS), 6
@@ -90,10 +77,9 @@ def write_page(
 
 def page(runs: Sequence[Compared], figures: Sequence[Path], title: str, told: str = "") -> str:
     """The page as HTML text."""
-    over_time = "".join(
-        f'<figure class="lively">{curves(same)}<figcaption>{escape(CURVES_CAPTION)}</figcaption></figure>'
-        for same in _same_data([x for x in _best(runs) if x.record is not None])
-    )
+    shown = [x for x in _best(runs) if x.record is not None]
+    colours = dict(zip((x.name for x in (runs if len(runs) <= MOST_BARS else shown)), LOOKS, strict=False))
+    over_time = "".join(lively(curves(same, colours), CURVES_CAPTION) for same in _same_data(shown))
     sections = [
         ("Runs", _overview(runs)),
         ("Errors", "".join(picture(x, BARS_CAPTION) for x in figures) + _joints(runs)),
@@ -157,9 +143,9 @@ def bars(runs: Sequence[Compared]) -> Figure:
     axes = figure.subplots()
     if few:
         width = 0.8 / len(runs)
-        for k, (x, colour) in enumerate(zip(runs, LOOKS.values(), strict=False)):
+        for k, (x, colour) in enumerate(zip(runs, LOOKS, strict=False)):
             where = np.arange(len(joints)) + (k - (len(runs) - 1) / 2) * width
-            axes.bar(where, np.nan_to_num([x.joint("rmse", j) for j in joints]), 0.92 * width, color=colour,
+            axes.bar(where, np.nan_to_num([x.joint("rmse", j) for j in joints]), 0.92 * width, color=COLOURS[colour],
                      label=unformatted(x.name))  # fmt: skip
         crowded = len(joints) * max(map(len, joints)) > 110
         axes.set_xticks(range(len(joints)), map(unformatted, joints), rotation=30 * crowded,
@@ -168,7 +154,7 @@ def bars(runs: Sequence[Compared]) -> Figure:
         axes.grid(False, axis="x")
         add_legend(figure, axes)
     else:
-        axes.barh(range(len(runs)), np.nan_to_num([x.score("rmse") for x in runs]), 0.7, color=BLUE)
+        axes.barh(range(len(runs)), np.nan_to_num([x.score("rmse") for x in runs]), 0.7, color=COLOURS[LOOKS[0]])
         axes.set_yticks(range(len(runs)), [unformatted(x.name) for x in runs])
         axes.invert_yaxis()
         axes.set_xlabel(f"test RMSE, mean over joints [{unit}]")
@@ -176,13 +162,12 @@ def bars(runs: Sequence[Compared]) -> Figure:
     return figure
 
 
-def curves(runs: Sequence[Compared]) -> str:
+def curves(runs: Sequence[Compared], colours: Mapping[str, str]) -> str:
     """Plots over time of runs that were judged on the same data: torque and residual of every joint."""
     records = [x.record for x in runs if x.record is not None]
     data = records[0].predictions["test"].data
     robot = next((r for r in map(robot_of, records) if r is not None), None)
-    looks = [(x.name, x.record.predictions[x.judged].tau, colour)
-             for x, colour in zip(runs, LOOKS, strict=False) if x.record is not None]  # fmt: skip
+    looks = [(x.name, x.record.predictions[x.judged].tau, colours[x.name]) for x in runs if x.record is not None]
     panels = []
     for j, (joint, unit) in enumerate(zip(records[0].fit.joints, units(records[0]), strict=True)):
         measured = data.tau[:, j]

@@ -230,7 +230,7 @@ def _panel(panel: Panel, pick: _Thinned, t: np.ndarray) -> dict[str, Any]:
     def mark(one: Mark) -> dict[str, Any]:
         rows = np.asarray(one.rows, int)
         if rows.ndim == 2:
-            return {"name": one.name, "colour": one.colour, "spans": [[float(t[x]) for x in one] for one in rows]}
+            return {"name": one.name, "colour": one.colour, "spans": [[float(t[x]) for x in ends] for ends in rows]}
         y = np.full(len(rows), np.nan) if one.y is None else one.y
         at = [[float(t[row]), _number(float(v))] for row, v in zip(rows, y, strict=True)]
         return {"name": one.name, "colour": one.colour, "at": at}

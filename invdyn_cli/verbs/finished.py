@@ -26,8 +26,11 @@ def finished(folders: Sequence[Path], names: Sequence[str], beside: Path, trust:
 def _measured(folder: Path, name: str, beside: Path) -> Compared | None:
     try:
         metrics: Any = untrusted.read_json(folder / store.METRICS, RunFileError)
-        return Compared(name, metrics, None, page_of(folder, beside)) if metrics["joints"] else None
-    except (InvdynError, LookupError, TypeError):
+        one = Compared(name, metrics, None, page_of(folder, beside))
+        for joint in untrusted.names(metrics["joints"], "joints"):  # a file of another shape raises here
+            one.joint("nmse", joint), one.joint("rmse", joint)
+        return one
+    except (InvdynError, LookupError, TypeError, AttributeError):
         return None
 
 
