@@ -97,6 +97,8 @@ def summary(runs: Sequence[Compared]) -> str:
     if not ranked:
         return "No run has an error on a test set."
     first, *others = ranked
+    if others and significant(first.score("rmse")) == significant(others[-1].score("rmse")):
+        return f"All runs have the same mean RMSE on the test set: {significant(first.score('rmse'))} {_unit(runs)}."
     said = f"{first.name} has the lowest mean RMSE on the test set: {significant(first.score('rmse'))} {_unit(runs)}"
     said += f" (NMSE {significant(first.score('nmse'))})"
     if others:
