@@ -1,6 +1,6 @@
 """What all pages share: one HTML file that needs nothing else, good in light, dark and print, and without its script.
 
-Colours are those of Okabe and Ito by the names of `canvas`; on a dark ground some of them are lighter.
+Colours are those of Okabe and Ito, by the names that `canvas` has; on a dark ground some are lighter.
 """
 
 import base64

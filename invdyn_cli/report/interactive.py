@@ -39,7 +39,7 @@ class Line:
     Attributes:
         name: in the key.
         y: (T,), NaN where there is none.
-        colour: a name of `html.COLOURS`.
+        colour: its name in `html.STYLE`.
         width: [px].
         dashed: whether it is.
         frames: whether the panel's axis is fitted to it; the others widen it by at most its range either way.

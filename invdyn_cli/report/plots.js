@@ -202,7 +202,7 @@
         make("span", one, "", x.name);
       }
       const made = { c, points, curves, area: new Area(cell, 210, `${c.title}: ${c.y_label} over ${c.x_label}`), box: null };
-      made.area.drags(true, (x, y) => { made.box = [x, y]; this.drawCloud(made); this.point(this.cursor); }, () => made.area.clear(), () => { made.box = null; this.drawCloud(made); this.point(this.cursor); });
+      made.area.drags(true, (x, y) => { made.box = [x, y]; this.drawCloud(made); this.point(this.cursor); }, () => { this.lit = c.joint; this.point(this.cursor); }, () => { made.box = null; this.drawCloud(made); this.point(this.cursor); });
       return made;
     }
     show(a, b) {
