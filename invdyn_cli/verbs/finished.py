@@ -27,8 +27,8 @@ def _measured(folder: Path, name: str, beside: Path) -> Compared | None:
     try:
         metrics: Any = untrusted.read_json(folder / store.METRICS, RunFileError)
         one = Compared(name, metrics, None, page_of(folder, beside))
-        for joint in untrusted.names(metrics["joints"], "joints"):  # a file of another shape raises here
-            one.joint("nmse", joint), one.joint("rmse", joint)
+        joints = untrusted.names(metrics["joints"], "joints")
+        _ = [one.joint(kind, joint) for kind in ("nmse", "rmse") for joint in joints]  # another shape raises here
         return one
     except (InvdynError, LookupError, TypeError, AttributeError):
         return None
