@@ -19,6 +19,7 @@ VERBS = {
     "figures": "draw the published figures, and a page that compares all results with the paper",
     "simulate": "write the log of a simulated arm that stands in for the real one, with hidden effects",
     "control": "test a learned model, adapted or not, in the control loop of the simulated arm",
+    "compare": "set finished runs of one robot beside each other, as a table and as a page",
     "report": "draw the figures and the page of a run again, from its run.h5",
     "effects": "list the physical effects that a diagnosis looks for, or tell all about one of them",
     "models": "list the models and adaptations, or tell all about one of them",
@@ -37,6 +38,7 @@ usage: invdyn VERB [option=value ...]
   invdyn run -m model=pest,ffnn seed=0,1,2            a sweep
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
   invdyn convert bag/ log.h5                          also log.csv, log.npz, log.mat, log.parquet, log.mcap
+  invdyn compare outputs/latest OTHER_RUN             scores, parameters and residuals beside each other
   invdyn diagnose data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf
   invdyn excite robot=urdf robot.path=arm.urdf diagnosis=FOLDER/diagnosis.json
   invdyn control model=pest_friction adaptation=payload

@@ -55,6 +55,7 @@ COMMANDS = {
     "tables": ("tables", "experiment=small", "folder=out"),
     "figures": ("figures", "shown=[small]", "folder=out", "tables=out/tables", "page=out/index.html"),
     "report": ("report", "ran"),
+    "compare": ("compare", "ran", "again", "hydra.run.dir=out"),
 }
 WRITING = ("run", "sweep", "diagnose", "simulate", "tables")
 
@@ -72,6 +73,7 @@ def workplace(tmp_path_factory) -> Path:
         process = start(command, folder)
         said = process.communicate()
         assert process.returncode == 0, said
+    shutil.copytree(folder / "ran", folder / "again")
     return folder
 
 

@@ -22,7 +22,7 @@ def test_holds_configs_experiments_and_robots(wheel):
     """conf/, experiments/ and the built-in robot are inside the package, each file as in the checkout."""
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
-        assert "invdyn_cli/apollo_arm.urdf" in held
+        assert {"invdyn_cli/apollo_arm.urdf", "invdyn_cli/report/plots.js", "invdyn_cli/report/plots.css"} <= held
         for folder in ("conf", "experiments"):
             files = [p for p in (ROOT / folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
             assert files

@@ -15,7 +15,7 @@ from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.log import Log
 from invdyn_cli.recording.channels import in_newton_metres, ordered
-from invdyn_cli.report import check_figures, check_page
+from invdyn_cli.report import check_figures, check_page, check_plots
 from invdyn_cli.report.check_terminal import shown
 from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.report.fragment import Shown
@@ -68,11 +68,17 @@ class CheckResult(Shown):
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         progress(0.8, "report")
-        figures, lacking = check_figures.draw_all(
-            CheckedLog(self.log, self.corrected, self.marks, self.robot), folder / "figures"
+        drawn = CheckedLog(self.log, self.corrected, self.marks, self.robot)
+        figures, lacking = check_figures.draw_all(drawn, folder / "figures")
+        page = check_page.write_page(
+            self.examination,
+            self.log,
+            self.robot,
+            figures,
+            folder / REPORT,
+            notes=[*self.notes, *lacking],
+            live=check_plots.all_plots(drawn),
         )
-        notes = [*self.notes, *lacking]
-        page = check_page.write_page(self.examination, self.log, self.robot, figures, folder / REPORT, notes)
         store.write_check(self.examination, folder / CHECK)
         progress(1.0, "done")
         return page

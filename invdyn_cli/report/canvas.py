@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from invdyn_cli.files import write_file
-from invdyn_cli.report.tables import choice
+from invdyn_cli.report.tables import choice, significant
 from invdyn_cli.types import RunRecord
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -35,6 +35,7 @@ LEGEND_LETTERS = 150
 """Of a legend, in a line as wide as the figure, room for handles counted."""
 LINE_POINTS = 2000
 CLOUD_POINTS = 4000
+NUMBERED = 10
 BAND = 0.25
 INK = "0.25"
 STYLE: dict[Any, Any] = {
@@ -154,6 +155,14 @@ def log_axis(axes: Axes) -> None:
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(between)
+
+
+def number_bars(axes: Axes, where: np.ndarray, values: np.ndarray) -> None:
+    """The value of each bar above it, of up to NUMBERED: bars begin at zero, and small ones hardly show."""
+    for x, value in zip(where, values, strict=True) if len(where) <= NUMBERED else ():
+        if np.isfinite(value):
+            axes.annotate(significant(value), (x, value), xytext=(0, 2), textcoords="offset points", ha="center",
+                          fontsize=6, rotation=0 if len(where) < 5 else 60)  # fmt: skip
 
 
 def limit_bars(axes: Axes, values: np.ndarray, line: float) -> None:

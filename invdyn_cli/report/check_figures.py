@@ -40,7 +40,7 @@ MANY = 0.02
 SHOWN = 20.0
 """[s] of measured and nominal torque over time."""
 
-QUANTITIES = {"q": "q", "qd": "dq/dt", "qdd": "d²q/dt²", "tau": "torque"}
+QUANTITIES = {"q": "position q", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
 
 
 def draw_all(drawn: CheckedLog, folder: Path) -> tuple[list[Path], list[str]]:
@@ -159,7 +159,7 @@ def model(drawn: CheckedLog) -> Figure | None:
         margin = 0.08 * (high - low) or 1.0
         right.plot([low, high], [low, high], color=GREY, lw=1.0, zorder=0, label="measured = model")
         right.set(xlim=(low - margin, high + margin), ylim=(low - margin, high + margin))
-        right.set_ylabel(f"measured [{unit}]")
+        right.set_ylabel(f"measured torque [{unit}]")
         last = j == robot.dofs - 1
         left.set_xlabel(f"time in a stretch of {plain(part.trajectory)} [s]" if last else "")
         right.set_xlabel(f"URDF's model [{unit}]" if last else "")
@@ -188,8 +188,8 @@ def excitation(drawn: CheckedLog) -> Figure | None:
                     axes.axvline(float(limit), color=VERMILLION, ls="--", lw=1.0, label="limit of the URDF")
         axes.axhline(0.0, color=GREY, lw=0.6)
         axes.set_title(plain(joints[j]))
-        axes.set_xlabel(f"q [{drawn.unit('q', j)}]")
-        axes.set_ylabel(f"dq/dt [{drawn.unit('qd', j)}]")
+        axes.set_xlabel(f"position q [{drawn.unit('q', j)}]")
+        axes.set_ylabel(f"velocity [{drawn.unit('qd', j)}]")
     for axes in grid.flat[len(joints) :]:
         axes.remove()
     add_legend(figure, *grid.flat[: len(joints)])

@@ -13,7 +13,7 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import listed
 from invdyn_cli.log import Log
 from invdyn_cli.report.check_table import PILLS, check_table, skipped_reasons
-from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
+from invdyn_cli.report.html import document, folded, lively, pairs, picture, section, table, write_whole
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import capital, words
 from invdyn_cli.types import Check, Examination, Robot
@@ -31,6 +31,11 @@ CAPTIONS = {
     "without a slope a wrong column; two parallel bands are friction.",
     "excitation": "Where the motion has been: velocity over position. What a joint never did, this log cannot show.",
 }
+CHANNELS = (
+    "Every channel as logged, as corrected where that differs, with what is wrong marked where it is. What stands "
+    "beside a title in colour holds of the whole channel."
+)
+MODEL = "Measured torque, as corrected and filtered, and that of the URDF's rigid bodies, without friction."
 TITLES = {"clock": "Clock", "q": "Positions", "qd": "Velocities", "qdd": "Accelerations", "tau": "Torques"}
 CORRECTED = ("duplicates", "outliers", "time_offset", "too_short", ("unit_error", "q_ref"), ("sign_error", "q_ref"),
              ("derivative_consistency", "q"))  # fmt: skip
@@ -43,9 +48,8 @@ STYLE = """
 .verdict { font-weight: 600; font-size: 1.1rem; } table.words td, table.words th { text-align: left;
   white-space: normal; vertical-align: top; } table.words td.whole { white-space: nowrap; } ul { padding-left: 1.3rem; }
 .bar { display: inline-block; height: .6em; background: #56b4e9; margin-right: .5em; border-radius: 1px; }
-h3 { font-size: 1rem; margin: 1.4rem 0 0; } h3 + figure { margin-top: .3rem; } figure { overflow-x: auto; }
-figcaption { position: sticky; left: 0; }
-@media (max-width: 46rem) { figure img { width: 46rem; } table.words { min-width: 34rem; } }
+h3 { font-size: 1rem; margin: 1.4rem 0 0; } h3 + figure { margin-top: .3rem; }
+@media (max-width: 46rem) { table.words { min-width: 34rem; } }
 """
 
 
@@ -56,27 +60,39 @@ def write_page(
     figures: Sequence[Path],
     path: Path,
     notes: Sequence[str] = (),
+    live: Sequence[str] = ("", ""),
 ) -> Path:
     """Write the page of a checked log to `path`, whole or not at all; `figures` are those of `check_figures.draw_all`,
-    `notes` what else the reader should know."""
-    return write_whole(path, page(examination, log, robot, figures, notes))
+    `notes` what else the reader should know, `live` the plots of `check_plots.all_plots`."""
+    return write_whole(path, page(examination, log, robot, figures, notes, live))
 
 
 def page(
-    examination: Examination, log: Log, robot: Robot | None, figures: Sequence[Path], notes: Sequence[str] = ()
+    examination: Examination,
+    log: Log,
+    robot: Robot | None,
+    figures: Sequence[Path],
+    notes: Sequence[str] = (),
+    live: Sequence[str] = ("", ""),
 ) -> str:
     """The page as HTML text."""
     drawn = {x.stem: x for x in figures}
-    shown = "".join(
-        f"<h3>{TITLES[name]}</h3>{picture(drawn[name], CAPTIONS[name])}" for name in TITLES if name in drawn
-    )
+    channels, model = live
+    shown = lively(channels, CHANNELS)
+    for name in (x for x in TITLES if x in drawn):
+        one = f"<h3>{TITLES[name]}</h3>{picture(drawn[name], CAPTIONS[name])}"
+        shown += f'<div class="replaced">{one}</div>' if channels and name != "clock" else one
     missing = [TITLES[name].lower() for name in ("q", "tau") if shown and name not in drawn]
     shown += f"<p>Not drawn, for want of finite values: {' and '.join(missing)}.</p>" if missing else ""
-    torque = picture(drawn["model"], CAPTIONS["model"]) if "model" in drawn else ""
+    same = bool(model) and not examination.corrections
+    torque = picture(drawn["model"], CAPTIONS["model"], replaced=same) if "model" in drawn else ""
+    torque = lively(model, MODEL) + torque
     if not torque and shown:
         why = "there is no robot" if robot is None else "no stretch of this log is long enough to be filtered"
         torque = f"<p>The nominal torque was not computed: {why}.</p>"
-    visited = picture(drawn["excitation"], CAPTIONS["excitation"]) if "excitation" in drawn else ""
+    visited = (
+        picture(drawn["excitation"], CAPTIONS["excitation"], replaced=bool(model)) if "excitation" in drawn else ""
+    )
     sections = [
         ("What to do", _to_do(examination)),
         ("What was corrected", _corrections(examination)),

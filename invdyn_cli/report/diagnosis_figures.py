@@ -173,7 +173,7 @@ def all_joints(exhibit: Exhibit) -> Figure:
         if gain:
             title += f"    RMSE {significant(gain.rmse_before)} → {significant(gain.rmse_after)} {exhibit.units[i]}"
         axes.set_title(plain(title))
-        axes.set_ylabel(f"[{exhibit.units[i]}]")
+        axes.set_ylabel(f"residual [{exhibit.units[i]}]")
         label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
     for axes in grid.flat[n:]:
         axes.remove()

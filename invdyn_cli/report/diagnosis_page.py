@@ -11,6 +11,7 @@ from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
+from invdyn_cli.report.diagnosis_plots import diagnosis_plots
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
 from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
 from invdyn_cli.report.overlay import OVERLAY
@@ -40,8 +41,13 @@ from invdyn_cli.report.wording import (
 from invdyn_cli.report.wording import picture as picture_name
 from invdyn_cli.types import Diagnosis, Finding, Gain
 
-OVERLAY_CAPTION = "The held-out seconds in which the error of the nominal model is largest."
-CAPTION = "Black: measured torque minus the terms of all other effects. Vermillion: the fitted term of this effect."
+OVERLAY_CAPTION = (
+    "Measured torque beside that of the nominal and of the extended model; in print, and without JavaScript, the "
+    "held-out seconds in which the error of the nominal model is largest."
+)
+CAPTION = (
+    "Measured torque minus the terms of all other effects, and the fitted term of this effect, which should follow it."
+)
 OVERVIEW_CAPTION = (
     "Errors on held-out data. A black line is the noise floor of repeated trajectories: no model can be more accurate. "
     "What a learner still predicts of the residual has a cause that is not named here."
@@ -109,13 +115,16 @@ def page(
     picked = picture(drawn[OVERVIEW], OVERVIEW_CAPTION) if OVERVIEW in drawn else ""
     evidence = "".join(_cause(diagnosis, k + 1, x, drawn) for k, x in enumerate(found))
     usable = diagnosis.verdict != "log_unusable"
-    told += picture(drawn[OVERLAY], OVERLAY_CAPTION) if OVERLAY in drawn else ""
+    over_time = ""
+    if OVERLAY in drawn:
+        over_time = picture(drawn[OVERLAY], OVERLAY_CAPTION, live=diagnosis_plots(diagnosis))
     unseen = _blind_spots(diagnosis)
     sections = [
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
         ("What to do next", _to_do(diagnosis, record_next) if usable else ""),
         ("Causes", _causes(diagnosis)),
         ("Standard terms", _standard(diagnosis)),
+        ("Torques over time", over_time),
         ("Residual", tests_section(diagnosis, drawn.get(RESIDUAL_TESTS))),
         ("Improvement", picked + _errors(diagnosis)),
         ("The better simulation", better_simulation(diagnosis, drawn.get(REPLAY), lacks or {})),

@@ -96,7 +96,8 @@ def torques(record: RunRecord, *, longest: float = 20.0, most: int = 2) -> Figur
         limit_around(above, measured, predicted)
         limit_zero(below, measured - predicted)
         above.set_title(_joint_title(record, i, joint, unit))
-        above.set_ylabel(f"[{unit}]")
+        above.set_ylabel(f"torque [{unit}]")
+        below.set_ylabel(f"residual\n[{unit}]")
         above.spines.bottom.set_visible(False)
         above.tick_params(bottom=False)
         below.margins(x=0.01)
@@ -108,7 +109,8 @@ def torques(record: RunRecord, *, longest: float = 20.0, most: int = 2) -> Figur
 
 
 def errors(record: RunRecord) -> Figure | None:
-    """NMSE and RMSE of every joint as bars, a colour for each scored set; dots are the members of a fit of several."""
+    """NMSE of every joint as dots on a log axis, RMSE as bars from zero, a colour for each scored set; small dots are
+    the members of a fit of several."""
     names = scored_sets(record)
     if not names:
         return None
@@ -124,7 +126,10 @@ def errors(record: RunRecord) -> Figure | None:
         for axes, kind in ((upper, "nmse"), (lower, "rmse")):
             values = np.asarray(getattr(record.scores[name], kind), float)
             still = np.isnan(values) & np.isfinite(record.scores[name].rmse)
-            axes.bar(where, np.where(np.isfinite(values), values, 0), 0.92 * width, color=colour, label=plain(name))
+            if axes is lower:
+                axes.bar(where, np.where(np.isfinite(values), values, 0), 0.92 * width, color=colour, label=plain(name))
+            else:
+                axes.plot(where, np.where(values > 0, values, np.nan), "o", ms=8, color=colour, label=plain(name))
             for member in members if len(members) > 1 else ():
                 axes.plot(where, getattr(member, kind), ".", color=BLACK, ms=3, label="one member")
             for x, value, constant in zip(where, values, still, strict=True):
@@ -138,6 +143,7 @@ def errors(record: RunRecord) -> Figure | None:
     limit_bars(upper, every, ACCURATE)
     upper.axhline(ACCURATE, color=BLACK, lw=1.0, ls="--", label=f"the paper's line, NMSE {ACCURATE}")
     upper.set_ylabel("NMSE")
+    lower.set_ylim(bottom=0)
     lower.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units(record)))}]")
     crowded = len(joints) * max(map(len, joints)) > 130
     lower.set_xticks(range(len(joints)), map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
@@ -173,6 +179,7 @@ def loss(record: RunRecord) -> Figure | None:
             mark = "." if len(epochs) < 3 else None
             axes.plot(epochs, values.mean(axis=1).filled(np.nan), marker=mark, color=SET_COLOURS[name], label=name)
         axes.set_title(plain(joints[i]) if panels == len(joints) else "")
+        axes.set_ylabel("loss")
         log_axis(axes)
         label_below(axes, "epoch", i, panels)
     for axes in grid.flat[panels:]:
@@ -209,8 +216,8 @@ def residual_velocity(record: RunRecord) -> Figure | None:
         if len(y):
             limit_zero(axes, np.percentile(y, [0.2, 99.8]))
         axes.set_title(_joint_title(record, i, joint, unit))
-        axes.set_ylabel(f"[{unit}]")
-        label_below(axes, "[m/s]" if unit == "N" else "[rad/s]", i, len(joints), shared=False)
+        axes.set_ylabel(f"residual [{unit}]")
+        label_below(axes, "velocity [m/s]" if unit == "N" else "velocity [rad/s]", i, len(joints), shared=False)
     for axes in grid.flat[len(joints) :]:
         axes.remove()
     add_legend(figure, grid.flat[0])
@@ -240,6 +247,7 @@ def singular_values(record: RunRecord) -> Figure | None:
     axes.set_ylim(bottom=floor)
     axes.margins(x=0.02)
     axes.set_xlabel("index")
+    axes.set_ylabel("singular value")
     add_legend(figure, axes)
     return figure
 

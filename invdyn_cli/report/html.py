@@ -1,4 +1,7 @@
-"""What all pages share: one HTML file that needs nothing else, no script, good in light, dark and print."""
+"""What all pages share: one HTML file that needs nothing else, good in light, dark and print, and without its script.
+
+Colours are those of Okabe and Ito, by the names that `canvas` has; on a dark ground some are lighter.
+"""
 
 import base64
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,20 +12,25 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.files import write_file
+from invdyn_cli.report.interactive import SCRIPT, STYLES
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2329; --soft: #5c6670; --line: #d8dde2; --ground: #fff; --mark: #fff3e0;
-  --worst: #b84e00; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12;
-    --worst: #ff9a57; } }
+  --worst: #b84e00; --grid: #eceff2; --black: #000; --orange: #e69f00; --sky: #56b4e9; --green: #009e73;
+  --blue: #0072b2; --vermillion: #d55e00; --purple: #cc79a7; --grey: #8a8f94; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e4e7ea; --soft: #9aa4ae; --line: #3a424a; --ground: #15191d; --mark: #3d2c12; --worst: #ff9a57;
+    --grid: #262c32; --black: #fff; --orange: #f0b440; --sky: #8fd0f5; --green: #35c79a; --blue: #4a9fe0;
+    --vermillion: #ff7f32; --purple: #e39cc4; --grey: #8a9199; }
+  figure img { filter: invert(.92) hue-rotate(180deg); } }
 body { max-width: 68rem; margin: 2rem auto; padding: 0 1.2rem; color: var(--ink); background: var(--ground);
   font: 1rem/1.5 system-ui, sans-serif; }
 h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
 .sub, figcaption, caption, .note { color: var(--soft); font-size: .9rem; } .sub { margin-top: .2rem; }
 .lead { font-size: 1.1rem; max-width: 52rem; } .warning { background: var(--mark); border-left: 4px solid #d55e00;
   padding: .4rem .8rem; margin: .4rem 0; }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
+.wide { overflow-x: auto; } .wide + .wide { margin-top: 1.2rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
 th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
 thead th { white-space: normal; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }
@@ -37,6 +45,8 @@ figure { margin: 1.4rem 0; break-inside: avoid; } figure img { width: 100%; box-
 td small { display: block; white-space: normal; max-width: 40rem; color: var(--soft); }
 pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
 summary { cursor: pointer; margin-bottom: .4rem; }
+@media (max-width: 46rem) { figure:not(.live) { overflow-x: auto; } figure img { width: 46rem; }
+  figcaption { position: sticky; left: 0; } }
 @media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
   th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
   details::details-content { content-visibility: visible; } }
@@ -50,11 +60,15 @@ def write_whole(path: Path, text: str) -> Path:
 
 def document(title: str, body: str, style: str = "") -> str:
     """A page with this title (plain text) and this body (HTML); `style` is added to STYLE."""
+    script = ""
+    if '<div class="plots"' in body:
+        style += STYLES.read_text(encoding="utf-8")
+        script = f"<script>{SCRIPT.read_text(encoding='utf-8')}</script>"
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}{style}</style></head>\n<body>"
-        f"<h1>{escape(title)}</h1>{body}</body></html>\n"
+        f"<h1>{escape(title)}</h1>{body}{script}</body></html>\n"
     )
 
 
@@ -63,13 +77,20 @@ def section(title: str, content: str) -> str:
     return f"<section><h2>{escape(title)}</h2>{content}</section>\n" if content else ""
 
 
-def picture(path: Path, caption: str, alt: str = "") -> str:
+def picture(path: Path, caption: str, alt: str = "", live: str = "", *, replaced: bool = False) -> str:
     """A PNG put inside the page, its caption (plain text) below; `alt` is read in its place, else the caption's first
-    sentence."""
+    sentence. For print and readers without a script alone: beside plots (`interactive.plots`) as `live`, or where the
+    plots of another picture have `replaced` it."""
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     alt = escape(alt or caption.partition(".")[0], quote=True)
     image = f'<img alt="{alt}" src="data:image/png;base64,{data}">'
-    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+    kind = ' class="replaced"' if replaced else ""
+    return f"<figure{kind}>{live}{image}<figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def lively(plots: str, caption: str) -> str:
+    """Plots (`interactive.plots`) with a caption (plain text), for the screen and with a script alone."""
+    return f'<figure class="lively">{plots}<figcaption>{escape(caption)}</figcaption></figure>\n' if plots else ""
 
 
 def table(heads: Sequence[str], body: str, style: str = "words") -> str:

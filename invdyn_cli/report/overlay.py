@@ -35,7 +35,7 @@ def overlay(diagnosis: Diagnosis) -> Figure:
             significant(x.get(joints[i], {}).get("rmse")) for x in (diagnosis.baseline, diagnosis.extended)
         )
         axes.set_title(plain(f"{joints[i]}    held-out RMSE {before} → {after} {units[joints[i]]}"))
-        axes.set_ylabel(f"[{units[joints[i]]}]")
+        axes.set_ylabel(f"torque [{units[joints[i]]}]")
         axes.margins(x=0.01)
         label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
     for axes in grid.flat[n:]:

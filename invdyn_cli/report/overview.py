@@ -4,14 +4,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, limit_bars, plain, thinned
+from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, number_bars, plain, thinned
 from invdyn_cli.report.exhibits import as_numpy, telling_window
 from invdyn_cli.report.wording import joints_of, units_of
 from invdyn_cli.types import Diagnosis
 
 BEFORE, AFTER = GREY, RESIDUAL
-LOG_FROM = 20.0
-"""Largest over smallest bar from which errors are shown on a log axis."""
 
 
 def overview(diagnosis: Diagnosis) -> Figure:
@@ -42,7 +40,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.set_xlim(0, 112)
     shares.set_xticks([0, 25, 50, 75, 100])
     shares.grid(False, axis="y")
-    shares.set_xlabel("[%] of the residual")
+    shares.set_xlabel("share of the residual's variance [%]")
     shares.set_title("unexplained: share that a learner predicts")
     bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
@@ -72,12 +70,10 @@ def _error_bars(axes: Axes, diagnosis: Diagnosis) -> None:
         found, (BEFORE, AFTER), (-0.2, 0.2), ("nominal model", "extended model"), strict=False
     ):
         axes.bar(where + side, np.nan_to_num(values), 0.37, color=colour, label=label)
+        number_bars(axes, where + side, values)
     if np.isfinite(found[2]).any():
         axes.hlines(found[2], where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
-    values = np.concatenate(found)
-    seen = values[np.isfinite(values) & (values > 0)]
-    if len(seen) and seen.max() > LOG_FROM * seen.min():
-        limit_bars(axes, values, float(np.median(seen)))
+    axes.set_ylim(bottom=0)
     axes.grid(False, axis="x")
     axes.set_title("error of every joint")
     axes.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units_of(diagnosis).values()))}]")

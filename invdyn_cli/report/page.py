@@ -1,4 +1,4 @@
-"""One run as one HTML file that needs nothing else: figures inside, no script, good in light, dark and print."""
+"""One run as one HTML file that needs nothing else: figures inside, good in light, dark and print."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
+from invdyn_cli.report.run_plots import run_plots
 from invdyn_cli.report.tables import (
     LOAD_HEADS,
     choice,
@@ -26,7 +27,7 @@ from invdyn_cli.types import RunRecord
 
 CAPTIONS = {
     "torques": (
-        "Measured and predicted torque at the beginning of the test set, with the residual below. A residual that "
+        "Measured and predicted torque of the test set, with the residual below. A residual that "
         "steps when a joint reverses indicates friction; one that follows the slope of the torque indicates a delay; "
         "one that is constant for some time indicates a load."
     ),
@@ -74,7 +75,7 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
     sections = [
         ("Scores", _scores(record)),
         ("Loads", _loads(record)),
-        ("Figures", "".join(_figure(x) for x in figures if x.suffix == ".png")),
+        ("Figures", _figures(record, figures)),
         ("Fit", pairs(_fit_facts(record)) + _base_parameters(record.fit.details.get("base_parameters"))),
         ("Robot", _robot(record)),
         ("Data", pairs({"samples": record.samples, **record.split, "hash": record.digest})),
@@ -90,7 +91,14 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
 
 
 def summary(record: RunRecord) -> str:
-    """Two sentences: how large the test error is and where it is worst; how it compares with the training error."""
+    """How large the test error is and where it is worst; how it compares with the training error; what adapting makes
+    of it."""
+    adapted = record.scores["test_adapted"].mean("nmse") if "test_adapted" in record.scores else math.nan
+    more = "" if math.isnan(adapted) else f" During adaptation the mean NMSE is {significant(adapted)}."
+    return _as_learned(record) + more
+
+
+def _as_learned(record: RunRecord) -> str:
     if "test" not in record.scores:
         return "This run was not evaluated on a test set."
     score = record.scores["test"]
@@ -217,5 +225,16 @@ def _robot(record: RunRecord) -> str:
     return pairs({"name": robot.name, "joints": kinds}) + (f"<ul>{notes}</ul>" if notes else "")
 
 
-def _figure(path: Path) -> str:
-    return picture(path, CAPTIONS.get(path.stem, path.stem.replace("_", " ")))
+def _figures(record: RunRecord, figures: Sequence[Path]) -> str:
+    """The PNG files; plots that zoom stand for the torques and the residual over velocity."""
+    drawn = {x.stem: x for x in figures if x.suffix == ".png"}
+    live = run_plots(record, CAPTIONS["residual_velocity"]) if "torques" in drawn else ""
+    return "".join(
+        picture(
+            path,
+            CAPTIONS.get(name, name.replace("_", " ")),
+            live=live if name == "torques" else "",
+            replaced=bool(live) and name == "residual_velocity",
+        )
+        for name, path in drawn.items()
+    )

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, limit_bars, plain
-from invdyn_cli.report.overview import AFTER, BEFORE, LOG_FROM
+from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, number_bars, plain
+from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.wording import joints_of, units_of
 from invdyn_cli.types import Diagnosis
 
@@ -40,22 +40,20 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
         axes.set_xlabel("time in the window [ms]")
         axes.margins(x=0.01)
     if replay.traces:
-        panels[0].set_ylabel(f"{plain(replay.traces[0].joint)} [{unit[replay.traces[0].joint]}]")
+        panels[0].set_ylabel(f"position of {plain(replay.traces[0].joint)} [{unit[replay.traces[0].joint]}]")
     where = np.arange(len(replay.joints))
     for values, colour, side, label in (
         (replay.before, BEFORE, -0.2, "nominal arm"),
         (replay.after, AFTER, 0.2, "extended arm"),
     ):
         bars.bar(where + side, values, 0.37, color=colour, label=label)
-    values = np.concatenate([replay.before, replay.after])
-    seen = values[values > 0]
-    if len(seen) and seen.max() > LOG_FROM * seen.min():
-        limit_bars(bars, values, float(np.median(seen)))
+        number_bars(bars, where + side, values)
+    bars.set_ylim(bottom=0)
     crowded = len(where) * max(map(len, replay.joints)) > 110
     bars.set_xticks(where, map(plain, replay.joints), rotation=30 * crowded, ha="right" if crowded else "center")
     bars.grid(False, axis="x")
     bars.set_title(f"error of every joint, RMS over {replay.windows} windows")
-    bars.set_ylabel(f"[{'; '.join(dict.fromkeys(unit.values()))}]")
+    bars.set_ylabel(f"position error [{'; '.join(dict.fromkeys(unit.values()))}]")
     add_legend(figure, *panels, bars)
     return figure
 

@@ -12,7 +12,7 @@ from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.errors import UsageError
 from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
-from invdyn_cli.report import controlled
+from invdyn_cli.report import control_page, controlled
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import instantiate, job, launch
 from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
@@ -60,8 +60,9 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
 
 
 def write(record: ControlRecord, choices: dict, folder: Path, formats: Sequence[str] = ()) -> None:
-    """control.csv, figures/control.png and, last, control.json."""
+    """control.csv, figures/control.png, report.html and, last, control.json."""
     write_file(folder / "control.csv", controlled.as_csv(record))
     named = f"{choices['model']}, {choices['adaptation']}"
     controlled.draw(record, named, [folder / "figures" / f"control.{x}" for x in sorted({"png", *formats})])
+    control_page.write_page(record, choices, folder / "figures" / "control.png", folder / "report.html")
     write_file(folder / "control.json", controlled.as_json(record, choices))

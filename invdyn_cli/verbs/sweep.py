@@ -1,7 +1,8 @@
 """Sweeps: a folder that the same command finds again, complete jobs that are kept, and a table of all at the end."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
 from invdyn_cli.files import write_file
-from invdyn_cli.report import tables
+from invdyn_cli.report import compared, tables
 from invdyn_cli.verbs import folders, origin
+from invdyn_cli.verbs.finished import finished
 from invdyn_cli.verbs.launch import config_folder
 from invdyn_cli.verbs.screen import Screen
 
@@ -52,7 +54,8 @@ def keep_status(folder: Path, overrides: Sequence[str], status: str, message: st
 
 
 class Summary(Callback):
-    """Prints the table of all jobs when a sweep ends, and writes sweep.csv beside them; whatever launcher ran them.
+    """Prints the table of all jobs when a sweep ends, and writes sweep.csv and report.html beside them; whatever
+    launcher ran them.
 
     Raises SystemExit with the command's exit code 2 where a job failed.
     """
@@ -68,13 +71,33 @@ class Summary(Callback):
         rows = sorted((_row(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda row: row["job"])
         write_file(folder / "sweep.csv", tables.sweep_csv(rows))
         shared = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
+        named = [{**row, "overrides": _without(row["overrides"], shared)} for row in rows]
         console = Screen()
-        console.print(tables.sweep_table([{**row, "overrides": _without(row["overrides"], shared)} for row in rows]))
+        console.print(tables.sweep_table(named))
+        write_page(named, folder)
         console.whole(folder)
         if any(row["status"] != "failed" for row in rows):
             folders.point_to(folder)
         if any(row["status"] == "failed" for row in rows):
             raise SystemExit(2)
+
+
+def write_page(rows: Sequence[Mapping[str, Any]], folder: Path) -> Path:
+    """Write the page of a sweep: its finished jobs beside each other, and a table of all.
+
+    Args:
+        rows: of `tables.SWEEP_FIELDS`, one for every job; its folder is `folder`/job, its name in the page `overrides`.
+        folder: of the sweep, where report.html and figures/ are written.
+    """
+    names = [f"{row['job']}: {row['overrides']}" if row["overrides"] else str(row["job"]) for row in rows]
+    done = [i for i, row in enumerate(rows) if row["status"] != "failed"]
+    runs = finished([folder / str(rows[i]["job"]) for i in done], [names[i] for i in done], folder)
+    failed = [row for row in rows if row["status"] == "failed"]
+    told = "".join(
+        f'<p class="warning">Job {row["job"]} failed ({escape(row["overrides"])}): {escape(row["message"])}</p>\n'
+        for row in failed
+    )
+    return compared.write_page(runs, folder, f"A sweep of {len(rows)} jobs", told=told)
 
 
 def _without(overrides: str, shared: set[str]) -> str:

@@ -114,7 +114,7 @@ def test_wrong_units_stand_on_no_axis(log, arm):
     """Degrees are not drawn on an axis in rad."""
     _, drawn = drawn_of(changed(log, q=np.rad2deg(log.trajectories[0].q)), arm)
     figure = channel(drawn, "q")
-    assert {axes.get_ylabel() for axes in figure.axes} == {"q [as logged]"}
+    assert {axes.get_ylabel() for axes in figure.axes} == {"position q [as logged]"}
     assert "q is in degrees" in figure.axes[0]._right_title.get_text()
 
 

@@ -11,13 +11,14 @@ TINY = (*SMALL, "data.ripple=false", "gains=[20]", "settle=0.2", "model=pest")
 
 
 def test_leaves_its_files(command):
-    """The last line is the folder with control.json, control.csv and the figure; the JSON has every run with each
+    """The last line is the folder with control.json, control.csv, page and figure; the JSON has every run with each
     joint, and with the object the adapted one is the closest; the table's lines have the gain."""
     said = command("control", *TINY)
     assert (said.code, said.err) == (0, [])
     folder = Path(said.out[-1])
     assert folder.parts[:2] == ("outputs", "control") and folder.name.endswith("pest-pick_place-payload-seed0")
-    assert {p.name for p in folder.iterdir() if p.name[0] != "."} == {"control.json", "control.csv", "figures"}
+    names = {p.name for p in folder.iterdir() if p.name[0] != "."}
+    assert names == {"control.json", "control.csv", "report.html", "figures"}
     assert [p.name for p in (folder / "figures").iterdir()] == ["control.png"]
     made = json.loads((folder / "control.json").read_text())
     assert (made["schema"], made["model"], made["adaptation"]) == ("invdyn-control/1", "pest", "payload")

@@ -1,0 +1,63 @@
+"""Control runs as one HTML file that needs nothing else: the figure, all numbers, every joint, and how it was run."""
+
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from invdyn_cli.control import KIND_WORDS, ControlRecord
+from invdyn_cli.report.controlled import OBJECT, sentences
+from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
+from invdyn_cli.report.tables import significant
+
+CAPTION = (
+    "Above: tracking error over the feedback gain, stiff on the left, soft on the right; a good feedforward keeps it "
+    "low with soft feedback. Below: how much of the torque the feedback still makes."
+)
+
+
+def write_page(record: ControlRecord, choices: Mapping[str, Any], figure: Path, path: Path) -> Path:
+    """Write the page of control runs to `path`, whole or not at all; `choices` are the names of the command line."""
+    return write_whole(path, page(record, choices, figure))
+
+
+def page(record: ControlRecord, choices: Mapping[str, Any], figure: Path) -> str:
+    """The page as HTML text."""
+    told = "".join(f'<p class="lead">{escape(x)}</p>\n' for x in sentences(record))
+    told += "".join(f'<p class="warning">{escape(x)}</p>\n' for x in record.warnings)
+    options = {name: value for name, value in vars(record.sweep).items() if name != "gains"}
+    seconds = {name: significant(value) for name, value in record.seconds.items()}
+    sections = [
+        ("Error and feedback over the gain", picture(figure, CAPTION)),
+        ("All numbers", _numbers(record)),
+        ("Joints", folded("tracking error of every joint", _joints(record))),
+        ("Run", pairs({**choices, **options, "seconds": seconds})),
+    ]
+    title = f"{choices['model']}, {choices['adaptation']} in the control loop"
+    return document(title, told + "".join(section(*x) for x in sections))
+
+
+def _numbers(record: ControlRecord) -> str:
+    """A row for each gain, without and with the object."""
+    body = ""
+    for loaded in (False, True):
+        for gain in record.sweep.gains:
+            errors = (significant(record.rms(gain, loaded, kind)) for kind in record.kinds)
+            shares = (significant(100 * record.share(gain, loaded, kind)) for kind in record.kinds[1:])
+            body += f"<tr><td>{OBJECT[loaded]}</td><td>{gain:g}</td>"
+            body += "".join(f"<td>{x}</td>" for x in (*errors, *shares)) + "</tr>"
+    heads = ("", "gain [1/rad]", *(f"error [deg], {KIND_WORDS[x]}" for x in record.kinds))
+    heads += tuple(f"feedback torque [%], {KIND_WORDS[x]}" for x in record.kinds[1:])
+    note = "Error: RMS over time and joints. Feedback torque: RMS share of the whole torque."
+    return table(heads, body, "") + f'<p class="note">{note}</p>'
+
+
+def _joints(record: ControlRecord) -> str:
+    """A row for each run, a column for each joint."""
+    body = ""
+    for x in record.cases:
+        cells = [OBJECT[x.loaded], KIND_WORDS[x.kind], f"{x.gain:g}", str(x.repetition)]
+        cells += [significant(float(value)) for value in x.error]
+        body += "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+    heads = ("", "feedforward", "gain [1/rad]", "repetition", *(f"{x} [deg]" for x in record.joints))
+    return table(heads, body, "")

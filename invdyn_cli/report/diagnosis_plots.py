@@ -1,0 +1,74 @@
+"""The plots of a diagnosis that zoom: torques and residuals of every joint over the log, the residual over velocity."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from invdyn_cli.report.exhibits import as_numpy
+from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
+from invdyn_cli.report.posture import posture
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import claims, joints_of, units_of, words
+from invdyn_cli.types import Diagnosis
+
+MOST_TURNS = 20
+"""Changes between training and held-out data up to which they are marked."""
+
+NOTE = (
+    "Residual over the joint's own velocity, of the stretch of time in view; other samples are grey. What the extended "
+    "model has explained is gone from its residual."
+)
+
+
+def diagnosis_plots(diagnosis: Diagnosis) -> str:
+    """As HTML; "" without signals."""
+    if diagnosis.signals is None or not len(diagnosis.signals.t):
+        return ""
+    signals, units = as_numpy(diagnosis.signals), units_of(diagnosis)
+    starts = [0, *(np.flatnonzero(signals.trajectory[1:] != signals.trajectory[:-1]) + 1).tolist()]
+    turns = np.flatnonzero(signals.held_out[1:] != signals.held_out[:-1]) + 1
+    stages = [(int(row), "held-out data" if signals.held_out[row] else "training data") for row in turns]
+    time = Timeline(
+        signals.t,
+        [(row, str(signals.trajectory[row])) for row in starts],
+        stages=stages if len(stages) <= MOST_TURNS else (),
+    )
+    panels, clouds = [], []
+    for j, joint in enumerate(joints_of(diagnosis)):
+        unit = units[joint]
+        measured, nominal, extended = (x[:, j] for x in (signals.tau, signals.nominal, signals.extended))
+        before, after = (significant(x.get(joint, {}).get("rmse")) for x in (diagnosis.baseline, diagnosis.extended))
+        lines = [
+            Line("measured", measured, "ink", 3.0),
+            Line("nominal model", nominal, "grey", 1.2, frames=False),
+            Line("extended model", extended, "vermillion", 1.1, frames=False),
+        ]
+        left = [Line("residual, nominal", measured - nominal, "grey"),
+                Line("residual, extended", measured - extended, "blue", 1.1)]  # fmt: skip
+        title = f"{joint}: held-out RMSE {before} → {after} {unit}"
+        panels.append(Panel(title, f"torque [{unit}]", lines, joint=j, height=130))
+        marks = _windows(diagnosis, signals.trajectory, signals.t, joint)
+        panels.append(Panel("", f"residual [{unit}]", left, marks, joint=j, height=95, zero=True))
+        speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
+        points = [(f"residual, {name}", signals.qd[:, j], measured - x, colour)
+                  for name, x, colour in (("nominal", nominal, "orange"), ("extended", extended, "blue"))]  # fmt: skip
+        clouds.append(Cloud(joint, speed, f"residual [{unit}]", points, joint=j))
+    robot = None if diagnosis.model is None else diagnosis.model.robot
+    return plots(time, panels, clouds, posture(robot, time, signals.q), "torques of the log", NOTE)
+
+
+def _windows(diagnosis: Diagnosis, trajectory: np.ndarray, t: np.ndarray, joint: str) -> list[Mark]:
+    """When the causes act that come and go, of this joint or of the whole arm."""
+    marks = []
+    for x in claims(diagnosis):
+        if x.window is None or x.joint not in (None, joint):
+            continue
+        inside = (t >= x.window[0]) & (t <= x.window[1])
+        if x.trajectory is not None:
+            inside &= trajectory == x.trajectory
+        rows = np.flatnonzero(inside)
+        cuts = [0, *(np.flatnonzero(np.diff(rows) > 1) + 1).tolist(), len(rows)]
+        spans = [(rows[a], rows[b - 1]) for a, b in pairwise(cuts) if b > a]
+        if spans:
+            marks.append(Mark(words(x.effect), "orange", np.array(spans)))
+    return marks
