@@ -1,8 +1,12 @@
 """Sweeps: a folder that the same command finds again, complete jobs that are kept, and a table of all at the end."""
 
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hydra.experimental.callback import Callback
@@ -10,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
+from invdyn_cli.experiment import Prepared
 from invdyn_cli.files import write_file
 from invdyn_cli.report import tables
 from invdyn_cli.verbs import folders, origin
@@ -17,6 +22,12 @@ from invdyn_cli.verbs.launch import config_folder
 from invdyn_cli.verbs.screen import Screen
 
 STATUS = "status.json"
+
+SIDE_BY_SIDE = ("joblib", "submitit_local")
+"""Launchers that run several jobs on this machine at once."""
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+"""What keeps a process to one thread; processes that are started afterwards inherit it."""
 
 
 def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
@@ -46,9 +57,34 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
     return kept == OmegaConf.to_yaml(config, resolve=True) and provenance.get("code") == origin.fingerprint()
 
 
-def keep_status(folder: Path, overrides: Sequence[str], status: str, message: str = "") -> None:
-    """Leave in a job's folder what was asked of it and how it went: started, ran, kept, failed."""
-    write_file(folder / STATUS, json.dumps({"overrides": list(overrides), "status": status, "message": message}))
+def keep_status(folder: Path, number: int, overrides: Sequence[str], status: str, message: str = "") -> None:
+    """Leave in a job's folder its number, what was asked of it and how it went: started, ran, kept, failed."""
+    left = {"job": number, "overrides": list(overrides), "status": status, "message": message}
+    write_file(folder / STATUS, json.dumps(left))
+
+
+def objective(folder: Path) -> float:
+    """Mean NMSE over joints of the finished run in `folder`: of the validation set, else of the test set."""
+    found = untrusted.read_json(folder / store.METRICS, RunFileError)
+    return float((found.get("validation") or found["test"])["nmse"]["mean"])
+
+
+@contextmanager
+def prepared(found: Mapping[int, Prepared]) -> Iterator[None]:
+    """While it lasts, `prepared_for` knows what is there already for jobs of these numbers."""
+    token = _prepared.set(found)
+    try:
+        yield
+    finally:
+        _prepared.reset(token)
+
+
+def prepared_for(number: int) -> Prepared | None:
+    """Data and fit of a job, where these are there already."""
+    return _prepared.get().get(number)
+
+
+_prepared: ContextVar[Mapping[int, Prepared]] = ContextVar("prepared", default=MappingProxyType({}))
 
 
 class Summary(Callback):
@@ -58,7 +94,11 @@ class Summary(Callback):
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Forget how the jobs of an earlier sweep in this folder went; what they wrote stays."""
+        """Forget how the jobs of an earlier sweep in this folder went; what they wrote stays. Jobs that run side by
+        side take a thread each."""
+        if config.hydra.runtime.choices.get("hydra/launcher") in SIDE_BY_SIDE:
+            flags = os.environ.get("XLA_FLAGS", "")
+            os.environ.update(ONE_THREAD | {"XLA_FLAGS": f"{flags} {ONE_THREAD['XLA_FLAGS']}".strip()})
         for path in Path(config.hydra.sweep.dir).glob(f"*/{STATUS}"):
             path.unlink()
 
@@ -84,10 +124,11 @@ def _without(overrides: str, shared: set[str]) -> str:
 
 def _row(folder: Path) -> dict[str, Any]:
     """What a job left in its folder; one that was killed, or left something else, has failed."""
-    row = {"job": int(folder.name) if folder.name.isdigit() else 0, "overrides": folder.name}
+    row = {"job": 0, "folder": folder.name, "overrides": folder.name}
     scores = {"test_nmse": None, "test_rmse": None, "seconds": None}
     try:
         left = untrusted.read_json(folder / STATUS, RunFileError)
+        row["job"] = int(left["job"])
         row["overrides"] = " ".join(untrusted.names(left["overrides"], "overrides"))
         status, message = str(left["status"]), str(left["message"])
         if status == "started":
