@@ -108,14 +108,14 @@ def train(
 
 
 class _Watch:
-    """Collects the groups' shares and losses, and reports the slowest share."""
+    """Collects the groups' shares and losses, and reports their means."""
 
     def __init__(self, groups: int, progress: Progress) -> None:
         self.shares, self.losses, self.progress = [0.0] * groups, [np.zeros(0)] * groups, progress
 
     def __call__(self, group: int, share: float, losses: np.ndarray) -> None:
         self.shares[group], self.losses[group] = share, losses
-        self.progress(min(self.shares), f"loss {np.mean(np.concatenate(self.losses)):.2e}")
+        self.progress(sum(self.shares) / len(self.shares), f"loss {np.mean(np.concatenate(self.losses)):.2e}")
 
 
 def _train_group(
