@@ -1,8 +1,9 @@
 """Training of many small nets at once: minibatches and epochs in one `lax.scan`, `vmap` over nets of one shape.
 
 A group is a stack of nets of one shape, each with its own target column, its own learning rate and its own seed; the
-whole of its training is one compiled program, which serves all learning rates. Groups of different shapes know nothing of each other and run side by
-side, a thread each: padding them to a common shape, or one scan over all, costs about twice the time on a CPU.
+whole of its training is one compiled program, which serves all learning rates. Groups of different shapes know nothing
+of each other and run side by side, a thread each: padding them to a common shape, or one scan over all, costs about
+twice the time on a CPU.
 """
 
 import os
@@ -70,8 +71,8 @@ class Trained(NamedTuple):
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def initial(hidden: tuple[int, ...], columns: tuple[int, ...], inputs: int, keys: Array) -> PyTree:
-    """Fresh parameters of a group's nets, leading axes (members, nets), from one key per member: member k does not depend on
-    how many there are, and a net does not depend on which other joints share its shape."""
+    """Fresh parameters of a group's nets, leading axes (members, nets), from one key per member: member k does not
+    depend on how many there are, and a net does not depend on which other joints share its shape."""
     net = MLP(hidden)
     blank = jnp.zeros((1, inputs), jnp.float32)
     per_net = jax.vmap(lambda key, column: net.init(jax.random.fold_in(key, column), blank)["params"], (None, 0))

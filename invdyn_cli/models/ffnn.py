@@ -92,7 +92,9 @@ class Ffnn(AbstractModel):
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """Fresh nets and the standardisation of this dataset."""
         motion, tau = dataset.motion, dataset.tau
-        nets = [training.initial(g.hidden, g.columns, 3 * tau.shape[1], self._keys(key)) for g in self.groups(tau.shape[1])]
+        nets = [
+            training.initial(g.hidden, g.columns, 3 * tau.shape[1], self._keys(key)) for g in self.groups(tau.shape[1])
+        ]
         return {**standardisation(motion, tau), "nets": _named(nets)}
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:

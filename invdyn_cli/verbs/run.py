@@ -2,7 +2,6 @@
 
 import datetime
 import json
-import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +11,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import RobotError, UsageError, listed
-from invdyn_cli.files import write_file
 from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.functions.inputs import named_by, with_joints
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress
 from invdyn_cli.tracking.contract import AbstractTracker, Tracked, flat, mean_curves, numbers
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
-from invdyn_cli.verbs.launch import TRACEBACK, in_sweep, instantiate, job, launch, told
+from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.screen import Screen
 
 FORMATS = ("png", "svg", "pdf")
@@ -48,10 +46,7 @@ def task(config: DictConfig) -> float | None:
         try:
             execute(config, folder, prepared=sweep.prepared_for(number))
         except Exception as error:
-            status, message = "failed", told("run", error, asked)
-            if not message:
-                message = f"{type(error).__name__}: {error}"
-                write_file(folder / TRACEBACK, traceback.format_exc())
+            status, message = "failed", sweep.reason("run", error, folder, asked)
     sweep.keep_status(folder, number, asked, status, message)
     screen.tell(f"job {number} {status}: {message or ' '.join(asked)}")
     return sweep.objective(folder) if status != "failed" else float("inf")
@@ -83,9 +78,7 @@ def execute(
     for note in robot.notes if robot else ():
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
-        made = experiment.run(
-            source, model, adaptation, robot, seed=config.seed, stage=stage, prepared=prepared
-        )
+        made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage, prepared=prepared)
         record = _with_origin(made, config, started, view or job())
         result = FitResult(record)
         result.save(folder, tuple(config.figures.formats), stage("write"))

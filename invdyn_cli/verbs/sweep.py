@@ -2,6 +2,7 @@
 
 import json
 import os
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -18,7 +19,7 @@ from invdyn_cli.experiment import Prepared
 from invdyn_cli.files import write_file
 from invdyn_cli.report import tables
 from invdyn_cli.verbs import folders, origin
-from invdyn_cli.verbs.launch import config_folder
+from invdyn_cli.verbs.launch import TRACEBACK, config_folder, told
 from invdyn_cli.verbs.screen import Screen
 
 STATUS = "status.json"
@@ -57,10 +58,27 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
     return kept == OmegaConf.to_yaml(config, resolve=True) and provenance.get("code") == origin.fingerprint()
 
 
-def keep_status(folder: Path, number: int, overrides: Sequence[str], status: str, message: str = "") -> None:
+def keep_status(
+    folder: Path, number: int, overrides: Sequence[str], status: str, message: str = "", **facts: str
+) -> None:
     """Leave in a job's folder its number, what was asked of it and how it went: started, ran, kept, failed."""
-    left = {"job": number, "overrides": list(overrides), "status": status, "message": message}
+    left = {"job": number, "overrides": list(overrides), "status": status, "message": message, **facts}
     write_file(folder / STATUS, json.dumps(left))
+
+
+def reason(verb: str, error: Exception, folder: Path, asked: Sequence[str]) -> str:
+    """Why a job failed, in a line; the traceback of an error of ours is kept in its folder."""
+    if line := told(verb, error, asked):
+        return line
+    write_file(folder / TRACEBACK, "".join(traceback.format_exception(error)))
+    return f"{type(error).__name__}: {error}"
+
+
+def run_side_by_side(config: DictConfig) -> None:
+    """Let processes that are started from now on take one thread, where the launcher runs several of them here."""
+    if config.hydra.runtime.choices.get("hydra/launcher") in SIDE_BY_SIDE:
+        flags = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD['XLA_FLAGS']}".strip()
+        os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
 
 
 def objective(folder: Path) -> float:
@@ -96,9 +114,7 @@ class Summary(Callback):
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Forget how the jobs of an earlier sweep in this folder went; what they wrote stays. Jobs that run side by
         side take a thread each."""
-        if config.hydra.runtime.choices.get("hydra/launcher") in SIDE_BY_SIDE:
-            flags = os.environ.get("XLA_FLAGS", "")
-            os.environ.update(ONE_THREAD | {"XLA_FLAGS": f"{flags} {ONE_THREAD['XLA_FLAGS']}".strip()})
+        run_side_by_side(config)
         for path in Path(config.hydra.sweep.dir).glob(f"*/{STATUS}"):
             path.unlink()
 

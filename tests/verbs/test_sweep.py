@@ -66,7 +66,9 @@ def test_a_failed_job_is_a_row(command):
     ]
     assert len(kept) >= 8
     assert all(after[name] == before[name] for name in kept)
-    assert all(after[name] > before[name] for name in before if name[:2] in ("1-", "3-") and name.endswith("status.json"))
+    assert all(
+        after[name] > before[name] for name in before if name[:2] in ("1-", "3-") and name.endswith("status.json")
+    )
 
 
 def test_what_failed_may_succeed_later(command):

@@ -83,7 +83,9 @@ def test_adaptation_starts_from_the_shared_fit(command):
 def test_members_stay_with_their_model(seeds, tiny_dataset):
     """With several networks per joint, each model gets back its own, in order; one diverges alone."""
     rates = (0.001, 0.01, 1e30)
-    models = [Ffnn(hidden=(4,), learning_rate=x, joints=((2, JointNet((4, 4), x)),), epochs=2, seeds=seeds) for x in rates]
+    models = [
+        Ffnn(hidden=(4,), learning_rate=x, joints=((2, JointNet((4, 4), x)),), epochs=2, seeds=seeds) for x in rates
+    ]
     keys = [jax.random.key(k) for k in range(3)]
     fits = models[0].fit_together(models, tiny_dataset, keys)
     for model, key, fit in zip(models[:2], keys, fits, strict=False):
