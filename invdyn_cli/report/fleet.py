@@ -211,8 +211,8 @@ def page(logs: Sequence[Diagnosed]) -> str:
     )
     told = table(("robot", "since", "log before", "what has changed"), body) if changed else "<p>Nothing.</p>"
     note = (
-        '<p class="note">Each log is diagnosed by itself, and diagnoses are compared. A size has changed where its 95 % '
-        "intervals do not meet. More sensitive: diagnose the later log with data.reference= the earlier one.</p>"
+        '<p class="note">Each log is diagnosed by itself, and diagnoses are compared. A size has changed where its '
+        "95 % intervals do not meet. More sensitive: diagnose the later log with data.reference= the earlier one.</p>"
     )
     parts = [section("What has changed", told + note)]
     for robot, some in robots.items():
