@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
+SOURCES := $(shell find invdyn_cli hydra_plugins conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
 # The longest first, so that two at a time end together.
 PUBLISHED = adaptation batch_simulated dbm seven_joints filters
