@@ -55,11 +55,6 @@ class Diagnosed:
         return f"{year}-{month}-{day}" + (f" {hour}:{minute}" if hour else "")
 
     @property
-    def name(self) -> str:
-        """The log, with its date in brackets."""
-        return f"{self.log} ({self.date})" if self.date else self.log
-
-    @property
     def is_usable(self) -> bool:
         """Whether causes could be looked for."""
         return self.verdict not in ("failed", "log_unusable")
@@ -181,7 +176,7 @@ def fleet_table(logs: Sequence[Diagnosed]) -> Table:
 def change_lines(logs: Sequence[Diagnosed]) -> list[str]:
     """'arm, since b.h5 (a.h5 before): new: payload'."""
     every = (change for some in by_robot(logs).values() for change in changes(some))
-    return [f"{x.robot or '-'}, since {x.since.name} ({x.before.log} before): {x.text}" for x in every]
+    return [f"{x.robot or '-'}, since {x.since.log} ({x.before.log} before): {x.text}" for x in every]
 
 
 def fleet_csv(logs: Sequence[Diagnosed]) -> str:
@@ -201,11 +196,12 @@ def page(logs: Sequence[Diagnosed]) -> str:
     """The page: what has changed, then every robot's logs in time with their causes and a link to each report."""
     robots = by_robot(logs)
     failed = sum(one.verdict == "failed" for one in logs)
-    count = f"{len(logs)} log{'s' * (len(logs) != 1)} of {len(robots)} robot{'s' * (len(robots) != 1)}"
+    known = sum(robot != "" for robot in robots)
+    count = f"{len(logs)} log{'s' * (len(logs) != 1)} of {known} robot{'s' * (known != 1)}"
     lead = f'<p class="lead">{count}{f", {failed} of them not diagnosed" if failed else ""}.</p>'
     changed = [change for some in robots.values() for change in changes(some)]
     body = "".join(
-        f"<tr><td>{escape(x.robot or '-')}</td><td>{escape(x.since.name)}</td><td>{escape(x.before.log)}</td>"
+        f"<tr><td>{escape(x.robot or '-')}</td><td>{escape(x.since.log)}</td><td>{escape(x.before.log)}</td>"
         f"<td>{escape(capital(x.text))}</td></tr>"
         for x in changed
     )
@@ -233,13 +229,14 @@ table.words td, table.words th { text-align: left; white-space: normal; vertical
 
 
 def _row(one: Diagnosed) -> str:
-    causes = "<br>".join(escape(capital(_headline(x))) for x in one.causes) or escape(one.message) or "none"
+    causes = "<br>".join(escape(_headline(x)) for x in one.causes) or escape(one.message)
+    causes = causes or ("none" if one.is_usable else "not looked for")
     link = f'<a href="{escape(one.folder, quote=True)}/report.html">report</a>' if one.verdict != "failed" else ""
     verdict = escape(VERDICT_WORDS.get(one.verdict, one.verdict))
     verdict = f'<b class="worst">{verdict}</b>' if one.verdict == "failed" else verdict
-    return f"<tr><td>{escape(one.name)}</td><td>{verdict}</td><td>{causes}</td><td>{link}</td></tr>"
+    return f"<tr><td>{escape(one.log)}</td><td>{verdict}</td><td>{causes}</td><td>{link}</td></tr>"
 
 
 def _headline(finding: Finding) -> str:
     where = f"{finding.joint}: " if finding.joint else ""
-    return where + headline_of(finding) + (" (ambiguous)" if finding.status == "ambiguous" else "")
+    return where + capital(headline_of(finding)) + (" (ambiguous)" if finding.status == "ambiguous" else "")

@@ -67,4 +67,4 @@ def test_the_page_links_and_escapes():
     page = fleet.page(logs)
     assert "<b>.h5" not in page and "<i>" not in page and "not <a> log" not in page
     assert "0-&lt;b&gt;.h5/report.html" in page and "1-x/report.html" not in page and "not &lt;a&gt; log" in page
-    assert "2 logs of 2 robots, 1 of them not diagnosed" in page
+    assert "2 logs of 1 robot, 1 of them not diagnosed" in page
