@@ -79,7 +79,7 @@ def of_jobs(argv: Sequence[str]) -> list[str]:
     for text in (a for a in argv if "=" in a and not a.startswith(("-", "hydra.", "hydra/", "+hydra"))):
         with suppress(HydraException):
             one = OverridesParser.create().parse_override(text)
-            fixed += [one.get_key_element()] * (not one.is_sweep_override())
+            fixed += [one.get_key_element().lstrip("+~")] * (not one.is_sweep_override())
     return [f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(repr, fixed))}]"]
 
 

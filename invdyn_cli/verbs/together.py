@@ -13,6 +13,7 @@ from typing import Any
 import jax
 from omegaconf import DictConfig, OmegaConf
 
+from invdyn_cli import interruption
 from invdyn_cli.experiment import Prepared
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
 from invdyn_cli.tracking.contract import flat
@@ -79,6 +80,8 @@ def _asked(job: Job) -> _Asked | None:
         robot = run.make_robot(job.config, source.header(), optional=optional, console=Screen(quiet=True))
         return _Asked(job, source, model, robot, (json.dumps(shared, sort_keys=True, default=str), alike))
     except Exception:
+        if interruption.was_asked():
+            raise
         return None
 
 
@@ -99,6 +102,8 @@ def _fit(group: Sequence[_Asked]) -> dict[int, Prepared]:
                 progress=stage("learn"),
             )
     except Exception as error:
+        if interruption.was_asked():
+            raise
         screen.tell(f"{_jobs(numbers)}: fitted one by one, because the program failed: {error}")
         return {}
     share = len(group)
