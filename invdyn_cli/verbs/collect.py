@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -142,11 +143,14 @@ def _plain(value: Any) -> Any:
 
 
 def _shown(rows: Sequence[Row]) -> Table:
-    """Only what differs, and the numbers that some run has; the lowest test NMSE is marked."""
+    """Only what differs, and the numbers that some run has; the lowest test NMSE is marked, and folders are told below
+    the one that all lie in."""
+    above = os.path.commonpath([Path(row["run"]).parent for row in rows])
+    rows = [{**row, "run": os.path.relpath(row["run"], above or ".")} for row in rows]
     names = [name for name in rows[0] if name not in SCORES and len({str(row[name]) for row in rows}) > 1]
     names = names or ["run"]
     numbers = [name for name in SHOWN if any(row[name] is not None for row in rows)]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"{len(rows)} runs"))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"{len(rows)} runs below {above or '.'}"))
     for name in names:
         table.add_column(Text(name), overflow="fold")
     for name in numbers:

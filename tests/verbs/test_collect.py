@@ -43,7 +43,9 @@ def test_one_table_of_all_runs(command, runs):
     table = parquet.read_table("runs.parquet").to_pylist()
     assert [row["test_rmse"] for row in table] == [metrics["test"]["rmse"]["mean"] for metrics in runs]
     shown = "\n".join(said.out)
-    assert "model.threshold" in shown and "2 runs" in shown and "sim_noisy" not in shown
+    assert (
+        "model.threshold" in shown and "2 runs below runs" in shown and "deep/b" in shown and "sim_noisy" not in shown
+    )
 
 
 def test_what_is_broken_or_foreign_is_named(command, runs):
