@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from invdyn_cli import load_run
-from tests.commands import ENVIRONMENT, TINY, script, tree
+from tests.commands import ENVIRONMENT, TINY, invdyn, script, tree
 from tests.logs import make_log
 
 JOB = ("model=pest", *TINY)
@@ -156,11 +156,12 @@ def test_side_by_side(command):
 @pytest.mark.skipif(
     importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is None, reason="no hydra-submitit-launcher"
 )
-def test_as_slurm_runs_them(command):
+def test_as_slurm_runs_them(tmp_path):
     """With submitit, here its executor on this machine, jobs run in processes of its own and leave the same."""
-    said = command("run", "-m", *JOB, "model.threshold=0.001,-1", "hydra/launcher=submitit_local")
-    assert said.code == 2
-    assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed"]
+    argv = ("run", "-m", *JOB, "model.threshold=0.001,-1", "hydra/launcher=submitit_local", "hydra.sweep.dir=sweep")
+    done = invdyn(*argv, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert [row["status"] for row in rows_of(tmp_path / "sweep")] == ["ran", "failed"]
 
 
 @pytest.mark.skipif(
