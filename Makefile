@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 DOCS := .docs-venv
-SOURCES := $(shell find invdyn_cli conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
+SOURCES := $(shell find invdyn_cli hydra_plugins conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
 # The longest first, so that two at a time end together.
 PUBLISHED = adaptation batch_simulated dbm seven_joints filters
@@ -18,7 +18,7 @@ ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# eac
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables figures real experiment fuzz docs wheel clean $(ALIASES)
+.PHONY: help venv run test lint format tables figures real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
 
 help:  ## what there is to make
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -53,6 +53,12 @@ experiment: $(INSTALLED)  ## NAME=confusion seed=3 logs=2, or make confusion see
 
 $(ALIASES): $(INSTALLED)
 	$(BIN)/invdyn experiment $@ $(said)
+
+bench-gpu: $(INSTALLED)  ## 24 seeds in one program on the CPU and on the GPU (extra cuda); says so where there is none
+	@if $(BIN)/python -c 'import jax; jax.devices("gpu")' 2>/dev/null; then for device in cpu cuda; do \
+	  echo "$$device:"; JAX_PLATFORMS=$$device $(BIN)/invdyn run -m model=ffnn 'seed=range(24)' \
+	  hydra.sweep.dir=outputs/bench_gpu/$$device; done; \
+	  else echo "bench-gpu: JAX sees no GPU here; allowed: an NVIDIA GPU and pip install 'invdyn[cuda]'"; fi
 
 fuzz: $(INSTALLED)  ## damaged logs, URDFs, runs and options, drawn anew (examples=)
 	$(ONE_THREAD) INVDYN_FUZZ_EXAMPLES=$(or $(examples),2000) $(BIN)/python -m pytest -q -n 2 tests/fuzz

@@ -12,7 +12,7 @@ VERBS = {
     "run": "run one experiment, or a sweep with -m: data, model, adaptation",
     "check": "check a measured log: defects, their corrections, and what the motion excites",
     "convert": "write an invdyn log of a csv, parquet, npz or mat file, a ROS bag or a LeRobot dataset",
-    "diagnose": "find what the simulation gets wrong on a log, the causes, and the gain of each correction",
+    "diagnose": "find what the simulation gets wrong on a log (-m: of a fleet), the causes, and their gains",
     "excite": "design a trajectory within the joint limits that distinguishes given causes, ready to play",
     "tables": "make the published tables from experiments/*.yaml, with the paper's statements",
     "experiment": "run one of the experiments, or one of your own, and write its table (without a name: list them)",
@@ -20,6 +20,7 @@ VERBS = {
     "simulate": "write the log of a simulated arm that stands in for the real one, with hidden effects",
     "control": "test a learned model, adapted or not, in the control loop of the simulated arm",
     "compare": "set finished runs of one robot beside each other, as a table and as a page",
+    "collect": "put all runs below folders into one table: options that differ, scores, times",
     "report": "draw the figures and the page of a run again, from its run.h5",
     "effects": "list the physical effects that a diagnosis looks for, or tell all about one of them",
     "models": "list the models and adaptations, or tell all about one of them",
@@ -36,6 +37,7 @@ usage: invdyn VERB [option=value ...]
 
   invdyn run model=ffnn data=sim_noisy                one experiment
   invdyn run -m model=pest,ffnn seed=0,1,2            a sweep
+  invdyn collect outputs/sweeps output=runs.csv       all their runs in one table
   invdyn run data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf model=pest
   invdyn convert bag/ log.h5                          also log.csv, log.npz, log.mat, log.parquet, log.mcap
   invdyn compare outputs/latest OTHER_RUN             scores, parameters and residuals beside each other

@@ -1,9 +1,10 @@
 """One experiment on objects: source -> fit -> predict -> score -> RunRecord. No files, no config, no printing."""
 
+import copy
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -18,6 +19,17 @@ Stage = Callable[[str], Progress]
 """Opens a stage of the work by its name and gives what to report its progress to."""
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """What is there before an experiment begins: its data and the fit of its model, and its share of the time [s] that
+    both have taken."""
+
+    splits: Splits
+    fit: Fit
+    data_seconds: float
+    fit_seconds: float
+
+
 def run(
     source: AbstractSource,
     model: AbstractModel,
@@ -26,12 +38,14 @@ def run(
     *,
     seed: int = 0,
     stage: Stage = lambda name: silent,
+    prepared: Prepared | None = None,
 ) -> RunRecord:
     """Make or read the data, learn, and judge on every set.
 
     Args:
         robot: None where the kinematics are unknown; then only sources and models that need none will do.
         seed: of everything random.
+        prepared: data and fit, where these are there already.
 
     Raises:
         UsageError: if the source or the model needs a robot and there is none.
@@ -48,13 +62,17 @@ def run(
         got = f"{type(model).__name__} has a memory along a recording, and an adaptation takes samples one by one"
         raise UsageError(got, advice="adaptation=batch, or a model without memory")
     started = time.perf_counter()
-    splits = source.load(robot, stage("data"))
+    splits = prepared.splits if prepared else source.load(robot, stage("data"))
     if "test" not in splits.tests:
         got = f"the source {type(source).__name__} has the test sets {listed(splits.tests)}"
         raise UsageError(f"{got}; allowed: test, and further ones")
     fit_started = time.perf_counter()
     fit = adaptation.fit(
-        model, splits.train, jax.random.key(seed), validation=splits.validation, progress=stage("learn")
+        _known(model, prepared.fit) if prepared else model,
+        splits.train,
+        jax.random.key(seed),
+        validation=splits.validation,
+        progress=stage("learn"),
     )
     fitted = time.perf_counter()
     judge = stage("judge")
@@ -75,6 +93,7 @@ def run(
         took = update_times(adaptation, model, fit, test)
         updates = {f"update_{name}": float(np.percentile(took, x)) for name, x in (("p50", 50), ("p99", 99))}
     predicted = time.perf_counter()
+    earlier = (prepared.data_seconds, prepared.fit_seconds) if prepared else (0.0, 0.0)
     members = model.members(fit)
     member_scores = {
         name: tuple(score(data, predict(model, member, data)) for member in members)
@@ -91,16 +110,23 @@ def run(
         member_scores=member_scores,
         samples={name: p.data.samples for name, p in predictions.items()},
         seconds={
-            "data": fit_started - started,
-            "fit": fitted - fit_started,
+            "data": fit_started - started + earlier[0],
+            "fit": fitted - fit_started + earlier[1],
             "predict": predicted - fitted,
-            "total": time.perf_counter() - started,
+            "total": time.perf_counter() - started + sum(earlier),
             **updates,
         },
         split=splits.description,
         digest=digest(splits),
         trace=trace,
     )
+
+
+def _known(model: AbstractModel, fit: Fit) -> AbstractModel:
+    """The model, equal to itself in all but that its `fit` is known."""
+    known = copy.copy(model)
+    object.__setattr__(known, "fit", lambda dataset, key, **options: fit)
+    return known
 
 
 def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:

@@ -6,7 +6,7 @@ given back; randomness comes from a key. `invdyn_cli.testing` checks whether an 
 """
 
 import abc
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -49,6 +49,23 @@ class AbstractModel(abc.ABC):
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
     ) -> Fit:
         """Learn from a dataset; `validation` is watched, never learned from."""
+
+    def alike(self) -> Hashable | None:
+        """What models have in common that can be fitted in one program (`fit_together`), whatever their other
+        hyperparameters are; None for a model that is fitted alone."""
+        return None
+
+    def fit_together(
+        self,
+        models: Sequence["AbstractModel"],
+        dataset: Dataset,
+        keys: Sequence[jax.Array],
+        *,
+        validation: Dataset | None = None,
+        progress: Progress = silent,
+    ) -> list[Fit]:
+        """The fits of models that are all `alike`, each with its key: those that `fit` gives, to rounding."""
+        raise NotImplementedError
 
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n) of a motion (T, n): `apply` over all samples, in chunks of one shape (one compilation)."""

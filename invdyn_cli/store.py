@@ -96,6 +96,17 @@ def load_origin(path: str | Path) -> tuple[str, dict[str, Any]]:
     return str(tree["config"]), provenance if isinstance(provenance, dict) else {}
 
 
+def load_asked(path: str | Path) -> tuple[str, tuple[str, ...]]:
+    """The resolved config of a run.h5, and the overrides of its command: plain values, no object is built.
+
+    Raises:
+        RunFileError: as `load_run`.
+        ValueError: if the overrides are no texts.
+    """
+    tree = _read(Path(path), ("config", "overrides"), hdf5.LIMIT)
+    return str(tree["config"]), untrusted.names(tree["overrides"], "overrides")
+
+
 def _read(path: Path, members: Sequence[str] | None, limit: float) -> dict[str, Any]:
     """The tree of a run.h5, or some of its members, with all values."""
     if not path.is_file():

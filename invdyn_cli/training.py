@@ -1,10 +1,12 @@
 """Training of many small nets at once: minibatches and epochs in one `lax.scan`, `vmap` over nets of one shape.
 
 A group is a stack of nets of one shape, each with its own target column, its own learning rate and its own seed; the
-whole of its training is one compiled program. Groups of different shapes know nothing of each other and run side by
-side, a thread each: padding them to a common shape, or one scan over all, costs about twice the time on a CPU.
+whole of its training is one compiled program, which serves all learning rates. Groups of different shapes know nothing
+of each other and run side by side, a thread each: padding them to a common shape, or one scan over all, costs about
+twice the time on a CPU.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -67,14 +69,14 @@ class Trained(NamedTuple):
     validation_loss: np.ndarray
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def initial(group: Group, inputs: int, keys: Array) -> PyTree:
-    """Fresh parameters of a group, leading axes (members, nets), from one key per member: member k does not depend on
-    how many there are, and a net does not depend on which other joints share its shape."""
-    net = MLP(group.hidden)
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def initial(hidden: tuple[int, ...], columns: tuple[int, ...], inputs: int, keys: Array) -> PyTree:
+    """Fresh parameters of a group's nets, leading axes (members, nets), from one key per member: member k does not
+    depend on how many there are, and a net does not depend on which other joints share its shape."""
+    net = MLP(hidden)
     blank = jnp.zeros((1, inputs), jnp.float32)
     per_net = jax.vmap(lambda key, column: net.init(jax.random.fold_in(key, column), blank)["params"], (None, 0))
-    return jax.vmap(per_net, (0, None))(keys, jnp.array(group.columns))
+    return jax.vmap(per_net, (0, None))(keys, jnp.array(columns))
 
 
 def train(
@@ -85,31 +87,36 @@ def train(
     keys: Array,
     progress: Progress = silent,
     start: Sequence[PyTree] | None = None,
+    rates: Sequence[np.ndarray] | None = None,
 ) -> list[Trained]:
     """Minimise the mean squared error of every net with Adam (Kingma and Ba 2015; optax defaults beside the rate).
 
     Args:
         keys: (members,) one key per member (seed); each member shuffles and starts on its own.
         start: parameters to start from (as `Trained.params`), instead of fresh ones.
+        rates: learning rates of each group, (members, nets), instead of the same for all members.
     """
     watch = _Watch(len(groups), progress)
+    if rates is None:
+        rates = [np.tile(group.learning_rates, (len(keys), 1)) for group in groups]
     jobs = [
-        partial(_train_group, group, schedule, data, validation, keys, partial(watch, i), start and start[i])
+        partial(_train_group, group, schedule, data, validation, keys, rates[i], partial(watch, i), start and start[i])
         for i, group in enumerate(groups)
     ]
-    with ThreadPoolExecutor(max(1, len(jobs))) as pool:
+    alone = os.environ.get("OMP_NUM_THREADS") == "1"  # one of several processes that share the cores
+    with ThreadPoolExecutor(1 if alone else max(1, len(jobs))) as pool:
         return list(pool.map(lambda job: job(), jobs))
 
 
 class _Watch:
-    """Collects the groups' shares and losses, and reports the slowest share."""
+    """Collects the groups' shares and losses, and reports their means."""
 
     def __init__(self, groups: int, progress: Progress) -> None:
         self.shares, self.losses, self.progress = [0.0] * groups, [np.zeros(0)] * groups, progress
 
     def __call__(self, group: int, share: float, losses: np.ndarray) -> None:
         self.shares[group], self.losses[group] = share, losses
-        self.progress(min(self.shares), f"loss {np.mean(np.concatenate(self.losses)):.2e}")
+        self.progress(sum(self.shares) / len(self.shares), f"loss {np.mean(np.concatenate(self.losses)):.2e}")
 
 
 def _train_group(
@@ -118,16 +125,20 @@ def _train_group(
     data: Data,
     validation: Data | None,
     keys: Array,
+    rates: np.ndarray,
     report: Callable[[float, np.ndarray], None],
     start: PyTree | None,
 ) -> Trained:
-    params = initial(group, data.x.shape[1], keys) if start is None else start
+    params = initial(group.hidden, group.columns, data.x.shape[1], keys) if start is None else start
+    steps = jnp.asarray(rates, jnp.float32)
     state = params, jax.vmap(jax.vmap(_adam.init))(params)
     watched = validation if validation is not None and len(validation.x) else Data(data.x[:0], data.y[:0])
     bites = _bites(schedule.epochs)
     curves, done = [], 0
     for epochs in bites:
-        state, losses = _epochs(group, schedule.batch_size, epochs, state, data, watched, keys, done)
+        state, losses = _epochs(
+            group.hidden, group.columns, schedule.batch_size, epochs, state, data, watched, keys, steps, done
+        )
         curves.append(jax.tree.map(np.asarray, losses))
         done += epochs
         report(done / schedule.epochs, curves[-1][0][-1].ravel())
@@ -206,6 +217,25 @@ def _epochs(group: Group, batch: int, epochs: int, state, data: Data, validation
     net = MLP(group.hidden)
     rates = jnp.array(group.learning_rates, jnp.float32)
     columns = jnp.array(group.columns)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3), donate_argnums=4)
+def _epochs(
+    hidden: tuple[int, ...],
+    targets: tuple[int, ...],
+    batch: int,
+    epochs: int,
+    state,
+    data: Data,
+    validation: Data,
+    keys: Array,
+    rates: Array,
+    done: int,
+):
+    """`epochs` more epochs of all nets of a group, learning rates (members, nets): state, (train, validation) losses
+    (epochs, members, nets)."""
+    net = MLP(hidden)
+    columns = jnp.array(targets)
     batch = min(batch, len(data.x))
     steps = len(data.x) // batch
     table = jnp.concatenate([data.x, data.y[:, columns]], axis=1)
@@ -219,7 +249,7 @@ def _epochs(group: Group, batch: int, epochs: int, state, data: Data, validation
         return jax.tree.map(lambda p, s: p - rate * s, params, step), moments, value
 
     def epoch(state, number):
-        def member(state, key):
+        def member(state, key, rates):
             order = jax.random.permutation(jax.random.fold_in(key, number), len(table))[: steps * batch]
             batches = table[order].reshape(steps, batch, -1)
 
@@ -233,6 +263,6 @@ def _epochs(group: Group, batch: int, epochs: int, state, data: Data, validation
             watched = jax.vmap(loss, (0, None, 1))(state[0], validation.x, validation.y[:, columns])
             return state, (losses.mean(0), watched)
 
-        return jax.vmap(member)(state, keys)
+        return jax.vmap(member)(state, keys, rates)
 
     return jax.lax.scan(epoch, state, done + jnp.arange(epochs))

@@ -63,8 +63,9 @@ def test_shuffles_use_every_row_once_an_epoch():
     np.testing.assert_allclose(one.train_loss, one.validation_loss, rtol=1e-5)
 
 
-def test_progress_is_that_of_the_slowest_group():
-    """Two groups side by side report shares that never fall and end at 1, with the mean loss in words."""
+def test_progress_is_that_of_all_groups():
+    """Two groups, side by side or one after the other, report shares that never fall and end at 1, with the mean
+    loss in words."""
     groups = [training.Group((8,), (0,), (0.01,)), training.Group((8, 8), (1,), (0.01,))]
     seen = []
     training.train(groups, training.Schedule(4, 32), data(), None, KEYS, lambda share, note: seen.append((share, note)))

@@ -1,8 +1,8 @@
 """model=ffnn: one feed-forward net per joint, from all joints' state to the torque of one (paper, III-B, Table I)."""
 
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,9 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 MOST_WEIGHTS = 10_000_000
 """Of a joint's nets behind their inputs: with Adam's two moments 120 MB a joint in float32; Table I's have 10,000."""
+
+MOST_NUMBERS = 250_000_000
+"""Of the rows of all members, which each member shuffles for itself: 1 GB in float32."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Ffnn(AbstractModel):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
                 raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
         for net in (common, *(net for _, net in self.joints)):
-            weights = self.seeds * sum(a * b for a, b in itertools.pairwise((1, *net.hidden, 1)))
+            weights = _weights(net, self.seeds)
             if weights > MOST_WEIGHTS:
                 got = f"model.hidden={list(net.hidden)} with model.seeds={self.seeds}: {weights:.3g} weights a joint"
                 raise UsageError(f"{got}; allowed: {MOST_WEIGHTS:.0e}")
@@ -89,7 +92,9 @@ class Ffnn(AbstractModel):
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """Fresh nets and the standardisation of this dataset."""
         motion, tau = dataset.motion, dataset.tau
-        nets = [training.initial(g, 3 * tau.shape[1], self._keys(key)) for g in self.groups(tau.shape[1])]
+        nets = [
+            training.initial(g.hidden, g.columns, 3 * tau.shape[1], self._keys(key)) for g in self.groups(tau.shape[1])
+        ]
         return {**standardisation(motion, tau), "nets": _named(nets)}
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
@@ -110,18 +115,54 @@ class Ffnn(AbstractModel):
     ) -> Fit:
         """Train all joints' nets. history: train_loss and validation_loss (epochs, members, n), mean squared error of
         the standardised torque."""
+        return self.fit_together([self], dataset, [key], validation=validation, progress=progress)[0]
+
+    def alike(self) -> "Ffnn":
+        """All but the learning rates."""
+        nets = tuple((number, JointNet(net.hidden, 1.0)) for number, net in self.joints)
+        return replace(self, learning_rate=1.0, joints=nets)
+
+    def fit_together(
+        self,
+        models: Sequence[AbstractModel],
+        dataset: Dataset,
+        keys: Sequence[jax.Array],
+        *,
+        validation: Dataset | None = None,
+        progress: Progress = silent,
+    ) -> list[Fit]:
+        """The fit of each model, all of them alike, as `fit` with its key gives it: their nets are members of one
+        program, or of several where one would take too much memory."""
         motion, tau = dataset.motion, dataset.tau
         n = tau.shape[1]
+        weights = sum(_weights(net, self.seeds) for net in (JointNet(self.hidden), *(net for _, net in self.joints)))
+        most = max(1, min(MOST_WEIGHTS // weights, MOST_NUMBERS // (4 * n * len(tau) * self.seeds)))
         scales = standardisation(motion, tau)
         data = _standardised(scales, motion, tau)
         watched = _standardised(scales, validation.motion, validation.tau) if validation else None
-        groups = self.groups(n)
         schedule = training.Schedule(self.epochs, self.batch_size)
-        trained = training.train(groups, schedule, data, watched, self._keys(key), progress)
+        fits: list[Fit] = []
+        for first in range(0, len(models), most):
+            some = [model for model in models[first : first + most] if isinstance(model, Ffnn)]
+            groups = [model.groups(n) for model in some]
+            rates = [
+                np.repeat([g.learning_rates for g in same], self.seeds, axis=0) for same in zip(*groups, strict=True)
+            ]
+            members = jnp.concatenate([self._keys(key) for key in keys[first : first + most]])
+            trained = training.train(
+                groups[0], schedule, data, watched, members, _part(progress, first, len(some), len(models)), rates=rates
+            )
+            for k in range(len(some)):
+                own = slice(k * self.seeds, (k + 1) * self.seeds)
+                fits.append(self._fit(dataset, scales, [_members(x, own) for x in trained], watched is not None))
+        return fits
+
+    def _fit(self, dataset: Dataset, scales: PyTree, trained: list[training.Trained], watched: bool) -> Fit:
+        n = len(dataset.joints)
         history = {}
         for name in ("train_loss", "validation_loss")[: 2 if watched else 1]:
             history[name] = np.full((self.epochs, self.seeds, n), np.nan)
-            for group, result in zip(groups, trained, strict=True):
+            for group, result in zip(self.groups(n), trained, strict=True):
                 history[name][..., list(group.columns)] = getattr(result, name)
         nets = [x.params for x in trained]
         finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(nets))
@@ -135,6 +176,10 @@ class Ffnn(AbstractModel):
             if finite
             else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
         )
+
+    def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
+        """Torques (T, n) of a motion (T, n); one compiled program for all learning rates."""
+        return AbstractModel.predict(self.alike(), fit, motion)
 
     def weights(self, params: PyTree) -> PyTree:
         """The nets."""
@@ -156,6 +201,22 @@ class Ffnn(AbstractModel):
     def _keys(self, key: jax.Array) -> jax.Array:
         """A key per member; the first is that of a fit with one seed."""
         return jax.vmap(lambda k: jax.random.fold_in(key, k))(jnp.arange(self.seeds))
+
+
+def _weights(net: JointNet, seeds: int) -> int:
+    """Weights of a joint's nets behind their inputs."""
+    return seeds * sum(a * b for a, b in itertools.pairwise((1, *net.hidden, 1)))
+
+
+def _members(trained: training.Trained, own: slice) -> training.Trained:
+    """Some members of a group."""
+    losses = (loss[:, own] for loss in (trained.train_loss, trained.validation_loss))
+    return training.Trained(jax.tree.map(lambda leaf: leaf[own], trained.params), *losses)
+
+
+def _part(progress: Progress, first: int, some: int, every: int) -> Progress:
+    """The progress of the models from `first` on as that of every model."""
+    return lambda done, note: progress((first + some * done) / every, note)
 
 
 def _per_joint(given, common: JointNet) -> tuple[tuple[int, JointNet], ...]:

@@ -14,6 +14,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from invdyn_cli.files import write_file
@@ -65,7 +66,11 @@ def house_style() -> Iterator[None]:
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure, whole or not at all, in the format that the path ends with."""
     drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=110, format=path.suffix[1:])
+    if path.suffix == ".png":  # savefig would draw all of it twice
+        figure.set_dpi(110)
+        FigureCanvasAgg(figure).print_png(drawn)
+    else:
+        figure.savefig(drawn, dpi=110, format=path.suffix[1:])
     return write_file(path, drawn.getvalue())
 
 

@@ -20,7 +20,7 @@ from invdyn_cli.types import Robot, RunRecord
 ORDER = ("train", "validation", "test")
 """The sets that come first, in this order; others follow as the record has them."""
 
-SWEEP_FIELDS = ("job", "overrides", "status", "test_nmse", "test_rmse", "seconds", "message")
+SWEEP_FIELDS = ("job", "overrides", "status", "test_nmse", "test_rmse", "seconds", "folder", "message")
 STATUS_STYLE = {"ran": "green", "kept": "cyan", "failed": "bold red"}
 
 

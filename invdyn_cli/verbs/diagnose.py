@@ -22,7 +22,7 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.types import Diagnosis
-from invdyn_cli.verbs import check, imports, screen
+from invdyn_cli.verbs import check, imports, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
@@ -43,24 +43,47 @@ def main(argv: Sequence[str]) -> int:
 
 
 def task(config: DictConfig) -> None:
-    """One diagnosis; exit code 1 where a check of the log failed under strict=true."""
+    """One diagnosis; exit code 1 where a check of the log failed under strict=true. In a sweep a log that cannot be
+    diagnosed is a row of the fleet's page, not the end."""
     if not isinstance(config.strict, bool):
         raise UsageError(f"strict={config.strict}; allowed: true or false")
-    diagnosis = execute(config, Path(job().runtime.output_dir), Screen())
+    folder = Path(job().runtime.output_dir)
+    if in_sweep():
+        _one_of_many(config, folder)
+        return
+    diagnosis = execute(config, folder, Screen())
     failed = any(one.severity == "fail" for one in diagnosis.examination.checks)
-    if config.strict and not in_sweep() and failed:
+    if config.strict and failed:
         raise SystemExit(1)
 
 
-def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
-    """Config -> objects -> diagnosis -> files in `folder`; tells the result on `console`."""
+def _one_of_many(config: DictConfig, folder: Path) -> None:
+    """A diagnosis whose folder says how it went, and of which robot and log it is."""
+    number, asked = job().job.num, job().overrides.task
+    paths = config.data.get("path") or job().runtime.choices.data
+    log = ", ".join(map(str, paths)) if isinstance(paths, ListConfig) else str(paths)
+    robot, status, message = "", "ran", ""
+    sweep.keep_status(folder, number, asked, "started", robot=robot, log=log)
+    try:
+        header = make_log_source(config).header()
+        robot = header.robot if header else ""
+        execute(config, folder, Screen(quiet=True), shows=True)
+    except Exception as error:
+        status, message = "failed", sweep.reason("diagnose", error, folder, asked)
+    sweep.keep_status(folder, number, asked, status, message, robot=robot, log=log)
+    screen.tell(f"job {number} {status}: {message or log}")
+
+
+def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = False) -> Diagnosis:
+    """Config -> objects -> diagnosis -> files in `folder`; tells the result on `console`, and its progress if that is
+    not quiet or `shows` is true."""
     screen.use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.diagnosis.design, bool):
         raise UsageError(f"diagnosis.design={config.diagnosis.design}; allowed: true or false")
     refuse_seed(config.seed)
     source = make_log_source(config)
-    with screen.stages(quiet=console.quiet) as stage:
+    with screen.stages(quiet=console.quiet and not shows) as stage:
         stage("read")
         header = source.header()
     maps = imports.show_all(source, console)
@@ -70,7 +93,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Diagnosis:
         raise UsageError(got, advice="robot=urdf robot.path=arm.urdf")
     for note in robot.notes:
         console.note(f"robot: {note}")
-    with screen.stages(quiet=console.quiet) as stage:
+    with screen.stages(quiet=console.quiet and not shows) as stage:
         found = source.recorded(robot, stage("data"))
         result = explain(
             found.log,

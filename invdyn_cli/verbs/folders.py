@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import ListConfig, OmegaConf
 
 OUTPUTS, LATEST = "outputs", "latest"
@@ -53,6 +55,34 @@ def sweep_folder(overrides: Sequence[str], defaults: Mapping[str, str]) -> Path:
         number += 1
 
 
+def job_folder(number: int, overrides: Sequence[str], fixed: Sequence[str]) -> str:
+    """What the folder of a job of a sweep is called after: its number, and the overrides in which it differs from other
+    jobs, those of all but the `fixed` keys."""
+    split = [override.lstrip("+~").partition("=") for override in overrides]
+    parts = [_value(key, value) for key, _, value in split if key not in fixed]
+    return "-".join([str(number), *filter(None, parts)])[:LONGEST].rstrip("-_.")
+
+
+def _value(key: str, value: str) -> str:
+    """A choice as it stands, a file by its name, a number behind the name of its option."""
+    name = key.rpartition(".")[2]
+    if name == "path":
+        return safe(Path(value.strip("'\"")).stem)
+    return safe(("" if key in GROUPS or "@" in key else name) + value.strip("'\"[]{}"))
+
+
+def of_jobs(argv: Sequence[str]) -> list[str]:
+    """The override that tells `job_folder` which keys are the same for all jobs of a sweep; [] without a sweep."""
+    if not {"-m", "--multirun"} & set(argv):
+        return []
+    fixed = []
+    for text in (a for a in argv if "=" in a and not a.startswith(("-", "hydra.", "hydra/", "+hydra"))):
+        with suppress(HydraException):
+            one = OverridesParser.create().parse_override(text)
+            fixed += [one.get_key_element().lstrip("+~")] * (not one.is_sweep_override())
+    return [f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(repr, fixed))}]"]
+
+
 def _swept(folder: Path) -> list[str] | None:
     """The overrides of the sweep in a folder, sorted; None where there is none."""
     try:
@@ -81,5 +111,6 @@ def point_to(folder: Path) -> None:
             made.unlink(missing_ok=True)
 
 
+OmegaConf.register_new_resolver("job_folder", job_folder, replace=True)
 OmegaConf.register_new_resolver("job_name", job_name, replace=True)
 OmegaConf.register_new_resolver("log_name", log_name, replace=True)

@@ -58,6 +58,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     argv = list(argv)
     try:
         argv += search_path(argv)
+        argv += named.of_jobs(argv)
     except OSError:
         return complain("the working directory is gone. Try: cd to one that is there")
     logging.getLogger("hydra").addHandler(logging.NullHandler())  # what cannot be imported is told in our own line
@@ -70,12 +71,12 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     finished: list[Path] = []
 
     @functools.wraps(task)
-    def guarded(config: DictConfig) -> None:
+    def guarded(config: DictConfig) -> Any:
         folders.append(Path(job().runtime.output_dir))
         finished[:] = [Path(job().sweep.dir) if in_sweep() else folders[0]]
         try:
             _refuse_no_options(config, OmegaConf.to_container(OmegaConf.load(config_folder() / f"{verb}.yaml")))
-            task(config)
+            return task(config)
         except Exception as error:
             failures.append(error)  # raised outside of Hydra, which would print a line of its own
 

@@ -2,7 +2,6 @@
 
 import datetime
 import json
-import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +11,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import experiment, registry, store
 from invdyn_cli.errors import RobotError, UsageError, listed
-from invdyn_cli.files import write_file
 from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.functions.inputs import named_by, with_joints
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress
 from invdyn_cli.tracking.contract import AbstractTracker, Tracked, flat, mean_curves, numbers
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
-from invdyn_cli.verbs.launch import TRACEBACK, in_sweep, instantiate, job, launch, told
+from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
 from invdyn_cli.verbs.screen import Screen
 
 FORMATS = ("png", "svg", "pdf")
@@ -30,31 +28,41 @@ def main(argv: Sequence[str]) -> int:
     return launch("run", sweep.with_folder("run", argv), task)
 
 
-def task(config: DictConfig) -> None:
-    """One job. In a sweep one that its folder already holds, complete, is kept, and a failure is a row, not the end."""
+def task(config: DictConfig) -> float | None:
+    """One job. In a sweep one that its folder already holds, complete, is kept, and a failure is a row, not the end.
+
+    Returns:
+        In a sweep, what a sweeper that searches (Optuna) makes small: the mean NMSE over joints of the validation set,
+        or of the test set where there is no other; infinity for a failed job.
+    """
     folder = Path(job().runtime.output_dir)
     if not in_sweep():
         execute(config, folder, Screen())
-        return
-    asked = job().overrides.task
+        return None
+    number, asked = job().job.num, job().overrides.task
     status, message = "kept" if sweep.is_complete(config, folder) else "ran", ""
     if status == "ran":
-        sweep.keep_status(folder, asked, "started")
+        sweep.keep_status(folder, number, asked, "started")
         try:
-            execute(config, folder)
+            execute(config, folder, prepared=sweep.prepared_for(number))
         except Exception as error:
-            status, message = "failed", told("run", error, asked)
-            if not message:
-                message = f"{type(error).__name__}: {error}"
-                write_file(folder / TRACEBACK, traceback.format_exc())
-    sweep.keep_status(folder, asked, status, message)
-    screen.tell(f"job {job().job.num} {status}: {message or ' '.join(asked)}")
+            status, message = "failed", sweep.reason("run", error, folder, asked)
+    sweep.keep_status(folder, number, asked, status, message)
+    screen.tell(f"job {number} {status}: {message or ' '.join(asked)}")
+    return sweep.objective(folder) if status != "failed" else float("inf")
 
 
-def execute(config: DictConfig, folder: Path, console: Screen | None = None, view: Any = None) -> RunRecord:
+def execute(
+    config: DictConfig,
+    folder: Path,
+    console: Screen | None = None,
+    view: Any = None,
+    prepared: experiment.Prepared | None = None,
+) -> RunRecord:
     """Config -> objects -> experiment -> files in `folder`; tells the result on `console` where there is one.
 
-    `view` is Hydra's view of the job (choices, overrides) where it is not the running one.
+    `view` is Hydra's view of the job (choices, overrides) where it is not the running one; `prepared` are data and fit,
+    where these are there already.
     """
     console = console or Screen(quiet=True)
     screen.use_compilation_cache()
@@ -70,7 +78,7 @@ def execute(config: DictConfig, folder: Path, console: Screen | None = None, vie
     for note in robot.notes if robot else ():
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
-        made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
+        made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage, prepared=prepared)
         record = _with_origin(made, config, started, view or job())
         result = FitResult(record)
         result.save(folder, tuple(config.figures.formats), stage("write"))

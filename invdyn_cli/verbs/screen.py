@@ -11,7 +11,7 @@ from pathlib import Path
 
 import jax
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from invdyn_cli.errors import shortened
 from invdyn_cli.interfaces import silent
@@ -62,16 +62,17 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[clock]}"),
         TextColumn("{task.fields[note]}"),
     )
     with Progress(*columns, console=console, transient=True) as progress:
 
         def stage(name: str):
-            task = progress.add_task(name, total=1.0, note="")
+            clock = Clock()
+            task = progress.add_task(name, total=1.0, note="", clock=clock)
 
             def report(done: float, note: str) -> None:
+                clock.report(done)
                 progress.update(task, completed=done, note=note)
 
             return report
@@ -79,14 +80,43 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
         yield stage
 
 
+class Clock:
+    """How long a step has taken, and how long it will take yet: told in proportion when its share changes, counted down
+    until it changes again, and not told any more where that time is over."""
+
+    def __init__(self) -> None:
+        self.began = self.told = time.monotonic()
+        self.done = 0.0
+
+    def report(self, done: float) -> None:
+        """The share that is done."""
+        if done != self.done:
+            self.done, self.told = done, time.monotonic()
+
+    def elapsed(self) -> float:
+        """[s] since the step began."""
+        return time.monotonic() - self.began
+
+    def left(self) -> float | None:
+        """[s] that it will take yet; None where that is not known."""
+        if not 0 < self.done < 1:
+            return None
+        left = (self.told - self.began) / self.done - self.elapsed()
+        return left if left > 0 else None
+
+    def __str__(self) -> str:
+        left = self.left()
+        return "" if left is None else f"about {_duration(left)} left"
+
+
 class Lines:
-    """Progress as lines on stderr, for pipes and files: the step, its share, the time left; no control characters.
+    """Progress as lines on stderr, for pipes and files: the step, its share, the time; no control characters.
 
     A thread of its own writes them: a compiled program that reports nothing for minutes is told of, too.
     """
 
     def __init__(self) -> None:
-        self._began, self._step, self._over = time.monotonic(), ("", 0.0, 0.0, ""), threading.Event()
+        self._began, self._step, self._over = time.monotonic(), ("", Clock(), ""), threading.Event()
         self._thread = threading.Thread(target=self._write, daemon=True)
 
     def __enter__(self) -> "Lines":
@@ -99,35 +129,35 @@ class Lines:
 
     def stage(self, name: str) -> Callable[[float, str], None]:
         """Begin a step; gives what to report its share and note to."""
-        began = time.monotonic()
-        self._step = (name, began, 0.0, "")
+        clock = Clock()
+        self._step = (name, clock, "")
 
         def report(done: float, note: str) -> None:
-            self._step = (name, began, done, note)
+            clock.report(done)
+            self._step = (name, clock, note)
 
         return report
 
     def _write(self) -> None:
-        told, last = ("", 0.0), 0.0
+        told, last = self._step[1], 0.0
         while not self._over.wait(0.2):
-            name, began, done, note = self._step
+            name, clock, note = self._step
             now = time.monotonic()
-            due = now - last >= (INTERVAL if (name, began) == told else 0.5)
+            due = now - last >= (INTERVAL if clock is told else 0.5)
             if name and due and now - self._began >= QUIET:
-                told, last = (name, began), now
+                told, last = clock, now
                 with suppress(OSError, ValueError, AttributeError):
-                    sys.stderr.write(f"invdyn: {progress_line(name, done, now - began, note)}\n")
+                    sys.stderr.write(f"invdyn: {progress_line(name, clock, note)}\n")
                     sys.stderr.flush()
 
 
-def progress_line(name: str, done: float, seconds: float, note: str) -> str:
-    """A step in words: its share if it reports one, the time left if that can be estimated, else the time so far."""
-    if done <= 0:
-        text = f"{name}, {seconds:.0f} s so far"
-    elif done >= 1:
+def progress_line(name: str, clock: Clock, note: str) -> str:
+    """A step in words: its share if it reports one, the time left if that is known, else the time so far."""
+    if clock.done >= 1:
         text = f"{name} 100 %"
     else:
-        text = f"{name} {100 * done:.0f} %, about {_duration(seconds * (1 - done) / done)} left"
+        share = f"{name} {100 * clock.done:.0f} %" if clock.done > 0 else name
+        text = f"{share}, {str(clock) or f'{_duration(clock.elapsed())} so far'}"
     return text + (f" ({shortened(note)})" if note else "")
 
 

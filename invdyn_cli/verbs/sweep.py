@@ -1,9 +1,14 @@
 """Sweeps: a folder that the same command finds again, complete jobs that are kept, and a table of all at the end."""
 
 import json
-from collections.abc import Mapping, Sequence
+import os
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hydra.experimental.callback import Callback
@@ -11,14 +16,21 @@ from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
+from invdyn_cli.experiment import Prepared
 from invdyn_cli.files import write_file
 from invdyn_cli.report import compared, tables
 from invdyn_cli.verbs import folders, origin
 from invdyn_cli.verbs.finished import finished
-from invdyn_cli.verbs.launch import config_folder
+from invdyn_cli.verbs.launch import TRACEBACK, config_folder, told
 from invdyn_cli.verbs.screen import Screen
 
 STATUS = "status.json"
+
+SIDE_BY_SIDE = ("joblib", "submitit_local")
+"""Launchers that run several jobs on this machine at once."""
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+"""What keeps a process to one thread; processes that are started afterwards inherit it."""
 
 
 def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
@@ -48,9 +60,51 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
     return kept == OmegaConf.to_yaml(config, resolve=True) and provenance.get("code") == origin.fingerprint()
 
 
-def keep_status(folder: Path, overrides: Sequence[str], status: str, message: str = "") -> None:
-    """Leave in a job's folder what was asked of it and how it went: started, ran, kept, failed."""
-    write_file(folder / STATUS, json.dumps({"overrides": list(overrides), "status": status, "message": message}))
+def keep_status(
+    folder: Path, number: int, overrides: Sequence[str], status: str, message: str = "", **facts: str
+) -> None:
+    """Leave in a job's folder its number, what was asked of it and how it went: started, ran, kept, failed."""
+    left = {"job": number, "overrides": list(overrides), "status": status, "message": message, **facts}
+    write_file(folder / STATUS, json.dumps(left))
+
+
+def reason(verb: str, error: Exception, folder: Path, asked: Sequence[str]) -> str:
+    """Why a job failed, in a line; the traceback of an error of ours is kept in its folder."""
+    if line := told(verb, error, asked):
+        return line
+    write_file(folder / TRACEBACK, "".join(traceback.format_exception(error)))
+    return f"{type(error).__name__}: {error}"
+
+
+def run_side_by_side(config: DictConfig) -> None:
+    """Let processes that are started from now on take one thread, where the launcher runs several of them here."""
+    if config.hydra.runtime.choices.get("hydra/launcher") in SIDE_BY_SIDE:
+        flags = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD['XLA_FLAGS']}".strip()
+        os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+
+
+def objective(folder: Path) -> float:
+    """Mean NMSE over joints of the finished run in `folder`: of the validation set, else of the test set."""
+    found = untrusted.read_json(folder / store.METRICS, RunFileError)
+    return float((found.get("validation") or found["test"])["nmse"]["mean"])
+
+
+@contextmanager
+def prepared(found: Mapping[int, Prepared]) -> Iterator[None]:
+    """While it lasts, `prepared_for` knows what is there already for jobs of these numbers."""
+    token = _prepared.set(found)
+    try:
+        yield
+    finally:
+        _prepared.reset(token)
+
+
+def prepared_for(number: int) -> Prepared | None:
+    """Data and fit of a job, where these are there already."""
+    return _prepared.get().get(number)
+
+
+_prepared: ContextVar[Mapping[int, Prepared]] = ContextVar("prepared", default=MappingProxyType({}))
 
 
 class Summary(Callback):
@@ -61,7 +115,9 @@ class Summary(Callback):
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Forget how the jobs of an earlier sweep in this folder went; what they wrote stays."""
+        """Forget how the jobs of an earlier sweep in this folder went; what they wrote stays. Jobs that run side by
+        side take a thread each."""
+        run_side_by_side(config)
         for path in Path(config.hydra.sweep.dir).glob(f"*/{STATUS}"):
             path.unlink()
 
@@ -86,18 +142,18 @@ def write_page(rows: Sequence[Mapping[str, Any]], folder: Path) -> Path:
     """Write the page of a sweep: its finished jobs beside each other, and a table of all.
 
     Args:
-        rows: of `tables.SWEEP_FIELDS`, one for every job; its folder is `folder`/job, its name in the page `overrides`.
+        rows: of `tables.SWEEP_FIELDS`, one for every job; its name in the page is `overrides`.
         folder: of the sweep, where report.html and figures/ are written.
     """
     names = [f"{row['job']}: {row['overrides']}" if row["overrides"] else str(row["job"]) for row in rows]
     done = [i for i, row in enumerate(rows) if row["status"] != "failed"]
-    runs = finished([folder / str(rows[i]["job"]) for i in done], [names[i] for i in done], folder)
+    runs = finished([folder / str(rows[i]["folder"]) for i in done], [names[i] for i in done], folder)
     failed = [row for row in rows if row["status"] == "failed"]
-    told = "".join(
+    sentences = "".join(
         f'<p class="warning">Job {row["job"]} failed ({escape(row["overrides"])}): {escape(row["message"])}</p>\n'
         for row in failed
     )
-    return compared.write_page(runs, folder, f"A sweep of {len(rows)} jobs", told=told)
+    return compared.write_page(runs, folder, f"A sweep of {len(rows)} jobs", told=sentences)
 
 
 def _without(overrides: str, shared: set[str]) -> str:
@@ -107,10 +163,11 @@ def _without(overrides: str, shared: set[str]) -> str:
 
 def _row(folder: Path) -> dict[str, Any]:
     """What a job left in its folder; one that was killed, or left something else, has failed."""
-    row = {"job": int(folder.name) if folder.name.isdigit() else 0, "overrides": folder.name}
+    row = {"job": 0, "folder": folder.name, "overrides": folder.name}
     scores = {"test_nmse": None, "test_rmse": None, "seconds": None}
     try:
         left = untrusted.read_json(folder / STATUS, RunFileError)
+        row["job"] = int(left["job"])
         row["overrides"] = " ".join(untrusted.names(left["overrides"], "overrides"))
         status, message = str(left["status"]), str(left["message"])
         if status == "started":

@@ -89,3 +89,18 @@ def test_the_column_map_of_a_finished_command_is_kept(command):
     assert said.code == 0, said.err
     assert said.out[-1].endswith("-log")
     assert (Path(said.out[-1]) / "log.columns.yaml").is_file() and (Path(said.out[-1]) / "check.json").is_file()
+
+
+def test_a_job_is_called_after_what_differs():
+    """Its number, then choices and values of the keys that are swept; a path by its file, nothing that a file system
+    would take amiss, and not more than a hundred characters."""
+    argv = ["-m", "model=pest,ffnn", "+data.extra=1", "data=real_log", "data.path=a/x.h5,b/x.h5", "seed=range(3)"]
+    [override] = folders.of_jobs(argv)
+    assert override == "hydra.job.config.override_dirname.exclude_keys=['data.extra','data']"
+    assert folders.of_jobs(argv[1:]) == []
+    job = ["model=ffnn", "+data.extra=1", "data=real_log", "data.path=b/x.h5", "seed=2"]
+    assert folders.job_folder(5, job, ["data.extra", "data"]) == "5-ffnn-x-seed2"
+    assert folders.job_folder(0, ["model.hidden=[10,20]"], []) == "0-hidden10_20"
+    odd = folders.job_folder(1, [f"a.b={'/ ' * 300}", f"c={'x' * 300}", f"d={'x' * 300}"], [])
+    assert len(odd) <= 100 and not set(odd) & set("/ ")
+    assert folders.job_folder(7, [], []) == "7"

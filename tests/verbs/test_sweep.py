@@ -10,9 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from invdyn_cli import load_run
-from tests.commands import ENVIRONMENT, TINY, script, tree
+from tests.commands import ENVIRONMENT, TINY, invdyn, script, tree
 from tests.logs import make_log
 
 JOB = ("model=pest", *TINY)
@@ -45,15 +46,15 @@ def test_a_failed_job_is_a_row(command):
     assert rows[0]["overrides"].split() == ["model=pest", "data.split=interpolation", *TINY, "model.threshold=0.001"]
     assert rows[1]["message"] == "model.threshold=-1; allowed: a number >= 0"
     for row in (rows[0], rows[2]):
-        scores = json.loads((folder / row["job"] / "metrics.json").read_text())["test"]
+        scores = json.loads((folder / row["folder"] / "metrics.json").read_text())["test"]
         assert float(row["test_nmse"]) == scores["nmse"]["mean"]
         assert float(row["test_rmse"]) == scores["rmse"]["mean"]
     assert rows[0]["test_nmse"] != rows[2]["test_nmse"]
     table = "\n".join(said.out)
     assert table.count("failed") == 2
     assert "allowed: a number >= 0" in table
-    assert said.err[1] == "job 1 failed: model.threshold=-1; allowed: a number >= 0"
-    assert not [p for p in folder.glob("[13]/*") if p.name in ("run.h5", "metrics.json")]
+    assert said.err[2] == "job 1 failed: model.threshold=-1; allowed: a number >= 0"
+    assert not [p for p in folder.glob("[13]-*/*") if p.name in ("run.h5", "metrics.json")]
 
     before = tree(folder)
     again = command(*argv)
@@ -61,11 +62,13 @@ def test_a_failed_job_is_a_row(command):
     assert (again.code, folder_of(again)) == (2, folder)
     assert [row["status"] for row in rows_of(folder)] == ["kept", "failed", "kept", "failed"]
     kept = [
-        name for name in before if name.startswith(("0/", "2/")) and name.endswith((".h5", ".png", ".html", "cs.json"))
+        name for name in before if name.startswith(("0-", "2-")) and name.endswith((".h5", ".png", ".html", "cs.json"))
     ]
     assert len(kept) >= 8
     assert all(after[name] == before[name] for name in kept)
-    assert all(after[f"{job}/status.json"] > before[f"{job}/status.json"] for job in (1, 3))
+    assert all(
+        after[name] > before[name] for name in before if name[:2] in ("1-", "3-") and name.endswith("status.json")
+    )
 
 
 def test_what_failed_may_succeed_later(command):
@@ -102,7 +105,7 @@ def test_a_bug_in_one_job_leaves_the_others(command):
     folder = folder_of(said)
     assert said.code == 2
     assert [row["message"] for row in rows_of(folder)] == ["ZeroDivisionError: division by zero", ""]
-    assert "return 1 / 0" in (folder / "0" / "traceback.txt").read_text()
+    assert "return 1 / 0" in (folder / rows_of(folder)[0]["folder"] / "traceback.txt").read_text()
 
 
 def test_a_killed_sweep_goes_on(command, tmp_path):
@@ -116,7 +119,7 @@ def test_a_killed_sweep_goes_on(command, tmp_path):
         stderr=subprocess.DEVNULL,
     )
     deadline = time.monotonic() + 120
-    while not list(tmp_path.glob("outputs/sweeps/*/1/status.json")):
+    while not list(tmp_path.glob("outputs/sweeps/*/1-*/status.json")):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -126,7 +129,8 @@ def test_a_killed_sweep_goes_on(command, tmp_path):
     assert not (folder / "sweep.csv").exists()
     for path in folder.glob("*/run.h5"):
         load_run(path)
-    first = (folder / "0" / "run.h5").stat().st_mtime_ns
+    [kept] = folder.glob("0-*/run.h5")
+    first = kept.stat().st_mtime_ns
 
     said = command(*argv)
     assert said.code == 0
@@ -134,7 +138,7 @@ def test_a_killed_sweep_goes_on(command, tmp_path):
     assert statuses[0] == "kept"
     assert statuses[-1] == "ran"
     assert set(statuses) == {"kept", "ran"}
-    assert (folder / "0" / "run.h5").stat().st_mtime_ns == first
+    assert kept.stat().st_mtime_ns == first
     assert not list(folder.glob("*/.*.part"))
 
 
@@ -147,6 +151,38 @@ def test_side_by_side(command):
     assert said.code == 2
     assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed"]
     assert sorted(line.split(":")[0] for line in said.err) == ["job 0 ran", "job 1 failed"]
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is None, reason="no hydra-submitit-launcher"
+)
+def test_as_slurm_runs_them(tmp_path):
+    """With submitit, here its executor on this machine, jobs run in processes of its own and leave the same."""
+    argv = ("run", "-m", *JOB, "model.threshold=0.001,-1", "hydra/launcher=submitit_local", "hydra.sweep.dir=sweep")
+    done = invdyn(*argv, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert [row["status"] for row in rows_of(tmp_path / "sweep")] == ["ran", "failed"]
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("hydra_plugins.hydra_optuna_sweeper") is None, reason="no hydra-optuna-sweeper"
+)
+def test_a_search_by_optuna(command):
+    """Optuna makes the validation error small: its best value is the least mean NMSE of all its jobs, a failed one
+    counts as infinitely bad, and jobs that it asks for at once share a program."""
+    argv = ("run", "-m", "model=ffnn", "model.epochs=2", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
+    said = command(*argv, "hydra/sweeper=optuna", "hydra.sweeper.n_trials=6", "hydra.sweeper.n_jobs=3")
+    folder = folder_of(said)
+    rows = rows_of(folder)
+    assert len(rows) == 6, said.err
+    scores = [
+        json.loads((folder / row["folder"] / "metrics.json").read_text())["validation"]["nmse"]["mean"]
+        for row in rows
+        if row["status"] != "failed"
+    ]
+    best = yaml.safe_load((folder / "optimization_results.yaml").read_text())
+    assert best["best_value"] == min(scores) < max(scores)
+    assert best["best_params"]["model.learning_rate"] == 0.01
 
 
 def test_only_the_jobs_of_this_sweep_count(command):

@@ -1,0 +1,242 @@
+"""The diagnoses of many logs on one page: which robot, which causes, what has changed, and since when."""
+
+import csv
+import io
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from invdyn_cli.report.html import document, section, table
+from invdyn_cli.report.quantities import quantity_text
+from invdyn_cli.report.tables import STATUS_STYLE
+from invdyn_cli.report.wording import CLAIMS, VERDICT_WORDS, capital, cause, headline_of, words
+from invdyn_cli.types import Finding, Quantity
+
+HIDDEN = ("not_excited", "not_observable")
+DATE = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?:[-_T ]?([0-2]\d)[-_:h]?([0-5]\d))?(?!\d)")
+"""A date in a file's name, with or without a time: 2026-11-24, 20261124_2103."""
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """One log of a fleet.
+
+    Attributes:
+        number: of the job; the logs' order where their names have no dates.
+        robot: its name in the log; "" where that could not be read.
+        log: name of the log's file.
+        folder: of its report, relative to the page.
+        verdict: as in diagnosis.json; "failed" where there is no diagnosis.
+        message: why it failed.
+        findings: as in diagnosis.json.
+    """
+
+    number: int
+    robot: str
+    log: str
+    folder: str
+    verdict: str
+    message: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def date(self) -> str:
+        """'2026-11-24 21:03' from the log's name, "" where it has none."""
+        found = DATE.search(self.log)
+        if found is None:
+            return ""
+        year, month, day, hour, minute = found.groups()
+        return f"{year}-{month}-{day}" + (f" {hour}:{minute}" if hour else "")
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether causes could be looked for."""
+        return self.verdict not in ("failed", "log_unusable")
+
+    @property
+    def causes(self) -> tuple[Finding, ...]:
+        """What is named or ambiguous, beyond the standard terms of every arm."""
+        return tuple(x for x in self.findings if x.status in CLAIMS and x.group != "standard")
+
+
+@dataclass(frozen=True)
+class Change:
+    """What differs between a log and the one before it, of the same robot."""
+
+    robot: str
+    since: Diagnosed
+    before: Diagnosed
+    text: str
+
+
+def by_robot(logs: Iterable[Diagnosed]) -> dict[str, list[Diagnosed]]:
+    """The logs of each robot in time: by the dates in their names if all have one, else in the order of the jobs."""
+    found: dict[str, list[Diagnosed]] = {}
+    for one in sorted(logs, key=lambda x: x.number):
+        found.setdefault(one.robot, []).append(one)
+    return {robot: sorted(x, key=lambda y: y.date) if all(y.date for y in x) else x for robot, x in found.items()}
+
+
+def changes(logs: Sequence[Diagnosed]) -> list[Change]:
+    """What has changed from each usable log of one robot to the next, in time.
+
+    A cause that the earlier log could not have shown, or the later one, is no change; neither is a standard term (every
+    arm has friction) that one log proves and the other does not. Sizes differ where their 95 % intervals do not meet.
+    """
+    usable = [one for one in logs if one.is_usable]
+    found: list[Change] = []
+    for before, after in itertools.pairwise(usable):
+        for text in (*_come(before, after), *_gone(before, after), *_resized(before, after)):
+            found.append(Change(after.robot, after, before, text))
+    return found
+
+
+def _come(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
+    for one in after.causes:
+        if not _holds(before, one):
+            yield f"new: {_told(one)}" + _unless_hidden(before, one)
+
+
+def _gone(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
+    for one in before.causes:
+        if not _holds(after, one) and not _hides(after, one):
+            yield f"no longer found: {_told(one)}"
+
+
+def _resized(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
+    earlier = {(x.effect, x.joint): x for x in before.findings if x.status == "named"}
+    for one in after.findings:
+        other = earlier.get((one.effect, one.joint))
+        if one.status != "named" or other is None:
+            continue
+        for name, now in one.parameters.items():
+            was = other.parameters.get(name)
+            if was is not None and _apart(was, now):
+                where = f" of {one.joint}" if one.joint else ""
+                sizes = f"{quantity_text(was, interval=False)} to {quantity_text(now, interval=False)}"
+                yield f"{words(one.effect)}{where}: {name.replace('_', ' ')} from {sizes}"
+
+
+def _apart(one: Quantity, other: Quantity) -> bool:
+    """Whether two numbers have intervals that do not meet."""
+    bounds = []
+    for x in (one, other):
+        numbers = x.interval95 if isinstance(x.interval95, list | tuple) and len(x.interval95) == 2 else ()
+        if isinstance(x.value, bool) or not isinstance(x.value, int | float) or not numbers:
+            return False
+        if not all(isinstance(bound, int | float) for bound in numbers):
+            return False
+        bounds.append(numbers)
+    return one.unit == other.unit and (bounds[0][1] < bounds[1][0] or bounds[1][1] < bounds[0][0])
+
+
+def _holds(log: Diagnosed, finding: Finding) -> bool:
+    """Whether the log has this cause on this joint, or cannot tell it from what it has."""
+    sets = {(finding.effect,), *finding.alternatives}
+    return any(
+        x.joint == finding.joint and sets & {(x.effect,), *x.alternatives} for x in log.findings if x.status in CLAIMS
+    )
+
+
+def _hides(log: Diagnosed, finding: Finding) -> bool:
+    """Whether the log could not have shown it."""
+    return any(
+        x.effect == finding.effect and x.joint in (finding.joint, None) for x in log.findings if x.status in HIDDEN
+    )
+
+
+def _unless_hidden(before: Diagnosed, finding: Finding) -> str:
+    return f" (the log before, {before.log}, could not have shown it)" if _hides(before, finding) else ""
+
+
+def _told(finding: Finding) -> str:
+    return f"{cause(finding)} on {finding.joint}" if finding.joint else cause(finding)
+
+
+def fleet_table(logs: Sequence[Diagnosed]) -> Table:
+    """A line per log: robot, log, verdict, causes, or why it failed."""
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in ("robot", "log", "verdict", "causes"):
+        shown.add_column(head, overflow="fold")
+    for robot, some in by_robot(logs).items():
+        for one in some:
+            style = STATUS_STYLE["failed"] if one.verdict == "failed" else ""
+            verdict = Text(VERDICT_WORDS.get(one.verdict, one.verdict), style)
+            told = one.message or "; ".join(_told(x) for x in one.causes) or "-"
+            shown.add_row(Text(robot or "-"), Text(one.log), verdict, Text(told))
+    return shown
+
+
+def change_lines(logs: Sequence[Diagnosed]) -> list[str]:
+    """'arm, since b.h5 (a.h5 before): new: payload'."""
+    every = (change for some in by_robot(logs).values() for change in changes(some))
+    return [f"{x.robot or '-'}, since {x.since.log} ({x.before.log} before): {x.text}" for x in every]
+
+
+def fleet_csv(logs: Sequence[Diagnosed]) -> str:
+    """A row per cause of every log; one without a cause, or that failed, has a row of its own."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("robot", "log", "date", "verdict", "effect", "joint", "status", "message", "folder"))
+    for one in logs:
+        head = (one.robot, one.log, one.date, one.verdict)
+        for finding in one.causes or (None,):
+            about = (finding.effect, finding.joint or "", finding.status) if finding else ("", "", "")
+            writer.writerow((*head, *about, one.message, one.folder))
+    return text.getvalue()
+
+
+def page(logs: Sequence[Diagnosed]) -> str:
+    """The page: what has changed, then every robot's logs in time with their causes and a link to each report."""
+    robots = by_robot(logs)
+    failed = sum(one.verdict == "failed" for one in logs)
+    known = sum(robot != "" for robot in robots)
+    count = f"{len(logs)} log{'s' * (len(logs) != 1)} of {known} robot{'s' * (known != 1)}"
+    lead = f'<p class="lead">{count}{f", {failed} of them not diagnosed" if failed else ""}.</p>'
+    changed = [change for some in robots.values() for change in changes(some)]
+    body = "".join(
+        f"<tr><td>{escape(x.robot or '-')}</td><td>{escape(x.since.log)}</td><td>{escape(x.before.log)}</td>"
+        f"<td>{escape(capital(x.text))}</td></tr>"
+        for x in changed
+    )
+    told = table(("robot", "since", "log before", "what has changed"), body) if changed else "<p>Nothing.</p>"
+    note = (
+        '<p class="note">Each log is diagnosed by itself, and diagnoses are compared. A size has changed where its '
+        "95 % intervals do not meet. More sensitive: diagnose the later log with data.reference= the earlier one.</p>"
+    )
+    parts = [section("What has changed", told + note)]
+    for robot, some in robots.items():
+        dated = all(one.date for one in some)
+        order = "by the dates in their names" if dated else "in the order in which they were given"
+        rows = "".join(map(_row, some))
+        parts.append(
+            section(
+                robot or "Robot not known",
+                f'<p class="note">Logs {order}.</p>' + table(("log", "verdict", "causes", "report"), rows),
+            )
+        )
+    return document("Diagnoses of a fleet", lead + "".join(parts), STYLE)
+
+
+STYLE = """
+table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; } """
+
+
+def _row(one: Diagnosed) -> str:
+    causes = "<br>".join(escape(_headline(x)) for x in one.causes) or escape(one.message)
+    causes = causes or ("none" if one.is_usable else "not looked for")
+    link = f'<a href="{escape(one.folder, quote=True)}/report.html">report</a>' if one.verdict != "failed" else ""
+    verdict = escape(VERDICT_WORDS.get(one.verdict, one.verdict))
+    verdict = f'<b class="worst">{verdict}</b>' if one.verdict == "failed" else verdict
+    return f"<tr><td>{escape(one.log)}</td><td>{verdict}</td><td>{causes}</td><td>{link}</td></tr>"
+
+
+def _headline(finding: Finding) -> str:
+    where = f"{finding.joint}: " if finding.joint else ""
+    return where + capital(headline_of(finding)) + (" (ambiguous)" if finding.status == "ambiguous" else "")

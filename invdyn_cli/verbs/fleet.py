@@ -1,0 +1,81 @@
+"""A fleet: `invdyn diagnose -m data.path=a.h5,b.h5`, a diagnosis for each log and one page of all."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from invdyn_cli import untrusted
+from invdyn_cli.errors import InvdynError, RunFileError
+from invdyn_cli.files import write_file
+from invdyn_cli.functions.diagnosing import DIAGNOSIS, REPORT
+from invdyn_cli.report import fleet
+from invdyn_cli.report.fleet import Diagnosed
+from invdyn_cli.types import Finding, Quantity
+from invdyn_cli.verbs import folders
+from invdyn_cli.verbs.screen import Screen
+from invdyn_cli.verbs.sweep import STATUS, run_side_by_side
+
+
+class Fleet(Callback):
+    """Prints the table of all logs when a sweep of diagnoses ends, and writes report.html and fleet.csv.
+
+    Raises SystemExit with the command's exit code 2 where a log was not diagnosed.
+    """
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Jobs that run side by side take a thread each."""
+        run_side_by_side(config)
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Read what the jobs left in their folders."""
+        folder = Path(config.hydra.sweep.dir)
+        logs = sorted((_diagnosed(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda x: x.number)
+        if not logs:
+            return
+        write_file(folder / "fleet.csv", fleet.fleet_csv(logs))
+        write_file(folder / REPORT, fleet.page(logs))
+        console = Screen()
+        console.print(fleet.fleet_table(logs))
+        for line in fleet.change_lines(logs):
+            console.print(line)
+        console.whole(f"page: {folder / REPORT}")
+        console.whole(folder)
+        if any(one.verdict != "failed" for one in logs):
+            folders.point_to(folder)
+        if any(one.verdict == "failed" for one in logs):
+            raise SystemExit(2)
+
+
+def _diagnosed(folder: Path) -> Diagnosed:
+    """What a job left; one that was killed, or left something else, has failed."""
+    number, robot, log = 0, "", folder.name
+    try:
+        left = untrusted.read_json(folder / STATUS, RunFileError)
+        number, robot, log = int(left["job"]), str(left["robot"]), str(left["log"])
+        if left["status"] != "ran":
+            return Diagnosed(number, robot, log, folder.name, "failed", str(left["message"] or "killed"))
+        found = untrusted.read_json(folder / DIAGNOSIS, RunFileError)
+        findings = tuple(map(_finding, found["findings"]))
+        return Diagnosed(number, robot, log, folder.name, str(found["verdict"]), findings=findings)
+    except (InvdynError, ValueError, TypeError, KeyError, AttributeError) as error:
+        return Diagnosed(number, robot, log, folder.name, "failed", f"{folder.name} holds something else: {error}")
+
+
+def _finding(tree: Mapping[str, Any]) -> Finding:
+    """A finding of diagnosis.json, as far as a page of many needs it."""
+    return Finding(
+        effect=str(tree["effect"]),
+        joint=None if tree["joint"] is None else str(tree["joint"]),
+        status=str(tree["status"]),
+        alternatives=tuple(untrusted.names(x, "alternatives") for x in tree["alternatives"]),
+        parameters={
+            str(name): Quantity(x["value"], str(x["unit"]), x.get("interval95"))
+            for name, x in tree["parameters"].items()
+        },
+        trajectory=None if tree.get("trajectory") is None else str(tree["trajectory"]),
+        window=tuple(tree["window"]) if tree.get("window") else None,
+        group=str(tree.get("group", "anomaly")),
+    )

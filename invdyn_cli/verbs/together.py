@@ -1,0 +1,148 @@
+"""Jobs of a sweep that differ by their seeds and learning rates alone are fitted in one program.
+
+Each of them then runs as if it were alone, with the data and the fit that are there already.
+"""
+
+import json
+import time
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+from omegaconf import DictConfig, OmegaConf
+
+from invdyn_cli import interruption
+from invdyn_cli.experiment import Prepared
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
+from invdyn_cli.tracking.contract import flat
+from invdyn_cli.types import Robot
+from invdyn_cli.verbs import run, screen, sweep
+from invdyn_cli.verbs.screen import Screen
+
+OWN = ("seed", "figures", "tracker")
+"""What a job may have for itself beside the model, whose `alike` says what it must share."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job of a sweep: its number, its config and the folder that it will write into."""
+
+    number: int
+    config: DictConfig
+    folder: Path
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A job as objects, and what it must have in common with those that it is fitted with; None: it is fitted alone."""
+
+    job: Job
+    source: AbstractSource
+    model: AbstractModel
+    robot: Robot | None
+    common: Hashable
+
+
+def fitted(jobs: Sequence[Job]) -> dict[int, Prepared]:
+    """Data and fit by job number, of all jobs that can be fitted in one program with others; says on stderr which."""
+    waiting = [job for job in jobs if not sweep.is_complete(job.config, job.folder)]
+    if len(waiting) < 2:
+        return {}
+    screen.use_compilation_cache()
+    asked = [one for job in waiting if (one := _asked(job)) is not None]
+    groups: dict[Hashable, list[_Asked]] = {}
+    for one in asked:
+        groups.setdefault(one.common if one.common is not None else ("alone", one.job.number), []).append(one)
+    found: dict[int, Prepared] = {}
+    for group in groups.values():
+        if len(group) > 1:
+            found |= _fit(group)
+    for line in _why_alone([one for one in asked if one.job.number not in found]):
+        screen.tell(line)
+    return found
+
+
+def _asked(job: Job) -> _Asked | None:
+    """The job as objects; None for one that is refused, which it says itself when it runs."""
+    try:
+        run.refuse_options(job.config)
+        source = run.make_object(job.config, "data", AbstractSource)
+        adaptation = run.make_object(job.config, "adaptation", AbstractAdapter)
+        model = adaptation.extended(run.make_object(job.config, "model", AbstractModel))
+        alike = model.alike()
+        if alike is None:
+            return _Asked(job, source, model, None, None)
+        plain: Any = OmegaConf.to_container(job.config, resolve=True)
+        shared = {name: value for name, value in plain.items() if name not in (*OWN, "model")}
+        optional = not (source.needs_robot or model.needs_robot)
+        robot = run.make_robot(job.config, source.header(), optional=optional, console=Screen(quiet=True))
+        return _Asked(job, source, model, robot, (json.dumps(shared, sort_keys=True, default=str), alike))
+    except Exception:
+        if interruption.was_asked():
+            raise
+        return None
+
+
+def _fit(group: Sequence[_Asked]) -> dict[int, Prepared]:
+    """The group's data, read once, and its fits; {} where that fails, and each job says what is wrong with it."""
+    first, numbers = group[0], [one.job.number for one in group]
+    screen.tell(f"{_jobs(numbers)}: fitted in one program (they differ in {', '.join(_differing(group))})")
+    started = time.perf_counter()
+    try:
+        with screen.stages() as stage:
+            splits = first.source.load(first.robot, stage("data"))
+            read = time.perf_counter()
+            fits = first.model.fit_together(
+                [one.model for one in group],
+                splits.train,
+                [jax.random.key(one.job.config.seed) for one in group],
+                validation=splits.validation,
+                progress=stage("learn"),
+            )
+    except Exception as error:
+        if interruption.was_asked():
+            raise
+        screen.tell(f"{_jobs(numbers)}: fitted one by one, because the program failed: {error}")
+        return {}
+    share = len(group)
+    seconds = (read - started) / share, (time.perf_counter() - read) / share
+    return {number: Prepared(splits, fit, *seconds) for number, fit in zip(numbers, fits, strict=True)}
+
+
+def _why_alone(asked: Sequence[_Asked]) -> Iterator[str]:
+    """A line for each reason for which jobs are fitted one by one."""
+    unable: dict[str, list[int]] = {}
+    for one in asked:
+        if one.common is None:
+            unable.setdefault(type(one.model).__name__, []).append(one.job.number)
+    for name, numbers in unable.items():
+        yield f"{_jobs(numbers)}: fitted one by one, because {name} cannot be fitted with others in one program"
+    single = [one for one in asked if one.common is not None]
+    if single:
+        names = ", ".join(name for name in _differing(single) if name != "seed")
+        what = f"; here {names} differ, too" if names else ""
+        yield (
+            f"{_jobs([one.job.number for one in single])}: fitted one by one, because one program takes jobs that "
+            f"differ in seed and learning rates alone{what}"
+        )
+
+
+def _differing(asked: Iterable[_Asked]) -> list[str]:
+    """Options in which the jobs are not all the same."""
+    configs = [dict(flat(OmegaConf.to_container(one.job.config, resolve=True))) for one in asked]
+    names = dict.fromkeys(name for config in configs for name in config)
+    return [name for name in names if len({str(config.get(name)) for config in configs}) > 1]
+
+
+def _jobs(numbers: Sequence[int]) -> str:
+    """'job 3', 'jobs 0 to 5, 7'."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    parts = [str(x[0]) if len(x) == 1 else f"{x[0]} to {x[-1]}" for x in runs]
+    return f"job{'s' * (len(numbers) > 1)} {', '.join(parts)}"

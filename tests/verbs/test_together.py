@@ -1,0 +1,110 @@
+"""Sweeps whose jobs are fitted in one program give what the jobs give alone."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from invdyn_cli import load_run
+from invdyn_cli.models.ffnn import Ffnn, JointNet
+from tests.commands import TINY
+from tests.verbs.test_sweep import folder_of, rows_of
+
+NETS = ("model=ffnn", "model.epochs=3", *TINY)
+
+
+def test_a_job_of_one_program_is_the_run_alone(command):
+    """Seeds and learning rates in one sweep: folders named by both, and in each what the single run leaves there, with
+    the same weights, losses and torques to float32's rounding over 3 epochs."""
+    said = command("run", "-m", *NETS, "seed=0,7", "model.learning_rate=0.001,0.004")
+    folder = folder_of(said)
+    assert said.code == 0, said.err
+    assert said.err[0] == "jobs 0 to 3: fitted in one program (they differ in model.learning_rate, seed)"
+    assert [row["folder"] for row in rows_of(folder)] == [
+        f"{i}-seed{seed}-learning_rate{rate}"
+        for i, (seed, rate) in enumerate((s, r) for s in (0, 7) for r in ("0.001", "0.004"))
+    ]
+    assert command("run", *NETS, "seed=7", "model.learning_rate=0.004", "hydra.run.dir=alone").code == 0
+    inside = folder / "3-seed7-learning_rate0.004"
+    assert _names(inside) - {"status.json"} == _names(Path("alone"))
+    together, alone = load_run(inside / "run.h5"), load_run("alone/run.h5")
+    assert together.config == alone.config and together.digest == alone.digest
+    assert together.model == alone.model and together.samples == alone.samples
+    for a, b in zip(*(jax.tree.leaves(run.fit.params) for run in (together, alone)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(
+        together.fit.history["train_loss"], alone.fit.history["train_loss"], rtol=1e-3, atol=1e-5
+    )
+    spread = alone.predictions["test"].data.tau.std(0)
+    np.testing.assert_allclose(
+        together.predictions["test"].tau / spread, alone.predictions["test"].tau / spread, atol=1e-3
+    )
+    other = load_run(folder / "0-seed0-learning_rate0.001" / "run.h5")
+    assert abs(other.predictions["test"].tau - alone.predictions["test"].tau).max() > 0.01 * spread.min()
+
+
+def test_what_does_not_belong_together_says_so(command):
+    """Of six jobs, two pairs share a program each (their widths differ), and PEST runs as before, with the reason."""
+    said = command("run", "-m", "model=ffnn,pest", "seed=0,1", *TINY)
+    assert said.code == 0, said.err
+    assert said.err[:2] == [
+        "jobs 0 to 1: fitted in one program (they differ in seed)",
+        "jobs 2 to 3: fitted one by one, because Pest cannot be fitted with others in one program",
+    ]
+    said = command("run", "-m", "model=ffnn", "model.epochs=1", "model.hidden=[4],[5]", *TINY)
+    assert said.err[0] == (
+        "jobs 0 to 1: fitted one by one, because one program takes jobs that differ in seed and learning rates alone; "
+        "here model.hidden differ, too"
+    )
+
+
+def test_a_refused_job_leaves_the_others_together(command):
+    """One learning rate that is not allowed fails in its row; the other two still share a program."""
+    said = command("run", "-m", *NETS, "model.learning_rate=0.001,-1,0.002")
+    assert said.code == 2
+    assert said.err[0] == "jobs 0, 2: fitted in one program (they differ in model.learning_rate)"
+    assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed", "ran"]
+
+
+def test_adaptation_starts_from_the_shared_fit(command):
+    """Jobs with adaptation=incremental share the program of their pretraining, too, and adapt each by itself."""
+    adapted = (*NETS, "adaptation=incremental")
+    said = command("run", "-m", *adapted, "seed=0,1")
+    assert said.code == 0, said.err
+    assert said.err[0].startswith("jobs 0 to 1: fitted in one program")
+    assert command("run", *adapted, "seed=1", "hydra.run.dir=alone").code == 0
+    together, alone = load_run(folder_of(said) / "1-seed1" / "run.h5"), load_run("alone/run.h5")
+    a, b = (run.predictions["test_adapted"].tau for run in (together, alone))
+    np.testing.assert_allclose(a / b.std(0), b / b.std(0), atol=1e-2)
+
+
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_members_stay_with_their_model(seeds, tiny_dataset):
+    """With several networks per joint, each model gets back its own, in order; one diverges alone."""
+    rates = (0.001, 0.01, 1e30)
+    models = [
+        Ffnn(hidden=(4,), learning_rate=x, joints=((2, JointNet((4, 4), x)),), epochs=2, seeds=seeds) for x in rates
+    ]
+    keys = [jax.random.key(k) for k in range(3)]
+    fits = models[0].fit_together(models, tiny_dataset, keys)
+    for model, key, fit in zip(models[:2], keys, fits, strict=False):
+        alone = model.fit(tiny_dataset, key)
+        for a, b in zip(jax.tree.leaves(fit.params), jax.tree.leaves(alone.params), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
+        assert fit.parameters == alone.parameters and not fit.warnings
+    assert fits[2].warnings
+
+
+def _names(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def tiny_dataset():
+    """Two joints, sines."""
+    from invdyn_cli.types import Dataset, Motion, Trajectory
+
+    t = np.arange(200) / 100
+    q = np.stack([np.sin(3 * t), np.cos(2 * t)], axis=1)
+    return Dataset((Trajectory("one", t, Motion(q, q + 1, q**2), q**3),), ("a", "b"))
