@@ -211,14 +211,6 @@ def _descend(loss, schedule: Schedule, epochs: int, state, known, rows, watched,
     return jax.lax.scan(epoch, state, done + jnp.arange(epochs))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
-def _epochs(group: Group, batch: int, epochs: int, state, data: Data, validation: Data, keys: Array, done: int):
-    """`epochs` more epochs of all nets of a group: state, (train, validation) losses (epochs, members, nets)."""
-    net = MLP(group.hidden)
-    rates = jnp.array(group.learning_rates, jnp.float32)
-    columns = jnp.array(group.columns)
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2, 3), donate_argnums=4)
 def _epochs(
     hidden: tuple[int, ...],
