@@ -27,7 +27,6 @@ from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES, Preparation, Recording, prepare
 from invdyn_cli.types import Diagnosis, Examination, Motion, Robot, Signals
 
-
 AS_RECORDED = "correct=false: the log was diagnosed as recorded, nothing in it was corrected"
 
 
@@ -295,6 +294,7 @@ def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:
         extended={},
         noise_floor=None,
         unexplained={},
-        summary=f"This log cannot be diagnosed: {why.rstrip('.')}." + (f" Try: {'; or '.join(advice)}." if advice else ""),
+        summary=f"This log cannot be diagnosed: {why.rstrip('.')}."
+        + (f" Try: {'; or '.join(advice)}." if advice else ""),
         notes=tuple(notes),
     )

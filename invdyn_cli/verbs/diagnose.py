@@ -122,7 +122,9 @@ def options_of(config: DictConfig) -> Options:
         listed_ones = [listed_ones]
     if not isinstance(listed_ones, list):
         raise UsageError(f"diagnosis.known={known}; allowed: a list of effect, effect@joint, {{effect, joint, …}}")
-    return Options(known=listed_ones, most=node.most, conditioning=conditioning, replay=node.replay, correct=config.correct)
+    return Options(
+        known=listed_ones, most=node.most, conditioning=conditioning, replay=node.replay, correct=config.correct
+    )
 
 
 def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:

@@ -276,9 +276,7 @@ class MotionUnits(AbstractCheck):
                 found.append(self._seen(channel, name, ratio, factor, RATES[factor] + per, seen))
         return found
 
-    def _odd(
-        self, log: Log, robot: Robot | None, trajectory: str, channel: str, ratios: np.ndarray
-    ) -> list[Check]:
+    def _odd(self, log: Log, robot: Robot | None, trajectory: str, channel: str, ratios: np.ndarray) -> list[Check]:
         """Joints whose position or velocity alone is in another unit: qd over dq/dt is an exact ratio of units there,
         and 1 on most of the others. Degrees of q within the limits, or a qd that was converted once too often: limits
         and torque decide, and else neither is corrected."""
