@@ -147,7 +147,7 @@ class SignError(AbstractCheck):
         if verdict is None or samples is None:
             return [self.skipped(NO_MOTION, "tau")]
         sizes, values = self._sizes(samples)
-        best, every = verdict.best, (verdict.best, *verdict.alike)
+        best, every = verdict.best, (verdict.best, *(verdict.alike if verdict.order_is_certain else verdict.rivals))
         n = robot.dofs
         found = []
         pairs = [{(x.signs[j], x.turned[j]) for x in every} for j in range(n)]
