@@ -114,7 +114,7 @@ def test_placeholder_inertias(drawn):
 
 def test_placeholders_of_a_file_are_those_of_the_fit(drawn):
     """The URDF's text is judged by the same criterion: a sphere that is a hair off is one, as is a link's copy."""
-    _, robot, log = drawn
+    _, robot, _log = drawn
     root = ET.fromstring(robot.urdf)
     inertias = [x for x in root.iter("inertia")]
     inertias[1].attrib.update(ixx="0.1", iyy="0.1", izz="0.10000001", ixy="0", ixz="0", iyz="0")

@@ -44,7 +44,7 @@ that rests changes places with one that moves (ours)."""
 ROUNDS = 3
 """How often the search begins anew with the noise of what was found."""
 
-AFTER_ORDER = "the order of the columns is ambiguous; judged once it is certain"
+AFTER_ORDER = "another order of the columns is likelier than theirs; judged once the order is right"
 """Why a check is skipped whose finding may be no more than a consequence of a wrong order."""
 
 UNITS = (1.0, 1e3, 1e-3)
@@ -111,10 +111,9 @@ class Verdict:
         return kept
 
     @property
-    def order_is_certain(self) -> bool:
-        """Whether the columns stand in the robot's order, and no other one is as likely."""
-        straight = tuple(range(len(self.judged)))
-        return self.best.order == self.best.columns == straight and not self.other_orders
+    def in_order(self) -> bool:
+        """Whether the likeliest order is the one in which the columns stand."""
+        return self.best.order == self.best.columns == tuple(range(len(self.judged)))
 
 
 @once_for_a_log

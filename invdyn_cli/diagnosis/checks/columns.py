@@ -147,7 +147,7 @@ class SignError(AbstractCheck):
         if verdict is None or samples is None:
             return [self.skipped(NO_MOTION, "tau")]
         sizes, values = self._sizes(samples)
-        best, every = verdict.best, (verdict.best, *(verdict.alike if verdict.order_is_certain else verdict.rivals))
+        best, every = verdict.best, (verdict.best, *(verdict.alike if verdict.in_order else verdict.rivals))
         n = robot.dofs
         found = []
         pairs = [{(x.signs[j], x.turned[j]) for x in every} for j in range(n)]
@@ -172,7 +172,7 @@ class SignError(AbstractCheck):
         if None not in told:
             doubted = [j for j in range(n) if log.joints[j] not in told and values[j] < -self.correlation]
             doubted = [j for j in doubted if self._fits(sizes, j)]
-            if doubted and not verdict.order_is_certain:
+            if doubted and not verdict.in_order:
                 names = ", ".join(log.joints[j] for j in doubted)
                 found.append(self.skipped(f"the torque runs against the URDF's: {names}; {AFTER_ORDER}", "tau"))
             else:

@@ -47,7 +47,7 @@ class Description(AbstractCheck):
             return [self.skipped("no robot")]
         found = list(self._written(robot))
         verdict = arrangement(log, robot)
-        if verdict is not None and not verdict.order_is_certain:
+        if verdict is not None and not verdict.in_order:
             return [*found, self.skipped(f"{AFTER_ORDER}: tool and base are not compared")]
         samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
         judged = self._joints(samples)
