@@ -91,9 +91,9 @@ class TimeOffset(AbstractCheck):
         if late and len(session) > 1 and all(abs(x.common - late[0].common) < self._limit(x) for x in sure):
             weights = [sum(x.gains.values()) for x in sure]
             value = float(np.average([x.common for x in sure], weights=weights))
-            seen = f"the torque comes {_apart(value)} in all {len(session)} recordings of this session: "
+            told = f"the {len(sure)} of {len(session)}" if len(sure) < len(session) else f"all {len(session)}"
+            seen = f"the torque comes {_apart(value)}, alike in {told} recordings of this session that tell it: "
             seen += ", ".join(f"{x.trajectory} {1e3 * x.common:.3g} ms" for x in sure)
-            seen += f"; {len(session) - len(sure)} cannot tell" if len(sure) < len(session) else ""
             found.append(self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session)))
         else:
             for x in late:
