@@ -163,9 +163,8 @@ class Outliers(AbstractCheck):
                 keep = np.setdiff1d(np.arange(len(x)), rows)
                 x[rows, joint] = np.interp(raw.t[rows], raw.t[keep], x[keep, joint])
                 raw = replace(raw, **{channel: x})
-                notes.append(
-                    f"{raw.name}: {len(rows)} outlier{'s' * (len(rows) != 1)} in {channel} of {check.joint} interpolated"
-                )
+                number = "1 outlier" if len(rows) == 1 else f"{len(rows)} outliers"
+                notes.append(f"{raw.name}: {number} in {channel} of {check.joint} interpolated")
             return raw
 
         return each(log, change), notes
@@ -181,8 +180,8 @@ class Outliers(AbstractCheck):
             name,
             value=len(rows),
             threshold={"channel": channel, "deviations": self.deviations},
-            seen=f"in {channel} {count} more than {self.deviations:g} robust standard deviations off the neighbours, first "
-            f"at t = {at:.3f} s: {value:.4g}",
+            seen=f"in {channel} {count} more than {self.deviations:g} robust standard deviations off the neighbours, "
+            f"first at t = {at:.3f} s: {value:.4g}",
             meaning="so many that they are its noise; they stay"
             if noise
             else "likely transmission errors; a single one can distort a least-squares fit",
