@@ -49,15 +49,16 @@ class Quantisation(AbstractCheck):
     cutoff: float = 10.0
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """Per joint, on the longest trajectory; the value is the step."""
+        """Per joint, where it moves farthest; the value is the step."""
         raws = [raw for raw in log.trajectories if len(raw.t) > 100 and is_series(raw)]
         if not raws:
             return [self.skipped("no time series of 100 rows")]
-        raw = max(raws, key=lambda x: len(x.t))
-        rate = 1 / median_step(raw.t)
         accelerations = {x.trajectory: rms(x.qdd) for x in stretches(log)}
-        found, cutoff = [], min(self.cutoff, rate / 5)
+        found = []
         for joint, name in enumerate(log.joints):
+            raw = max(raws, key=lambda x: np.ptp(x.q[:, joint]))
+            rate = 1 / median_step(raw.t)
+            cutoff = min(self.cutoff, rate / 5)
             step = lattice(raw.q[:, joint])
             moves = np.ptp(raw.q[:, joint]) > max(10 * step, 0.02)
             if step > 0 and moves and raw.name in accelerations:

@@ -78,6 +78,7 @@ class Description(AbstractCheck):
         yield from self._line("warn", zero, "zero inertia", "a body with a mass has an inertia", carried)
         why = "a placeholder, no body's: torques of acceleration are off"
         yield from self._line("note", equal, "equal moments of inertia on all axes", why, carried)
+        why = "the same part twice, or a placeholder: then torques of acceleration are off"
         yield from self._line("note", alike, "the same inertia as another link", why, carried)
         why = "a centre of mass on the joint's axis carries no gravity torque: rarely so"
         yield from self._line("note", origins, "the centre of mass at the link's origin", why, carried)
