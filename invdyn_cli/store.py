@@ -295,6 +295,7 @@ def examination_as_dict(examination: Examination) -> dict[str, Any]:
     """{"usable", "checks", "corrections", "excitation"} as in check.json, numbers that do not exist as None."""
     tree = {
         "usable": examination.usable,
+        "as_recorded": examination.as_recorded,
         "checks": [vars(x) for x in examination.checks],
         "corrections": [dict(x) for x in examination.corrections],
         "excitation": examination.excitation,

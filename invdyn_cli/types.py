@@ -274,12 +274,14 @@ class Check:
 @dataclass(frozen=True)
 class Examination:
     """What the doctor says of a log: whether physics may start on it, every check, per joint what it excites, and what
-    correcting it changes: {"check": name, "done": sentence} in order."""
+    correcting it changes: {"check": name, "done": sentence} in order. `as_recorded`: nothing was to be corrected, and a
+    log that fails a check is not usable."""
 
     usable: bool
     checks: tuple[Check, ...]
     excitation: Mapping[str, Mapping[str, Any]]
     corrections: tuple[Mapping[str, str], ...] = ()
+    as_recorded: bool = False
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def correct(
             hopeless = True
         usable = not hopeless and bool(log.trajectories)
         excitation = Excitation().measure(log, robot) if log.trajectories and (change or usable) else {}
-    return log, Examination(usable, _ordered(found), excitation, tuple(corrections))
+    return log, Examination(usable, _ordered(found), excitation, tuple(corrections), not change)
 
 
 def done(examination: Examination) -> tuple[str, ...]:

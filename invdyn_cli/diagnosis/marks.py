@@ -32,6 +32,9 @@ COUNTED = {
 }
 """Words after the number of rows, of gaps after their number."""
 
+DERIVATIVES = {"fail": "not q's derivative", "note": "shifted against q's derivative"}
+"""What is said of a velocity or an acceleration, by severity."""
+
 
 @dataclass(frozen=True)
 class Mark:
@@ -141,7 +144,7 @@ def _label(one: Check) -> str:
         "gravity_removed": "without gravity" if one.severity == "fail" else "perhaps without gravity",
         "command_copies_measurement": "a copy",
         "too_short": f"{number} s: too short",
-        "derivative_consistency": "not q's derivative" if one.severity == "fail" else "differs from q's derivative",
+        "derivative_consistency": DERIVATIVES.get(one.severity, "differs from q's derivative"),
     }
     return words.get(one.check, one.check.replace("_", " "))
 

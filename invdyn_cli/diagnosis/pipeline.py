@@ -27,6 +27,8 @@ from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES, Preparation, Recording, prepare
 from invdyn_cli.types import Diagnosis, Examination, Motion, Robot, Signals
 
+AS_RECORDED = "correct=false: the log was diagnosed as recorded, nothing in it was corrected"
+
 
 @dataclass(frozen=True)
 class Options:
@@ -38,12 +40,15 @@ class Options:
         most: effects that a diagnosis names at most; null: three for each joint.
         conditioning: rates and filters.
         replay: whether the simulated arm is played beside the log, before and after.
+        correct: False: the log is diagnosed as recorded; nothing in it is corrected, and what fails a check makes it
+            unusable.
     """
 
     known: Sequence[Any] = ()
     most: int | None = None
     conditioning: Preparation = field(default_factory=Preparation)
     replay: bool = False
+    correct: bool = True
 
 
 def diagnose(
@@ -76,11 +81,12 @@ def diagnose(
     """
     options = options or Options()
     gained, log, reference = _gained(log, reference, robot, windows, options)
-    log, examination = doctor.correct(log, robot)
+    log, examination = doctor.correct(log, robot, change=options.correct)
     if not examination.usable:
-        return _unusable(examination, ())
+        return _unusable(examination, () if options.correct else (AS_RECORDED,))
     notes = doctor.done(examination)
     corrected = (*log.history, *notes)
+    notes = notes if options.correct else (AS_RECORDED,)
     notes = notes if gained is None else (gained.note(), *notes)
     progress(0.1, "checked")
     if reference is not None:
@@ -144,6 +150,7 @@ def diagnose(
             "robot": log.robot,
             "trajectories": [x.name for x in log.trajectories],
             "corrections": list(corrected),
+            "as_recorded": not options.correct,
             **({} if gained is None else {"drive_gains": gained.told()}),
         },
     )
@@ -192,7 +199,7 @@ def _gained(
     wrong gain is not looked for then: all of them are fitted."""
     if not gains.lacks(log):
         return None, log, reference
-    corrected, _ = doctor.correct(log, robot)
+    corrected, _ = doctor.correct(log, robot, change=options.correct)
     try:
         found = gains.estimated(corrected, robot, _typical_inertia(robot), windows, options.conditioning)
     except (LogError, ValueError):
@@ -264,7 +271,7 @@ def _typical_inertia(robot: Robot) -> np.ndarray:
 
 def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
     """The log with the reference's trajectories beside its own, in a role of their own."""
-    reference, examination = doctor.correct(reference, robot)
+    reference, examination = doctor.correct(reference, robot, change=options.correct)
     if not examination.usable:
         failed = [c.seen for c in examination.checks if c.severity == "fail"]
         raise LogError(f"the reference cannot be used: {listed(failed)}", advice="another data.reference")
@@ -283,6 +290,7 @@ def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
 
 def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:
     failed = [c for c in examination.checks if c.severity == "fail"]
+    advice = [failed[0].advice, *["correct=true"] * examination.as_recorded] if failed else []
     why = failed[0].seen if failed else (notes[-1] if notes else "no trajectory is left")
     return Diagnosis(
         verdict="log_unusable",
@@ -292,6 +300,7 @@ def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:
         extended={},
         noise_floor=None,
         unexplained={},
-        summary=f"This log cannot be diagnosed: {why.rstrip('.')}." + (f" Try: {failed[0].advice}." if failed else ""),
+        summary=f"This log cannot be diagnosed: {why.rstrip('.')}."
+        + (f" Try: {'; or '.join(advice)}." if advice else ""),
         notes=tuple(notes),
     )

@@ -39,7 +39,12 @@ def shown(examination: Examination) -> Group:
     for one in examination.checks:
         if one.severity == "skipped":
             skipped.setdefault(one.seen, {})[one.check] = None
-    parts += [Text.assemble(("skipped", STYLE["skipped"]), f"  {', '.join(x)}: {why}") for why, x in skipped.items()]
+    reasons: dict[str, list[str]] = {}
+    for why, names in skipped.items():
+        reasons.setdefault(", ".join(names), []).append(why)
+    for names, own in reasons.items():
+        more = [f"and {len(own) - MOST} more, see check.json"] if len(own) > MOST else []
+        parts += [Text.assemble(("skipped", STYLE["skipped"]), f"  {names}: {x}") for x in (*own[:MOST], *more)]
     quiet = dict.fromkeys(one.check for one in examination.checks if one.severity == "ok")
     if quiet:
         parts.append(Text(f"ok ({len(quiet)}): {', '.join(quiet)}", STYLE["ok"]))

@@ -131,7 +131,7 @@ def build(
     model.tendon_solref_fri[:] = 2 * timestep, 1
     model.tendon_solimp_fri[:] = 0.9999, 0.9999, 0.001, 0.5, 2
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    return Arm(model, motor, np.array(geared, int), gear, _mended(model, gear))
+    return Arm(model, motor, np.array(geared, int), gear, _least_inertia_added(model, gear))
 
 
 def set_joints(arm: Arm, *, damping: np.ndarray, stiffness: np.ndarray, pull: np.ndarray) -> None:
@@ -209,7 +209,7 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     return quaternion
 
 
-def _mended(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, ...]:
+def _least_inertia_added(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, ...]:
     """Add the inertia that joints lack for a positive definite mass matrix, in place; words on what was added."""
     found = mass_matrices(model, gear)
     lack = np.maximum(0.0, LEAST_INERTIA - np.diagonal(found, axis1=1, axis2=2).min(0))

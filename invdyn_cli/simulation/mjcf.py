@@ -92,7 +92,7 @@ def written(robot: Robot, parts: Sequence[Part] = ()) -> tuple[str, tuple[str, .
         if part.joint is not None and part.joint not in robot.joints:
             raise UsageError(f"{part.title} is on no joint {part.joint!r}; allowed: {listed(robot.joints)}")
         _put(made, part, 0 if part.joint is None else robot.joints.index(part.joint))
-    _mend(made)
+    _make_consistent(made)
     return _text(made), tuple(made.said)
 
 
@@ -111,7 +111,7 @@ def _put(made: _Numbers, part: Part, i: int) -> None:
     made.said += [f"{part.joint or 'whole arm'}: {part.title} {x}" for x in lost if x]
 
 
-def _mend(made: _Numbers) -> None:
+def _make_consistent(made: _Numbers) -> None:
     """Bodies that can be, rotors where a gear yields, and inertia that joints lack; in place, with a sentence each."""
     made.inertial[-1] += sum((x for x in made.loads if not _solid(x)), np.zeros(10))
     made.loads = [x for x in made.loads if _solid(x)]

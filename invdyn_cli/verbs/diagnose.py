@@ -45,8 +45,9 @@ def main(argv: Sequence[str]) -> int:
 def task(config: DictConfig) -> None:
     """One diagnosis; exit code 1 where a check of the log failed under strict=true. In a sweep a log that cannot be
     diagnosed is a row of the fleet's page, not the end."""
-    if not isinstance(config.strict, bool):
-        raise UsageError(f"strict={config.strict}; allowed: true or false")
+    for option in ("strict", "correct"):
+        if not isinstance(config[option], bool):
+            raise UsageError(f"{option}={config[option]}; allowed: true or false")
     folder = Path(job().runtime.output_dir)
     if in_sweep():
         _one_of_many(config, folder)
@@ -144,7 +145,9 @@ def options_of(config: DictConfig) -> Options:
         listed_ones = [listed_ones]
     if not isinstance(listed_ones, list):
         raise UsageError(f"diagnosis.known={known}; allowed: a list of effect, effect@joint, {{effect, joint, …}}")
-    return Options(known=listed_ones, most=node.most, conditioning=conditioning, replay=node.replay)
+    return Options(
+        known=listed_ones, most=node.most, conditioning=conditioning, replay=node.replay, correct=config.correct
+    )
 
 
 def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:

@@ -225,7 +225,7 @@ def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
 
 
 @pytest.mark.parametrize("seconds", [0.03, -0.012])
-def test_an_offset_of_all_torques_is_found_and_mended(seconds, log, arm):
+def test_an_offset_of_all_torques_is_found_and_corrected(seconds, log, arm):
     """30 ms late or 12 ms early: found within 1 ms, gone after the correction."""
     raw = log.trajectories[0]
     bad = changed(log, tau=delayed(raw.tau, raw.t, seconds))

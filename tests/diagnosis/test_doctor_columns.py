@@ -1,5 +1,6 @@
 """Order and signs of columns come from the physics: what is stated is right, and what cannot be told is not changed."""
 
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from typing import Any
 
@@ -109,6 +110,18 @@ def test_placeholder_inertias(drawn):
     rows[1, 1:4] = 0
     rows[2, 1:] = 0
     assert doubtful_inertias(replace(robot, inertial=rows)).tolist() == [False, True, True, False, False]
+
+
+def test_placeholders_of_a_file_are_those_of_the_fit(drawn):
+    """The URDF's text is judged by the same criterion: a sphere that is a hair off is one, as is a link's copy."""
+    _, robot, _log = drawn
+    root = ET.fromstring(robot.urdf)
+    inertias = [x for x in root.iter("inertia")]
+    inertias[1].attrib.update(ixx="0.1", iyy="0.1", izz="0.10000001", ixy="0", ixz="0", iyz="0")
+    inertias[4].attrib.update(inertias[3].attrib)
+    told = {c.seen.split(":")[0]: c.value for c in Description()._written(replace(robot, urdf=ET.tostring(root)))}
+    assert told["equal moments of inertia on all axes"] == ["link2"]
+    assert told["the same inertia as another link"] == ["link4", "link5"]
 
 
 def test_gravity_is_missed_on_a_worn_arm(drawn):

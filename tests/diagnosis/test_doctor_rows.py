@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.channels import Saturation
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.recording.rows import clock_pieces, taken
@@ -184,6 +185,17 @@ def test_saturation(log, arm):
     tau[:, 3] = np.minimum(tau[:, 3], level)
     found = seen(doctor.examine(changed(log, tau=tau), arm), "saturation")
     assert [(c.joint, c.value) for c in found] == [(arm.joints[3], pytest.approx(level))]
+
+
+def test_saturation_of_what_is_mostly_noise(log, arm):
+    """Noise that is cut at a level returns to it again and again, never for long: warned of. Rounded noise is not."""
+    tau = log.trajectories[0].tau.copy()
+    tau[:, 3] = np.random.default_rng(2).normal(size=len(tau))
+    coarse = changed(log, tau=np.where(np.arange(len(arm.joints)) == 3, tau.round(1), tau))
+    tau[:, 3] = np.minimum(tau[:, 3], 1.3)
+    found = Saturation().examine(changed(log, tau=tau), arm)
+    assert [(c.joint, c.value) for c in found] == [(arm.joints[3], pytest.approx(1.3))]
+    assert Saturation().examine(coarse, arm) == []
 
 
 def test_the_effort_limit(log, arm):

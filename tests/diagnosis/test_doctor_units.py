@@ -99,3 +99,27 @@ def test_gaps_do_not_hide_outliers(log):
     one = taken(replace(raw, tau=tau), rows)
     found = [c for c in Outliers().examine(replace(log, trajectories=(one,)), None) if c.severity == "warn"]
     assert [(c.joint, c.value) for c in found] == [(log.joints[1], 1)]
+
+
+@pytest.mark.parametrize("torque", ["as it is", "noise"])
+def test_degrees_of_one_joint_beside_velocities_in_radians(torque, log, arm):
+    """Its position is in degrees: limits and velocity tell, even where no torque does. Its velocity is not blamed."""
+    raw = log.trajectories[0]
+    q, tau = raw.q.copy(), raw.tau
+    q[:, 1] *= 180 / np.pi
+    if torque == "noise":
+        tau = np.random.default_rng(0).normal(size=tau.shape)
+    assert told(changed(log, q=q, tau=tau), arm) == {("q", log.joints[1]): pytest.approx(180 / np.pi)}
+
+
+def test_a_velocity_that_was_converted_twice(log, arm):
+    """The position is within its limits and the torque fits: the velocity is wrong. Without a robot both are named, and
+    nothing is changed."""
+    raw = log.trajectories[0]
+    assert raw.qd is not None
+    bad = changed(log, qd=raw.qd * np.array([1, np.pi / 180, 1, 1]))
+    assert told(bad, arm) == {("qd", log.joints[1]): pytest.approx(np.pi / 180)}
+    found = MotionUnits().examine(bad, None)
+    (doubted,) = (c for c in found if c.severity == "warn")
+    assert doubted.joint == log.joints[1] and "or qd is too small" in doubted.meaning
+    assert MotionUnits().correct(bad, found, None) == (bad, [])

@@ -178,3 +178,17 @@ def test_a_senseless_log_names_nothing(name, twice, robot):
     assert diagnosis.verdict in ("nothing_found", "log_unusable")
     assert said(diagnosis) == set() and diagnosis.summary
     assert (diagnosis.model is None) == (diagnosis.verdict == "log_unusable")
+
+
+def test_nothing_is_corrected_on_request(loaded, robot):
+    """With `correct=False` a wild sample that is else interpolated stays; notes and written model say so."""
+    raw = loaded.trajectories[0]
+    tau = raw.tau.copy()
+    tau[len(tau) // 2, 0] += 5 * np.ptp(tau[:, 0])
+    wild = replace(loaded, trajectories=(replace(raw, tau=tau), *loaded.trajectories[1:]))
+    made = diagnose(wild, robot, options=Options(correct=False))
+    assert [c.check for c in made.examination.checks if c.severity == "warn"] == ["outliers"]
+    assert made.examination.as_recorded and made.examination.corrections == ()
+    assert any("as recorded" in note for note in made.notes)
+    assert made.model is not None
+    assert made.model.provenance["as_recorded"] is True and made.model.provenance["corrections"] == []

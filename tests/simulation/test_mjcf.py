@@ -202,7 +202,7 @@ def test_a_gear_is_a_second_joint(arm):
     assert np.array_equal(spring.axis, model.joint("axis3").axis)
 
 
-def test_what_no_body_could_be_is_mended_and_said(arm):
+def test_what_no_body_could_be_is_corrected_and_said(arm):
     """A change that leaves a link with a negative mass still loads, with a sentence that names the link."""
     change = {"mass": -1.2 * arm.inertial[2, 0], "moment": np.zeros(3), "inertia": np.zeros(6)}
     text, said = mjcf_with(arm, ("link_inertia_error", "axis3", change))

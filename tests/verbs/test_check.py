@@ -49,8 +49,8 @@ def test_a_sound_log(command, arm):
     assert said.code == 0, said.err
     found = report(said)
     assert found["schema"] == "invdyn-check/1"
-    assert set(found) == {"schema", "usable", "checks", "corrections", "excitation"}
-    assert found["usable"] is True
+    assert set(found) == {"schema", "usable", "as_recorded", "checks", "corrections", "excitation"}
+    assert found["usable"] is True and found["as_recorded"] is False
     assert all(set(one) == KEYS for one in found["checks"])
     assert len({one["check"] for one in found["checks"]}) == 18
     assert list(found["excitation"]) == list(arm.joints)

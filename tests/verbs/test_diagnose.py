@@ -345,3 +345,19 @@ def test_misuse_is_one_line(name, folder, command):
     assert said.code == 2
     assert len(said.err) == 1 and words in said.err[0]
     assert not Path("out").exists() or not [p for p in Path("out").iterdir() if p.name[0] != "."]
+
+
+def test_as_recorded(folder, tmp_path):
+    """correct=false: a clock in ms is not corrected; the log is unusable, and diagnosis.json and the page say why."""
+    log = read_log(folder / "log.h5")
+    late = tuple(replace(raw, t=1e3 * raw.t) for raw in log.trajectories)
+    write_log(replace(log, trajectories=late), tmp_path / "late.h5")
+    robot = ("robot=urdf", f"robot.path={folder / 'arm.urdf'}")
+    done = invdyn("diagnose", "data.path=late.h5", *robot, "correct=false", "hydra.run.dir=out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"] == "log_unusable" and found["log_checks"]["as_recorded"] is True
+    assert found["log_checks"]["corrections"] == []
+    assert any("correct=false" in note for note in found["notes"]) and "correct=true" in found["summary"]
+    assert "correct=false" in (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert invdyn("diagnose", "data.path=late.h5", *robot, "correct=7", cwd=tmp_path).returncode == 2

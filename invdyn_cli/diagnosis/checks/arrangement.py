@@ -44,6 +44,9 @@ that rests changes places with one that moves (ours)."""
 ROUNDS = 3
 """How often the search begins anew with the noise of what was found."""
 
+AFTER_ORDER = "another order of the columns is likelier than theirs; judged once the order is right"
+"""Why a check is skipped whose finding may be no more than a consequence of a wrong order."""
+
 UNITS = (1.0, 1e3, 1e-3)
 """Logged torque over N m while orders and signs are looked for; else every column has a factor of its own."""
 
@@ -92,6 +95,25 @@ class Verdict:
     def stated(self) -> bool:
         """Whether the log asks for another arrangement than the logged one."""
         return self.best.key != self.logged.key
+
+    @property
+    def other_orders(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """Other orders (of positions, of torques) that the physics does not exclude beside the best, but for joints
+        without a torque that shows: of these two may always be exchanged."""
+        best, kept = self.best, []
+        for one in self.rivals:
+            pair = one.order, one.columns
+            if pair == (best.order, best.columns) or pair in kept:
+                continue
+            moved = {j for a, b in ((one.order, best.order), (one.columns, best.columns)) for j in _differ(a, b)}
+            if any(self.judged[j] for j in moved):
+                kept.append(pair)
+        return kept
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the likeliest order is the one in which the columns stand."""
+        return self.best.order == self.best.columns == tuple(range(len(self.judged)))
 
 
 @once_for_a_log
@@ -283,3 +305,7 @@ def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[A
             spent = float(cost + extra + turns)
             as_is = float(np.where(pattern, plain[:, 1], plain[:, 0]).sum())
             yield Arrangement(tuple(order), tuple(signs), chosen, turned, likelihood, likelihood - alone, as_is, spent)
+
+
+def _differ(one: tuple[int, ...], other: tuple[int, ...]) -> list[int]:
+    return [j for j, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]

@@ -49,15 +49,16 @@ class Quantisation(AbstractCheck):
     cutoff: float = 10.0
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """Per joint, on the longest trajectory; the value is the step."""
+        """Per joint, where it moves farthest; the value is the step."""
         raws = [raw for raw in log.trajectories if len(raw.t) > 100 and is_series(raw)]
         if not raws:
             return [self.skipped("no time series of 100 rows")]
-        raw = max(raws, key=lambda x: len(x.t))
-        rate = 1 / median_step(raw.t)
         accelerations = {x.trajectory: rms(x.qdd) for x in stretches(log)}
-        found, cutoff = [], min(self.cutoff, rate / 5)
+        found = []
         for joint, name in enumerate(log.joints):
+            raw = max(raws, key=lambda x: np.ptp(x.q[:, joint]))
+            rate = 1 / median_step(raw.t)
+            cutoff = min(self.cutoff, rate / 5)
             step = lattice(raw.q[:, joint])
             moves = np.ptp(raw.q[:, joint]) > max(10 * step, 0.02)
             if step > 0 and moves and raw.name in accelerations:
@@ -104,9 +105,12 @@ class Quantisation(AbstractCheck):
 class Saturation(AbstractCheck):
     """Torques that stay at one extreme value while the arm moves, or at the URDF's effort limit.
 
+    They stay there in a row, or, where noise is larger than what moves, come back to it more often than to any other.
+
     Attributes:
-        run: samples in a row with the very same extreme value (ours: noise does not repeat a maximum five times).
-        share: of the samples that are in such runs (ours: below, they do not bend a fit).
+        run: samples with the very same extreme value, in a row, or times as many as any other value has (ours: noise
+            does not repeat a maximum five times, and rounded values are seldom at the extreme).
+        share: of the samples that are so (ours: below, they do not bend a fit).
         limit: of the effort limit that counts as reached (a torque that goes as far beyond it knows no such limit).
     """
 
@@ -149,7 +153,12 @@ class Saturation(AbstractCheck):
         long = [(a, b) for a, b in runs(at) if b - a >= self.run and moving[a:b].mean() > 0.5]
         held = sum(b - a for a, b in long)
         repeats = np.mean(np.diff(x[~at]) == 0) if np.sum(~at) > 1 else 1.0
-        return (held / len(x) if repeats < 0.2 else 0.0), float(side * top), raw.name
+        share = held / len(x) if repeats < 0.2 else 0.0
+        often = np.sum(at & moving)
+        if share <= self.share < often / len(x):
+            _, counts = np.unique(x[~at], return_counts=True)
+            share = often / len(x) if often > self.run * counts.max(initial=1) else 0.0
+        return share, float(side * top), raw.name
 
     def _seen(self, trajectory: str, joint: str, value: float, share: float, what: str) -> Check:
         return Check(

@@ -7,7 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FOUND, Arrangement, Verdict, arrangement, known_orders
+from invdyn_cli.diagnosis.checks.arrangement import (
+    AFTER_ORDER,
+    ALIKE,
+    FOUND,
+    Arrangement,
+    arrangement,
+    known_orders,
+)
 from invdyn_cli.diagnosis.checks.fits import left, rms, slope
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
@@ -42,7 +49,7 @@ class JointOrder(AbstractCheck):
         if verdict is None:
             return [self.skipped(NO_MOTION)]
         best, straight = verdict.best, tuple(range(robot.dofs))
-        others = self._others(verdict)
+        others = verdict.other_orders
         found = []
         unjudged = [log.joints[j] for j in np.flatnonzero(~verdict.judged)]
         if unjudged:
@@ -77,19 +84,6 @@ class JointOrder(AbstractCheck):
             words = ", ".join(f"{log.joints[i]} -> {log.joints[j]}" for j, i in enumerate(moves) if i != j)
             return log, [f"{which} columns put in the robot's order: {words}"]
         return log, []
-
-    def _others(self, verdict: Verdict) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-        """Other orders (of positions, of torques) that the physics does not exclude beside the best, but for joints
-        without a torque that shows: of these two may always be exchanged."""
-        best, kept = verdict.best, []
-        for one in verdict.rivals:
-            pair = one.order, one.columns
-            if pair == (best.order, best.columns) or pair in kept:
-                continue
-            moved = {j for a, b in ((one.order, best.order), (one.columns, best.columns)) for j in _differ(a, b)}
-            if any(verdict.judged[j] for j in moved):
-                kept.append(pair)
-        return kept
 
     def _seen(self, robot: Robot, best: Arrangement, words: str, gain: float) -> Check:
         return Check(
@@ -153,7 +147,7 @@ class SignError(AbstractCheck):
         if verdict is None or samples is None:
             return [self.skipped(NO_MOTION, "tau")]
         sizes, values = self._sizes(samples)
-        best, every = verdict.best, (verdict.best, *verdict.alike)
+        best, every = verdict.best, (verdict.best, *(verdict.alike if verdict.in_order else verdict.rivals))
         n = robot.dofs
         found = []
         pairs = [{(x.signs[j], x.turned[j]) for x in every} for j in range(n)]
@@ -177,7 +171,12 @@ class SignError(AbstractCheck):
         told = {c.joint for c in found}
         if None not in told:
             doubted = [j for j in range(n) if log.joints[j] not in told and values[j] < -self.correlation]
-            found += [self._doubted(log, j, float(values[j])) for j in doubted if self._fits(sizes, j)]
+            doubted = [j for j in doubted if self._fits(sizes, j)]
+            if doubted and not verdict.in_order:
+                names = ", ".join(log.joints[j] for j in doubted)
+                found.append(self.skipped(f"the torque runs against the URDF's: {names}; {AFTER_ORDER}", "tau"))
+            else:
+                found += [self._doubted(log, j, float(values[j])) for j in doubted]
         told = {c.joint for c in found}
         unsure = [log.joints[j] for j in range(n) if not verdict.judged[j] or len(pairs[j]) > 1]
         unsure = [name for name in unsure if name not in told]
@@ -298,7 +297,3 @@ def _exchange(log: Log, order: tuple[int, ...]) -> str:
 
 def _moved(order: tuple[int, ...]) -> list[int]:
     return [j for j, i in enumerate(order) if i != j]
-
-
-def _differ(one: tuple[int, ...], other: tuple[int, ...]) -> list[int]:
-    return [j for j, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]

@@ -7,7 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, arrangement
 from invdyn_cli.diagnosis.checks.fits import left
+from invdyn_cli.diagnosis.checks.placeholders import EQUAL, SAME, ZERO, kinds_of
 from invdyn_cli.diagnosis.checks.samples import Samples, gather, nominal_torque, regressor_rows
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.errors import listed
@@ -45,8 +47,10 @@ class Description(AbstractCheck):
             return [self.skipped("no robot")]
         found = list(self._written(robot))
         if log.torque_unit == "A" and log.drive_gain is None:
-            found.append(self.skipped("torques in A without drive gains: tool and base are not compared"))
-            return found
+            return [*found, self.skipped("torques in A without drive gains: tool and base are not compared")]
+        verdict = arrangement(log, robot)
+        if verdict is not None and not verdict.in_order:
+            return [*found, self.skipped(f"{AFTER_ORDER}: tool and base are not compared")]
         samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
         judged = self._joints(samples)
         if samples is None or len(judged) < 2:
@@ -64,22 +68,20 @@ class Description(AbstractCheck):
         links = {x.get("name", ""): x.find("inertial") for x in root.findall("link")}
         moving = [x for x in root.findall("joint") if x.get("name") in robot.joints]
         carried = {x.find("child").get("link"): x.get("name") for x in moving}  # type: ignore[union-attr]
-        inertias = {name: _six(x) for name, x in links.items() if x is not None}
+        inertias = {name: _inertia(x) for name, x in links.items() if x is not None}
         masses = {name: _number(x.find("mass"), "value") for name, x in links.items() if x is not None}
         own = [name for name in carried if name in links]
         none = [name for name in own if masses.get(name, 0.0) <= 0]
-        zero = [name for name in own if name not in none and not np.any(inertias[name])]
-        solid = [name for name in own if masses.get(name, 0.0) > 0 and name not in zero]
-        round_ = [name for name in solid if np.ptp(inertias[name][[0, 3, 5]]) < 1e-9 + 1e-6 * inertias[name].max()]
-        round_ = [name for name in round_ if not np.any(inertias[name][[1, 2, 4]])]
-        alike = [a for a in solid if any(a != b and np.array_equal(inertias[a], inertias[b]) for b in solid)]
-        origins = [name for name in solid if not np.any(_triple(links[name]))]
+        solid = [name for name in own if name not in none]
+        kinds = dict(zip(solid, kinds_of([inertias[x] for x in solid], [masses[x] for x in solid]), strict=True))
+        zero, equal, alike = ([name for name in solid if kinds[name] == kind] for kind in (ZERO, EQUAL, SAME))
+        origins = [name for name in solid if name not in zero and not np.any(_triple(links[name]))]
         yield from self._line("warn", none, "no mass", "its weight and inertia are missing in every torque", carried)
         yield from self._line("warn", zero, "zero inertia", "a body with a mass has an inertia", carried)
         why = "a placeholder, no body's: torques of acceleration are off"
-        yield from self._line("note", round_, "equal moments of inertia on all axes", why, carried)
-        alike = [name for name in alike if name not in round_]
-        yield from self._line("note", alike, "the same inertia as another link, digit for digit", why, carried)
+        yield from self._line("note", equal, "equal moments of inertia on all axes", why, carried)
+        why = "the same part twice, or a placeholder: then torques of acceleration are off"
+        yield from self._line("note", alike, "the same inertia as another link", why, carried)
         why = "a centre of mass on the joint's axis carries no gravity torque: rarely so"
         yield from self._line("note", origins, "the centre of mass at the link's origin", why, carried)
         if moving and not any(x.find("dynamics") is not None for x in moving):
@@ -215,9 +217,11 @@ class Description(AbstractCheck):
         return float(2.0 * theta[0])
 
 
-def _six(inertial: ET.Element | None) -> np.ndarray:
+def _inertia(inertial: ET.Element | None) -> np.ndarray:
+    """(3, 3) about the centre of mass, axes of the inertial frame."""
     tag = None if inertial is None else inertial.find("inertia")
-    return np.array([_number(tag, name) for name in SIX])
+    xx, xy, xz, yy, yz, zz = (_number(tag, name) for name in SIX)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _number(tag: ET.Element | None, name: str) -> float:

@@ -91,9 +91,9 @@ class TimeOffset(AbstractCheck):
         if late and len(session) > 1 and all(abs(x.common - late[0].common) < self._limit(x) for x in sure):
             weights = [sum(x.gains.values()) for x in sure]
             value = float(np.average([x.common for x in sure], weights=weights))
-            seen = f"the torque comes {_apart(value)} in all {len(session)} recordings of this session: "
+            told = f"the {len(sure)} of {len(session)}" if len(sure) < len(session) else f"all {len(session)}"
+            seen = f"the torque comes {_apart(value)}, alike in {told} recordings of this session that tell it: "
             seen += ", ".join(f"{x.trajectory} {1e3 * x.common:.3g} ms" for x in sure)
-            seen += f"; {len(session) - len(sure)} cannot tell" if len(sure) < len(session) else ""
             found.append(self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session)))
         else:
             for x in late:
@@ -126,6 +126,9 @@ class TimeOffset(AbstractCheck):
     def _unsure(self, x: "_Shifts") -> Check:
         """The joints do not agree on an offset."""
         offsets = [1e3 * s for s in x.offsets.values()]
+        if len(offsets) == 1:
+            why = f"a single joint can be timed ({offsets[0]:.3g} ms): an offset of all cannot be told"
+            return self.skipped(why, "tau", x.trajectory)
         seen = f"joint by joint torques come {min(offsets):.3g} to {max(offsets):.3g} ms after their motion, "
         seen += f"together {1e3 * x.common:.3g} ms, standard error {1e3 * x.error:.2g} ms"
         if abs(x.common) <= max(self._limit(x), x.error):

@@ -1,8 +1,12 @@
 """Which inertias of a robot were neither measured nor computed: zero, equal on all axes, the same on several links."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from invdyn_cli.types import Robot
+
+ZERO, EQUAL, SAME = "zero", "equal on all axes", "the same as another link's"
 
 
 def doubtful_inertias(robot: Robot) -> np.ndarray:
@@ -10,13 +14,24 @@ def doubtful_inertias(robot: Robot) -> np.ndarray:
 
     Fixed links are merged into the body that carries them, so of several placeholders in one body the sum is judged.
     """
-    found = np.zeros(robot.dofs, bool)
-    about = [about_centre(row) for row in np.asarray(robot.inertial, float)]
-    for j, inertia in enumerate(about):
-        found[j] = kind_of(inertia, float(robot.inertial[j][0])) is not None
-    for j in range(len(about)):
-        found[j] |= any(k != j and _alike(about[j], about[k]) for k in range(len(about)))
-    return found
+    rows = np.asarray(robot.inertial, float)
+    return np.array([kind is not None for kind in kinds_of([about_centre(row) for row in rows], rows[:, 0])])
+
+
+def kinds_of(inertias: Sequence[np.ndarray], masses: Sequence[float] | np.ndarray) -> list[str | None]:
+    """ZERO, EQUAL or SAME, or None for what a body may have, of inertias (3, 3) about centres of mass [kg m^2]."""
+    moments = [np.linalg.eigvalsh((x + x.T) / 2) for x in inertias]
+    return [_kind(k, moments, float(mass)) for k, mass in enumerate(masses)]
+
+
+def _kind(k: int, moments: Sequence[np.ndarray], mass: float) -> str | None:
+    own = moments[k]
+    if own.max() < 1e-9 * max(mass, 1e-9):
+        return ZERO
+    if np.ptp(own) < 1e-3 * own.max():
+        return EQUAL
+    others = (x for j, x in enumerate(moments) if j != k)
+    return SAME if any(np.max(np.abs(own - x)) < 1e-6 * own.max() for x in others) else None
 
 
 def about_centre(row: np.ndarray) -> np.ndarray:
@@ -25,19 +40,3 @@ def about_centre(row: np.ndarray) -> np.ndarray:
     inertia = np.array([[row[4], row[5], row[7]], [row[5], row[6], row[8]], [row[7], row[8], row[9]]], float)
     centre = first / mass if mass > 0 else np.zeros(3)
     return inertia - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-
-
-def kind_of(inertia: np.ndarray, mass: float) -> str | None:
-    """ "zero" or "equal on all axes", or None for an inertia (3, 3) that a body may have."""
-    values = np.linalg.eigvalsh((inertia + inertia.T) / 2)
-    if values.max() < 1e-9 * max(mass, 1e-9):
-        return "zero"
-    if np.ptp(values) < 1e-3 * values.max():
-        return "equal on all axes"
-    return None
-
-
-def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two inertias have the very same principal moments."""
-    a, b = (np.linalg.eigvalsh((x + x.T) / 2) for x in (one, other))
-    return bool(a.max() > 0 and np.max(np.abs(a - b)) < 1e-6 * a.max())

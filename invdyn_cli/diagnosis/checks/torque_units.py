@@ -86,15 +86,16 @@ class TorqueUnits(AbstractCheck):
         beside: np.ndarray,
     ) -> list[Check]:
         """What the ratios say; a single joint's unit must also fit better `beside` (n, units) tools and friction than
-        N m does."""
+        N m does. Else its torque has a factor of its own, which a tool may make as well as a unit."""
         ratio = np.array(list(ratios.values()))
         likelihood = _log_density(np.log(ratio[:, None] / factors[judged]))  # (joints, units)
         middle = float(np.exp(np.median(np.log(ratio))))
         common = likelihood.sum(0) - FLAW * (np.arange(len(names)) > 0)
         own = -np.log(RANGE) * len(ratio) - FLAW
-        single = likelihood - (FLAW + np.log(len(log.joints))) * (np.arange(len(names)) > 0)
-        single = np.where(beside[judged] > FOUND, single, -np.inf)
+        one = FLAW + np.log(len(log.joints))
+        single = np.where(beside[judged] > FOUND, likelihood - one, -np.inf)
         single[:, 0] = likelihood[:, 0]
+        single = np.column_stack([single, np.full(len(ratio), -np.log(RANGE) - one)])
         singles = single.max(1).sum()
         best = int(np.argmax(common))
         if max(common[best], own, singles) - common[0] < FOUND:
@@ -121,7 +122,10 @@ class TorqueUnits(AbstractCheck):
             gain = likelihood[row, best] - likelihood[row, 0]
             if best == 0 or gain < FOUND:
                 continue
-            near = np.flatnonzero(likelihood[row] > likelihood[row, best] - ALIKE)
+            if best == len(names):
+                found.append(self._odd(log.joints[j], names, factors[j], row, ratio))
+                continue
+            near = np.flatnonzero(likelihood[row, :-1] > likelihood[row, best] - ALIKE)
             alike = [names[k] for k in near if k not in (0, best)]
             seen = f"logged torque over nominal torque {ratio[row]:.4g}; log odds of {gain:.3g} against N m"
             seen += f"; as likely: {', '.join(alike)}" if alike else ""
@@ -129,6 +133,14 @@ class TorqueUnits(AbstractCheck):
             what, factor = f"tau of {log.joints[j]} is in {names[best]}", float(factors[j, best])
             found.append(self._seen("fail" if sure else "warn", log.joints[j], float(ratio[row]), factor, seen, what))
         return found
+
+    def _odd(self, joint: str, names: Sequence[str], factors: np.ndarray, row: int, ratio: np.ndarray) -> Check:
+        """A joint whose torque has another size than the others'; a tool would make it, too."""
+        own, others = float(ratio[row]), float(np.median(np.delete(ratio, row)))
+        near = [name for name, x in zip(names, factors, strict=True) if abs(np.log(own / x)) < 2 * GAIN]
+        seen = f"ambiguous: logged torque over nominal torque {own:.4g}, of the other joints {others:.3g} (median)"
+        what = f"tau of {joint} is in {' or '.join(near or ['another unit'])}, or the URDF lacks a tool"
+        return self._seen("warn", joint, own, None, seen, what)
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide by the exact factor."""

@@ -77,7 +77,7 @@ class MotionUnits(AbstractCheck):
         log, _ = self.correct(log, found, robot)
         positions = self._positions(log, robot)
         log, _ = self.correct(log, positions, robot)
-        return found + positions + self._derivatives(log)
+        return found + positions + self._derivatives(log, robot)
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide by the exact factor."""
@@ -130,6 +130,10 @@ class MotionUnits(AbstractCheck):
                 continue
             if not beyond.any():
                 continue
+            derived = self._degrees_by_velocity(log, raw, turning, beyond, reach)
+            if derived:
+                found += derived
+                continue
             sure = beyond.sum() >= max(1, 0.3 * turning.sum()) and (robot is not None or beyond.sum() > 1)
             if robot is not None:
                 one = replace(log, trajectories=(raw,))
@@ -157,6 +161,24 @@ class MotionUnits(AbstractCheck):
             )
             seen += f"{tried[1.0]:.2g}"
             found.append(self._seen("q", None, best, best, POSITIONS[best], seen))
+        return found
+
+    def _degrees_by_velocity(
+        self, log: Log, raw: RawTrajectory, turning: np.ndarray, beyond: np.ndarray, reach: np.ndarray
+    ) -> list[Check]:
+        """Positions in degrees whose velocities are in rad/s: dq/dt over qd is the unit on all joints that are beyond
+        their limits; nothing where it is not. Other joints may have it, too."""
+        ratios = 1 / _rates(stretches(replace(log, trajectories=(raw,))), "qd", self.slow)
+        own = beyond & np.isfinite(ratios)
+        in_degrees = turning & (np.abs(ratios / DEGREE - 1) < self.within)
+        if not own.any() or not in_degrees[own].all():
+            return []
+        names = [None] if in_degrees[turning & np.isfinite(ratios)].all() else None
+        found = []
+        for name in names or [log.joints[j] for j in np.flatnonzero(in_degrees | beyond)]:
+            j = int(np.argmax(np.where(beyond, reach, 0))) if name is None else log.joints.index(name)
+            seen = f"{log.joints[j]} goes to {reach[j]:.4g}; the derivative of q is {ratios[j]:.5g} times qd"
+            found.append(replace(self._seen("q", raw.name, DEGREE, DEGREE, "degrees", seen), joint=name))
         return found
 
     def _single(self, log: Log, trajectory: str, j: int, reach: float, fits: list[float]) -> Check:
@@ -222,7 +244,7 @@ class MotionUnits(AbstractCheck):
             return None
         return factor, joints, f"with q divided by {factor:.6g} the nominal torque explains {best:.2g} of the torque"
 
-    def _derivatives(self, log: Log) -> list[Check]:
+    def _derivatives(self, log: Log, robot: Robot | None) -> list[Check]:
         found = []
         if all(raw.qd is None and raw.qdd is None for raw in log.trajectories):
             return [self.skipped("neither qd nor qdd is logged", "qd")]
@@ -239,7 +261,7 @@ class MotionUnits(AbstractCheck):
                 ratio = float(np.median(ratios))
                 factor = _nearest(ratio, RATES | TURNS, self.within)
                 if not factor or np.mean(np.abs(ratios / factor - 1) < self.within) < self.most:
-                    found += self._odd(log, name, channel, every)
+                    found += self._odd(log, robot, name, channel, every)
                     continue
                 if factor in TURNS:
                     if channel == "qd":
@@ -254,9 +276,10 @@ class MotionUnits(AbstractCheck):
                 found.append(self._seen(channel, name, ratio, factor, RATES[factor] + per, seen))
         return found
 
-    def _odd(self, log: Log, trajectory: str, channel: str, ratios: np.ndarray) -> list[Check]:
+    def _odd(self, log: Log, robot: Robot | None, trajectory: str, channel: str, ratios: np.ndarray) -> list[Check]:
         """Joints whose position or velocity alone is in another unit: qd over dq/dt is an exact ratio of units there,
-        and 1 on most of the others."""
+        and 1 on most of the others. Degrees of q within the limits, or a qd that was converted once too often: limits
+        and torque decide, and else neither is corrected."""
         near = np.abs(ratios - 1) < self.within
         found = []
         for j in np.flatnonzero(np.isfinite(ratios) & ~near):
@@ -267,10 +290,25 @@ class MotionUnits(AbstractCheck):
             seen = f"qd of {log.joints[j]} is {ratios[j]:.5g} times the derivative of its q, of most other joints once"
             if factor in TURNS:
                 one = self._seen("q", trajectory, 1 / factor, 1 / factor, "revolutions", seen)
+            elif factor == 1 / DEGREE and (degrees := self._in_degrees(log, robot, trajectory, int(j))) is not False:
+                unit = "degrees" if degrees else "degrees, or qd is too small by 57.3"
+                one = self._seen("q", trajectory, DEGREE, DEGREE, unit, seen, "fail" if degrees else "warn")
             else:
                 one = self._seen("qd", trajectory, float(ratios[j]), factor, RATES[factor], seen)
             found.append(replace(one, joint=log.joints[j]))
         return found
+
+    def _in_degrees(self, log: Log, robot: Robot | None, trajectory: str, j: int) -> bool | None:
+        """Whether q of a joint is in degrees, by its limits or else the torque's fit; None: neither tells."""
+        if robot is None:
+            return None
+        one = replace(log, trajectories=tuple(raw for raw in log.trajectories if raw.name == trajectory))
+        if np.nanmax(np.abs(one.trajectories[0].q[:, j])) > np.maximum(abs(robot.lower[j]), abs(robot.upper[j])):
+            return True
+        logged, turned = (
+            _agreement(gather(_scaled(one, x, np.arange(robot.dofs) == j), robot, 1024)) for x in (1.0, DEGREE)
+        )
+        return None if abs(turned - logged) < 0.1 else bool(turned > logged)
 
     def _seen(
         self,

@@ -163,7 +163,8 @@ class Outliers(AbstractCheck):
                 keep = np.setdiff1d(np.arange(len(x)), rows)
                 x[rows, joint] = np.interp(raw.t[rows], raw.t[keep], x[keep, joint])
                 raw = replace(raw, **{channel: x})
-                notes.append(f"{raw.name}: {len(rows)} outliers in {channel} of {check.joint} interpolated")
+                number = "1 outlier" if len(rows) == 1 else f"{len(rows)} outliers"
+                notes.append(f"{raw.name}: {number} in {channel} of {check.joint} interpolated")
             return raw
 
         return each(log, change), notes
@@ -171,6 +172,7 @@ class Outliers(AbstractCheck):
     def _outlying(self, raw: RawTrajectory, channel: str, joint: int, name: str, rows: np.ndarray) -> Check:
         noise = len(rows) > max(3, self.most * len(raw.t))
         at, value = raw.t[rows[0]], getattr(raw, channel)[rows[0], joint]
+        count = "1 sample is" if len(rows) == 1 else f"{len(rows)} samples are"
         return Check(
             self.name,
             "note" if noise else "warn",
@@ -178,11 +180,11 @@ class Outliers(AbstractCheck):
             name,
             value=len(rows),
             threshold={"channel": channel, "deviations": self.deviations},
-            seen=f"{len(rows)} samples of {channel} lie more than {self.deviations:g} robust standard deviations off "
-            f"their neighbours, first at t = {at:.3f} s: {value:.4g}",
+            seen=f"in {channel} {count} more than {self.deviations:g} robust standard deviations off the neighbours, "
+            f"first at t = {at:.3f} s: {value:.4g}",
             meaning="so many that they are its noise; they stay"
             if noise
-            else "transmission errors; each bends a least-squares fit as many ordinary samples do",
+            else "likely transmission errors; a single one can distort a least-squares fit",
             advice="the bus or the driver that this channel comes from",
             source="Hampel 1974; Pearson 2002; 20 instead of 3: ours, torque noise has heavy tails",
         )
