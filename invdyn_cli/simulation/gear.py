@@ -68,11 +68,11 @@ def chosen(
 ) -> Gear:
     """A gear of this robot, its defaults as DAMPED and ROTOR have them; teeth swing with the motor against the link."""
     inertia = carried(robot)[joint]
-    rotor = ROTOR * inertia if rotor is None else rotor
+    turning = float(ROTOR * inertia) if rotor is None else rotor
     if damping is None:
-        swinging = rotor * inertia / (rotor + inertia) if gap else inertia
+        swinging = turning * inertia / (turning + inertia) if gap else inertia
         damping = 2 * damping_ratio * float(np.sqrt(stiffness * swinging))
-    return Gear(joint, rotor, gap, stiffness, damping)
+    return Gear(joint, turning, gap, stiffness, damping)
 
 
 def put(arm: Arm, gears: Sequence[Gear]) -> None:
