@@ -99,9 +99,9 @@ def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
-    """A body of 0.7 to 1.5 times the last link's mass beside friction and links up to 8 % off: the ten parameters of the
-    last link make the same torques, but none is believed to be that wrong. It is told as a payload, or left open between
-    the two, and nothing else is; its mass is off by no more than what it takes up of 8 % of two links."""
+    """A body of 0.7 to 1.5 times the last link's mass beside friction and links up to 8 % off: the ten parameters of
+    the last link make the same torques, but none is believed to be that wrong. It is told as a payload, or left open
+    between the two, and nothing else is; its mass is off by no more than what it takes up of 8 % of two links."""
     draw = np.random.default_rng(seed)
     (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
     robot = load_urdf(tmp_path / "arm.urdf")
