@@ -38,6 +38,7 @@ __all__ = [
     "AbstractEffect",
     "AbstractForceEffect",
     "AbstractGearEffect",
+    "AbstractHiddenEffect",
     "AbstractModel",
     "AbstractMotionEffect",
     "AbstractSource",
@@ -189,6 +190,21 @@ class AbstractSource(abc.ABC):
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
         """The log as recorded, columns in the robot's order; asked for where `has_log`. Raises LogError as `load`."""
         raise NotImplementedError(f"{type(self).__name__} has no log")
+
+
+class AbstractHiddenEffect(abc.ABC):
+    """Something of one's own that a simulated arm (`data=plant`) has beside its URDF. Its fields are `joint` and its
+    sizes. It knows nothing of the effects that a diagnosis looks for: what finds it has formulas of its own."""
+
+    name: ClassVar[str]
+    """What the log's truth calls it."""
+    joint: str | None
+    """The joint that it acts on; None: all of them."""
+
+    @abc.abstractmethod
+    def force(self, t: float, q: Any, qd: Any) -> Any:
+        """What the logged torque holds beyond what moves the arm [N m; N], at t [s] of the log: of the joint's own true
+        angle [rad; m] and speed, or (n,) of all joints' (n,)."""
 
 
 class AbstractCheck(abc.ABC):
