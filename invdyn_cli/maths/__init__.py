@@ -1,0 +1,1 @@
+from invdyn_cli import precision as precision
