@@ -60,7 +60,7 @@ def simplified(
     simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
     being part of it."""
     simpler = _simplified(judge, always, hypothesis, [*pool, *usual])
-    return tuple(c for c in simpler if not any(c is u for u in usual))
+    return tuple(c for c in simpler if c not in usual)
 
 
 def _simplified(
