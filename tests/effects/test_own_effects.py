@@ -112,7 +112,24 @@ class Push(ExternalContact):
     title = "push"
 
 
-OWN = (CableDrag(), SoftGain(), Camera(), SlippedBelt(), SoftBelt(), Push())
+@dataclass(frozen=True)
+class Hose(ExternalContact):
+    """A force that is always there."""
+
+    name = "hose"
+    title = "hose"
+    passing = False
+
+
+@dataclass(frozen=True)
+class Jerk(CableDrag):
+    """A torque effect that would come and go."""
+
+    name = "jerk"
+    passing = True
+
+
+OWN = (CableDrag(), SoftGain(), Camera(), SlippedBelt(), SoftBelt(), Push(), Hose())
 SIZES = {
     "cable_drag": {"cubic": 0.3},
     "soft_gain": {"bend": 1e-5},
@@ -120,6 +137,7 @@ SIZES = {
     "slipped_belt": {"slip": 0.02},
     "soft_belt": {"stiffness": 900.0},
     "push": {"force": np.array([1.0, -2.0, 3.0])},
+    "hose": {"force": np.array([-2.0, 1.0, 0.5])},
 }
 
 
@@ -135,6 +153,13 @@ def test_every_kind_has_candidates():
     evidence = gather(arm(), recording_of(log_of(raw(*moved(8.0, 200.0)))), OWN, "unknown")
     assert {c.effect.name for c in evidence.candidates} == {x.name for x in OWN if not x.passing}
     assert {x.effect.name for x in places(evidence, {x.name: x for x in OWN}, "unknown")} == {"push"}
+
+
+def test_what_cannot_come_and_go_is_refused():
+    """A torque effect in a window has no columns: the message says which kinds may be passing."""
+    evidence = gather(arm(), recording_of(log_of(raw(*moved(8.0, 200.0)))), [Jerk()], "unknown")
+    with pytest.raises(UsageError, match=r"jerk acts on torque, and cannot be passing; allowed .* bodies, forces"):
+        places(evidence, {"jerk": Jerk()}, "unknown")
 
 
 def test_a_motion_effect_is_read_by_its_own_parameter():

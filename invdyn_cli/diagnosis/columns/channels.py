@@ -56,6 +56,8 @@ class Channels(AbstractKind[AbstractChannelEffect]):
         return Candidate(effect, joint, trial, columns, 1 / np.square(reach), quieter)
 
     def basis(self, evidence: Evidence, effect: AbstractChannelEffect, joint: int, piece: int) -> np.ndarray:
+        if not effect.factor:
+            return super().basis(evidence, effect, joint, piece)
         row = (np.arange(evidence.dofs) == joint)[:, None] * evidence.states[piece][joint].transmitted
         return row[None]
 

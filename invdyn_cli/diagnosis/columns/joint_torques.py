@@ -52,7 +52,3 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
     ) -> Candidate:
         shape = effect.shape_of(at)
         return self.candidate(evidence, effect, joint, shape) if shape else known(evidence, effect, joint)
-
-    def basis(self, evidence: Evidence, effect: AbstractTorqueEffect, joint: int, piece: int) -> np.ndarray:
-        columns = np.stack(effect.basis(evidence.states[piece][joint], {}))
-        return (np.arange(evidence.dofs) == joint)[:, None] * columns[:, None]

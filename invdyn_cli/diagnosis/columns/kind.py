@@ -8,6 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.effects.composition import EffectInstance, link_torque
+from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractEffect, JointState, Parameters
 
 E = TypeVar("E", bound=AbstractEffect)
@@ -35,8 +36,9 @@ class AbstractKind(abc.ABC, Generic[E]):
         return self.candidate(evidence, effect, joint, at, beside)
 
     def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int) -> np.ndarray:
-        """Columns (k, n, T) of a piece, of an effect that may come and go."""
-        raise NotImplementedError(f"{effect.name} cannot come and go")
+        """Columns (k, n, T) of a piece, of an effect that may come and go; UsageError for one that cannot."""
+        got = f"{effect.name} acts on {effect.point}, and cannot be passing"
+        raise UsageError(f"{got}; allowed for effects that come and go: bodies, forces, and channels with a factor")
 
     def slope(
         self, evidence: Evidence, effect: E, joint: Any, before: Parameters, after: Parameters, beside: Beside
