@@ -54,6 +54,8 @@ class AbstractEffect(abc.ABC):
     """Sets of effects that theory allows to stand for it on some logs."""
     contains: ClassVar[tuple[str, ...]] = ()
     """Effects that are special cases of it: the simpler one is named unless the data ask for more."""
+    contains_as_limit: ClassVar[bool] = False
+    """Whether it is what it contains only in a limit, so that both may act on one joint."""
     advice: ClassVar[str] = ""
     """What to record to tell it from its confounders."""
     panels: ClassVar[tuple[str, ...]] = ()

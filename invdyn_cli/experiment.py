@@ -44,6 +44,9 @@ def run(
             f"{who} needs the robot's kinematics, and these data bring no URDF",
             advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
         )
+    if model.has_memory and adaptation.adapts:
+        got = f"{type(model).__name__} has a memory along a recording, and an adaptation takes samples one by one"
+        raise UsageError(got, advice="adaptation=batch, or a model without memory")
     started = time.perf_counter()
     splits = source.load(robot, stage("data"))
     if "test" not in splits.tests:

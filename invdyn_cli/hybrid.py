@@ -31,6 +31,16 @@ class Hybrid(AbstractModel):
         """Whether either part does."""
         return self.base.needs_robot or self.learner.needs_robot
 
+    @property
+    def by_joint(self) -> bool:  # type: ignore[override]
+        """Whether the base is: its linear parameters are the hybrid's."""
+        return self.base.by_joint
+
+    @property
+    def has_memory(self) -> bool:  # type: ignore[override]
+        """Whether either part does."""
+        return self.base.has_memory or self.learner.has_memory
+
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """Both parts' parameters."""
         base_key, learner_key = jax.random.split(key)

@@ -93,7 +93,7 @@ class AbstractModel(abc.ABC):
     def weights(self, params: PyTree) -> PyTree:
         """The part that steps down a gradient may move while the robot works; UsageError where there is none."""
         got = f"{type(self).__name__} has no weights that can be adapted"
-        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep")
+        raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep, lagrangian_net")
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
         """The parameters with other weights."""
@@ -101,12 +101,15 @@ class AbstractModel(abc.ABC):
 
     def linear(self, params: PyTree) -> PyTree:
         """The part of the parameters in which the torque is linear, or nearly so; UsageError where there is none."""
-        got = f"{type(self).__name__} has no linear parameters"
-        raise UsageError(got, advice="model=pest, standard, extended or rff")
+        raise UsageError(f"{type(self).__name__} has no linear parameters", advice="pest, standard, extended or rff")
 
     def with_linear(self, params: PyTree, linear: PyTree) -> PyTree:
         """The parameters with others in the place of the linear ones."""
         return {**params, **linear}
+
+    def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
+        """Parameters of the same shapes after ONE more measured sample; UsageError for a model without this update."""
+        raise UsageError(f"{type(self).__name__} does not learn from single samples", advice="model=local_gp")
 
     def members(self, fit: Fit) -> tuple[Fit, ...]:
         """The single models that a fit of several seeds holds; most fits hold one: themselves."""

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.maths.signals import at_rest, butterworth
 from invdyn_cli.types import Array, Fit, Motion, PyTree
@@ -50,7 +51,11 @@ def online(
 
     Raises:
         ValueError: if the cut-off is not between 0 and half the rate.
+        UsageError: for a model that goes along a recording.
     """
+    if model.has_memory:
+        got = f"{type(model).__name__} has a memory along a recording, and a loop asks for one sample at a time"
+        raise UsageError(got, advice="a model without memory")
     if cutoff is not None and not 0 < cutoff < rate / 2:
         raise ValueError(f"cutoff={cutoff} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
     sections = np.empty((0, 6)) if cutoff is None else butterworth(rate, cutoff, order)

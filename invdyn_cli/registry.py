@@ -13,7 +13,11 @@ from typing import Any, get_type_hints
 from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.adaptation.error_model import ErrorModel
 from invdyn_cli.adaptation.incremental import Incremental
+from invdyn_cli.adaptation.local_error_model import LocalErrorModel
+from invdyn_cli.adaptation.memory_learning_rate import MemoryLearningRate
+from invdyn_cli.adaptation.online import OnlineUpdate
 from invdyn_cli.adaptation.payload import Payload
+from invdyn_cli.adaptation.rls import Rls
 from invdyn_cli.errors import RunFileError, UsageError, closest, listed, shortened
 from invdyn_cli.fields import in_words, made, suits
 from invdyn_cli.hybrid import Hybrid
@@ -21,8 +25,15 @@ from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.models.dbm import Dbm
 from invdyn_cli.models.extended import Extended
 from invdyn_cli.models.ffnn import Ffnn, JointNet
+from invdyn_cli.models.gip import Gip
+from invdyn_cli.models.gpr import Gpr
+from invdyn_cli.models.gru import Gru
+from invdyn_cli.models.lagrangian_net import LagrangianNet
+from invdyn_cli.models.local_gp import LocalGp
 from invdyn_cli.models.pest import Pest
+from invdyn_cli.models.rff import Rff
 from invdyn_cli.models.standard import Standard
+from invdyn_cli.models.svr import Svr
 
 CLASSES: Mapping[str, type] = {
     "pest": Pest,
@@ -32,10 +43,21 @@ CLASSES: Mapping[str, type] = {
     "standard": Standard,
     "hybrid": Hybrid,
     "extended": Extended,
+    "gpr": Gpr,
+    "svr": Svr,
+    "rff": Rff,
+    "gip": Gip,
+    "local_gp": LocalGp,
+    "lagrangian_net": LagrangianNet,
+    "gru": Gru,
     "batch": Batch,
     "incremental": Incremental,
     "error_model": ErrorModel,
     "payload": Payload,
+    "rls": Rls,
+    "online": OnlineUpdate,
+    "memory_learning_rate": MemoryLearningRate,
+    "local_error_model": LocalErrorModel,
 }
 """Names in files. A class may move or change its name; what stands here stays."""
 

@@ -144,6 +144,62 @@ def _bites(epochs: int) -> list[int]:
 _adam = optax.scale_by_adam()
 
 
+def descend(
+    loss: Callable[[PyTree, PyTree, PyTree], Array],
+    params: PyTree,
+    known: PyTree,
+    rows: PyTree,
+    watched: PyTree,
+    schedule: Schedule,
+    rate: float,
+    key: jax.Array,
+    progress: Progress = silent,
+) -> tuple[PyTree, dict[str, np.ndarray]]:
+    """Minimise the sum of loss(params, known, batch) (k,) with Adam, its rate falling to zero along half a cosine
+    (Loshchilov and Hutter 2017): params, and curves (epochs, 1, k) of the training and, where given, validation loss.
+
+    Args:
+        loss: a function at module level, or a method of a frozen dataclass, so that it is compiled once.
+        known: what the loss needs beside.
+        rows: arrays of one length, of which a batch takes the same rows.
+        watched: such arrays of the validation data, or None.
+    """
+    state = params, _adam.init(params)
+    curves, done = [], 0
+    for epochs in _bites(schedule.epochs):
+        state, losses = _descend(loss, schedule, epochs, state, known, rows, watched, rate, key, done)
+        curves.append([np.asarray(x) for x in losses])
+        done += epochs
+        progress(done / schedule.epochs, f"loss {curves[-1][0][-1].mean():.2e}")
+    names = ("train_loss", "validation_loss")[: len(curves[0])]
+    joined = {name: np.concatenate(c)[:, None] for name, c in zip(names, zip(*curves, strict=True), strict=True)}
+    return jax.tree.map(np.asarray, state[0]), joined
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _descend(loss, schedule: Schedule, epochs: int, state, known, rows, watched, rate: float, key, done: int):
+    total = len(jax.tree.leaves(rows)[0])
+    size = min(schedule.batch_size, total)
+    steps = total // size
+
+    def step(carried, at):
+        (params, moments), count = carried
+        batch = jax.tree.map(lambda x: x[at], rows)
+        (_, each), slope = jax.value_and_grad(lambda p: (jnp.sum(x := loss(p, known, batch)), x), has_aux=True)(params)
+        change, moments = _adam.update(slope, moments)
+        now = 0.5 * rate * (1 + jnp.cos(jnp.pi * count / (schedule.epochs * steps)))
+        params = jax.tree.map(lambda p, c: p - (now * c).astype(p.dtype), params, change)
+        return ((params, moments), count + 1), each
+
+    def epoch(state, number):
+        order = jax.random.permutation(jax.random.fold_in(key, number), total)[: steps * size].reshape(steps, size)
+        (state, _), losses = jax.lax.scan(step, (state, number * steps), order)
+        told = (losses.mean(0),) if watched is None else (losses.mean(0), loss(state[0], known, watched))
+        return state, told
+
+    return jax.lax.scan(epoch, state, done + jnp.arange(epochs))
+
+
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
 def _epochs(group: Group, batch: int, epochs: int, state, data: Data, validation: Data, keys: Array, done: int):
     """`epochs` more epochs of all nets of a group: state, (train, validation) losses (epochs, members, nets)."""

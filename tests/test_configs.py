@@ -8,15 +8,19 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
+from invdyn_cli import registry
 from invdyn_cli.verbs.launch import config_folder, instantiate
 from tests.commands import ROOT
 
 CONF = ROOT / "conf"
 VERBS = sorted(p.stem for p in CONF.glob("*.yaml"))
 CHOICES = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml"))
+BUILT = [x for x in CHOICES if x[0] in ("model", "adaptation") and x[1] != "extended"]
+"""Choices that make an object of a class of their own; `extended` reads one from a file."""
 MEANT = {
     ("data", "sim_noisy"): {"noisy": True},
     ("model", "ffnn_deep"): {"hidden": (100, 100, 10), "joints": {}, "epochs": 200},
+    ("model", "pest_coulomb"): {"friction": "coulomb_viscous", "offset": True, "weighting": "torque_spread"},
     ("model", "pest_friction"): {
         "rest_speed": 0.003,
         "least_speed": 0.05,
@@ -80,6 +84,12 @@ def test_defaults_agree(group, choice, compose):
         assert instantiate(node) == target(**missing, **meant)
     else:
         assert {k: node[k] for k in expected} == expected
+
+
+@pytest.mark.parametrize(("group", "choice"), BUILT)
+def test_files_may_name_every_choice(group, choice, compose):
+    """A run of each model and adaptation of the package is read back without the trust that foreign code needs."""
+    assert hydra.utils.get_object(compose("run", f"{group}={choice}")[group]._target_) in registry.CLASSES.values()
 
 
 def defaults(node: DictConfig) -> dict[str, object]:

@@ -10,7 +10,9 @@ from invdyn_cli import experiment
 from invdyn_cli.data.sim import SineTasks
 from invdyn_cli.hybrid import Hybrid
 from invdyn_cli.models.ffnn import Ffnn
+from invdyn_cli.models.gru import Gru
 from invdyn_cli.models.pest import Pest
+from invdyn_cli.models.rff import Rff
 
 
 @pytest.fixture(scope="module")
@@ -52,3 +54,10 @@ def test_members_are_those_of_the_learner(data):
 def test_it_needs_a_robot_if_a_part_does():
     """Two nets run without a URDF; with PEST inside, the hybrid does not."""
     assert Hybrid(Pest(), Ffnn()).needs_robot and not Hybrid(Ffnn(), Ffnn()).needs_robot
+
+
+def test_what_it_takes_over_from_its_parts():
+    """Its linear parameters are the base's, and a memory in either part is its own."""
+    net = Ffnn()
+    assert Hybrid(Rff(), net).by_joint and not Hybrid(Pest(), Rff()).by_joint
+    assert Hybrid(Pest(), Gru()).has_memory and not Hybrid(Pest(), net).has_memory

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 
-from invdyn_cli.adaptation.incremental import Incremental
+from invdyn_cli.adaptation.incremental import AbstractDescent, Incremental
 from invdyn_cli.hybrid import Hybrid
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
@@ -17,12 +17,12 @@ class ErrorModel(AbstractAdapter):
     Attributes:
         learner: model that learns the residual of the main model.
         adapted: whether the learner goes on learning; otherwise it stays as pretrained.
-        incremental: how the learner goes on learning, see adaptation=incremental.
+        incremental: how the learner goes on learning, see adaptation=incremental and memory_learning_rate.
     """
 
     learner: AbstractModel
     adapted: bool = True
-    incremental: Incremental = field(default_factory=Incremental)
+    incremental: AbstractDescent = field(default_factory=Incremental)
 
     if_diverged = "a lower adaptation.incremental.learning_rate may help"
 

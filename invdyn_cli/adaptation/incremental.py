@@ -1,5 +1,6 @@
 """adaptation=incremental: nets go on learning while the robot works, from the last so many samples (paper, IV-A)."""
 
+import abc
 from dataclasses import dataclass, replace
 
 import jax
@@ -14,24 +15,18 @@ SCALE = "torque_scale"
 """Name of the torques' standard deviation (n,) among a fit's details."""
 
 
-@dataclass(frozen=True)
-class Incremental(AbstractAdapter):
-    """The delta rule (Widrow and Hoff 1960): steps down the gradient of the squared error, on new samples alone.
+class AbstractDescent(AbstractAdapter):
+    """Steps down the gradient of the squared error in the model's weights, on blocks of new samples alone.
 
     Attributes:
-        rate: [samples] number of new samples that are learned from at once and then discarded (lambda in the paper).
-        batch_size: [samples] size of a batch; a last, incomplete one waits for the next epoch's shuffle.
-        epochs: passes over the new samples.
-        learning_rate: [-] step size of gradient descent, for errors in units of the training torques' standard
-            deviation.
-        seed: random seed of the shuffles.
+        rate, batch_size, epochs, learning_rate, seed: as in `Incremental`.
     """
 
-    rate: int = 100
-    batch_size: int = 32
-    epochs: int = 5
-    learning_rate: float = 0.01
-    seed: int = 0
+    rate: int
+    batch_size: int
+    epochs: int
+    learning_rate: float
+    seed: int
 
     if_diverged = "a lower adaptation.learning_rate may help"
 
@@ -41,6 +36,14 @@ class Incremental(AbstractAdapter):
                 raise UsageError(f"{name}={getattr(self, name)}; allowed: a whole number >= 1")
         if not self.learning_rate > 0:
             raise UsageError(f"learning_rate={self.learning_rate}; allowed: a number > 0")
+
+    @abc.abstractmethod
+    def memory(self, weights: PyTree) -> PyTree:
+        """What the steps remember, before the first of them."""
+
+    @abc.abstractmethod
+    def step(self, weights: PyTree, memory: PyTree, slopes: PyTree, rate: Array) -> tuple[PyTree, PyTree]:
+        """Weights and memory after a step along the slopes of the weights; `rate` is the learning rate."""
 
     @property
     def block(self) -> int:
@@ -62,14 +65,15 @@ class Incremental(AbstractAdapter):
         return replace(fit, details={**fit.details, SCALE: torque_spread(dataset)})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """Parameters, robot, torque scale, learning rate, the samples (rate, n) that wait to be learned from, how many
-        these are, and how often was learned."""
+        """Parameters, robot, torque scale, learning rate, the steps' memory, the samples (rate, n) that wait to be
+        learned from, how many these are, and how often was learned."""
         empty = jnp.zeros((self.rate, len(fit.joints)))
         return {
             "params": jax.tree.map(jnp.asarray, fit.params),
             "robot": fit.robot,
             "scale": jnp.asarray(fit.details[SCALE]),
             "learning_rate": jnp.asarray(self.learning_rate),
+            "memory": self.memory(model.weights(fit.params)),
             "motion": Motion(empty, empty, empty),
             "tau": empty,
             "waiting": jnp.array(0),
@@ -103,14 +107,43 @@ class Incremental(AbstractAdapter):
             said = jax.vmap(lambda one: model.apply(params, one, state["robot"]))(motion)
             return jnp.sum(jnp.mean(((tau - said) / state["scale"]) ** 2, axis=0))
 
-        def step(weights: PyTree, batch: tuple[Motion, Array]) -> tuple[PyTree, None]:
-            slopes = jax.grad(error)(weights, *batch)
-            return jax.tree.map(lambda w, s: w - (state["learning_rate"] * s).astype(w.dtype), weights, slopes), None
+        def step(carried: tuple[PyTree, PyTree], batch: tuple[Motion, Array]) -> tuple[tuple[PyTree, PyTree], None]:
+            weights, memory = carried
+            return self.step(weights, memory, jax.grad(error)(weights, *batch), state["learning_rate"]), None
 
-        weights = jax.lax.scan(step, model.weights(state["params"]), batches)[0]
+        weights, memory = jax.lax.scan(step, (model.weights(state["params"]), state["memory"]), batches)[0]
         return {
             **state,
             "params": model.with_weights(state["params"], weights),
+            "memory": memory,
             "waiting": jnp.array(0),
             "learned": state["learned"] + 1,
         }
+
+
+@dataclass(frozen=True)
+class Incremental(AbstractDescent):
+    """The delta rule (Widrow and Hoff 1960): steps down the gradient of the squared error, on new samples alone.
+
+    Attributes:
+        rate: [samples] number of new samples that are learned from at once and then discarded (lambda in the paper).
+        batch_size: [samples] size of a batch; a last, incomplete one waits for the next epoch's shuffle.
+        epochs: passes over the new samples.
+        learning_rate: [-] step size of gradient descent, for errors in units of the training torques' standard
+            deviation.
+        seed: random seed of the shuffles.
+    """
+
+    rate: int = 100
+    batch_size: int = 32
+    epochs: int = 5
+    learning_rate: float = 0.01
+    seed: int = 0
+
+    def memory(self, weights: PyTree) -> PyTree:
+        """Nothing."""
+        return {}
+
+    def step(self, weights: PyTree, memory: PyTree, slopes: PyTree, rate: Array) -> tuple[PyTree, PyTree]:
+        """One learning rate for all weights."""
+        return jax.tree.map(lambda w, s: w - (rate * s).astype(w.dtype), weights, slopes), memory

@@ -106,12 +106,18 @@ def diagnose(
     def asked(evidence: Evidence, wear: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
         return inquire(evidence, pool, allowed, most, compares, side, windows is not None, wear, start)
 
-    inquiry, columns = asked(evidence), standard.columns_of(evidence, side)
-    wear = None if compares else standard.wear_of(columns, inquiry)
+    columns = standard.columns_of(evidence, side)
+    wear = None if compares else standard.plain_wear(columns)
     if wear is not None:
-        progress(0.65, "search with link errors")
-        again = asked(*standard.beside_wear(columns, inquiry, wear))
-        inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
+        inquiry = asked(*standard.beside_wear(columns, wear, standard.weights_of(evidence)))
+    else:
+        inquiry = asked(evidence)
+        wear = None if compares else standard.wear_of(columns, inquiry)
+        if wear is not None:
+            progress(0.65, "search with link errors")
+            found = inquiry.chosen.acting
+            again = asked(*standard.beside_wear(columns, wear, inquiry.noise.weights, found))
+            inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
     evidence = inquiry.evidence
     progress(0.75, "names")
     unsure = () if compares else standard.unsure_links(columns, inquiry)

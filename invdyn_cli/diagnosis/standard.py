@@ -18,14 +18,17 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.decide.support import judged
+from invdyn_cli.diagnosis.search.believed import volume
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
-from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
+from invdyn_cli.diagnosis.search.noise import MOVES, measure
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of
 from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
 from invdyn_cli.effects.load import LinkInertiaError
 from invdyn_cli.maths import standard, statistics
+from invdyn_cli.maths.links import bodies
 from invdyn_cli.maths.standard import Standard, Sums
 from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Finding, Quantity
@@ -45,6 +48,10 @@ WORN = 0.005
 
 CLAIMED = 0.01
 """Share of its joint's RMS torque that a standard term must be worth to be claimed."""
+
+PLAINLY, SURE, HEARD = 0.75, 4.0, 0.5
+"""Share of the joints that have friction, so many standard deviations above zero, on an arm that is worn for sure; of
+those that move, and of whose torque less than that is left."""
 
 FELT = 0.1
 """Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
@@ -83,8 +90,11 @@ class Columns:
         return (np.tensordot(links, self.links, 1) + np.einsum("tj,tjr->jr", own, self.own)).T
 
     def fit(self, left: np.ndarray, rows: np.ndarray, least: np.ndarray | None = None) -> Standard:
-        """The standard model of what is `left` (R, n) on some `rows` (R,); `least` (terms, n): bounds of the terms."""
-        return standard.fit(*self._asked(left, rows, standard.link_scales(self.evidence.robot), least))
+        """The standard model, its links being bodies, of what is `left` (R, n) on some `rows` (R,); `least` (terms, n):
+        bounds of the terms."""
+        robot = self.evidence.robot
+        made = standard.fit(*self._asked(left, rows, standard.link_scales(robot), least))
+        return replace(made, theta=bodies(robot, made.theta, made.covariance))
 
     def widest(self, left: np.ndarray, rows: np.ndarray) -> float:
         """The largest share by which links may be off beside a load, which may be any: see `maths.standard.widest`."""
@@ -249,21 +259,11 @@ def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
     def loss(always: Hypothesis, hypothesis: Hypothesis, standard: Hypothesis) -> float:
         links = tuple(c for c in standard if c.effect is LINK)
         terms = PRICE_OF_COEFFICIENT * sum(judge.freedom(c) for c in standard if c.effect is not LINK)
-        return judge.loss((*always, *hypothesis)) - judge.price(standard) + _volume(judge, links) + terms
+        return judge.loss((*always, *hypothesis)) - judge.price(standard) + volume(judge, links) + terms
 
     found = tuple(c for c in other if c.effect.group == "standard")
     spared = judge.least[None] if sum(c.effect is LINK for c in found) > 1 else 0.0
     return loss(inquiry.always, inquiry.hypothesis, inquiry.wear) < loss(apart, other, found) + spared
-
-
-def _volume(judge: HypothesisScorer, hypothesis: Hypothesis) -> float:
-    """Logarithm of the volume of coefficients beforehand, less that of those that the log allows; doubled, as losses
-    are."""
-    if not hypothesis:
-        return 0.0
-    scale = 1 / np.sqrt(np.concatenate([c.precision for c in hypothesis]))
-    normal = judge.equations(hypothesis)[1] * np.outer(scale, scale)
-    return float(np.linalg.slogdet(np.eye(len(scale)) + normal)[1])
 
 
 def wear_of(columns: Columns, inquiry: Inquiry) -> Standard | None:
@@ -271,16 +271,51 @@ def wear_of(columns: Columns, inquiry: Inquiry) -> Standard | None:
     that are off by a share of their scales; else None."""
     acting = [a for a in inquiry.chosen.acting if a.effect is not LINK]
     choosing = inquiry.evidence.role == ROLES.index("train")
-    fitted = columns.behind(acting).fit(inquiry.model.residual(acting), choosing, _least(columns, acting))
+    return _asked_for(columns.behind(acting).fit(inquiry.model.residual(acting), choosing, _least(columns, acting)))
+
+
+def plain_wear(columns: Columns) -> Standard | None:
+    """The standard model beside nothing else, if it is plain from it alone that the arm is worn: links are off, and
+    PLAINLY of the joints have a friction that can be claimed. No single cause makes that, so the arm is not
+    looked at as if it were as its URDF says."""
+    evidence, n = columns.evidence, columns.evidence.dofs
+    choosing = evidence.role == ROLES.index("train")
+    nominal = evidence.residual((), np.zeros(0))
+    fitted = _asked_for(columns.fit(nominal, choosing))
+    if fitted is None:
+        return None
+    of_friction = [t for t, term in enumerate(columns.terms) if term in ("coulomb", "viscous")]
+    value, std = (x[10 * n :].reshape(-1, n)[of_friction] for x in (fitted.theta, _std(fitted)))
+    torque = value * np.sqrt(np.mean(columns.own[of_friction][:, :, choosing] ** 2, axis=2))
+    whole = np.sqrt(np.mean(evidence.tau[choosing] ** 2, axis=0))
+    moves = (evidence.valid & choosing[:, None]).sum(0) > MOVES * choosing.sum()
+    moves &= fitted.noise < HEARD * whole
+    worn = np.any((value > SURE * std) & (torque > CLAIMED * whole), axis=0)
+    return fitted if np.sum(worn & moves) >= max(2, np.ceil(PLAINLY * moves.sum())) else None
+
+
+def weights_of(evidence: Evidence) -> np.ndarray:
+    """(n,) 1 / (noise variance x autocorrelation time) of every row of the arm."""
+    return measure(evidence, evidence.role == ROLES.index("train")).weights
+
+
+def _asked_for(fitted: Standard) -> Standard | None:
     return fitted if min(fitted.gain, fitted.of_inertial) > 0 and fitted.share > WORN else None
 
 
-def beside_wear(columns: Columns, inquiry: Inquiry, wear: Standard) -> tuple[Evidence, Hypothesis, Hypothesis]:
-    """The evidence with links as the standard model has them, `worn_links`, and what was found among anomalies that
-    last, as trials there."""
-    evidence, found = columns.evidence, [a for a in inquiry.chosen.acting if a.when is None]
+def _std(fitted: Standard) -> np.ndarray:
+    """Standard deviations (p,) of the coefficients."""
+    return np.sqrt(np.diag(fitted.covariance))
+
+
+def beside_wear(
+    columns: Columns, wear: Standard, weights: np.ndarray, acting: Sequence[EffectInstance] = ()
+) -> tuple[Evidence, Hypothesis, Hypothesis]:
+    """The evidence with links as the standard model has them, `worn_links`, and the anomalies among what was found that
+    last, as trials there; `weights` (n,) are the inverse of a row's noise variance."""
+    evidence, found = columns.evidence, [a for a in acting if a.when is None]
     changed = np.asarray(evidence.robot.inertial) + wear.theta[: len(columns.links)].reshape(-1, 10)
-    links = worn_links(columns, inquiry.noise.weights, wear.share)
+    links = worn_links(columns, weights, wear.share)
     worn = with_links(evidence, changed)
     start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
     return worn, links, tuple(start)
@@ -328,7 +363,7 @@ def claims(
         named: (effect, joint) of the anomalies that were claimed; a special case of one is part of it.
     """
     n, rows, columns, made = evidence.dofs, judged(evidence), more.columns, []
-    value, std = (x[10 * n :].reshape(-1, n) for x in (more.found.theta, np.sqrt(np.diag(more.found.covariance))))
+    value, std = (x[10 * n :].reshape(-1, n) for x in (more.found.theta, _std(more.found)))
     learned = more.learned.theta[10 * n :].reshape(-1, n)
     special = {(x, joint) for name, joint in named if name in EFFECTS for x in EFFECTS[name].contains}
     for t, term in enumerate(columns.terms):
@@ -377,7 +412,7 @@ def _merged(
 ) -> tuple[Sequence[EffectInstance], Sequence[Mapping[str, tuple]]]:
     """All effects and their intervals."""
     n = evidence.dofs
-    theta, std = found.theta, np.sqrt(np.diag(found.covariance))
+    theta, std = found.theta, _std(found)
     together: list[EffectInstance] = list(acting)
     ends: list[dict[str, tuple]] = [dict(x) for x in intervals]
     for t, term in enumerate(terms):

@@ -37,6 +37,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     parameters = {"coulomb": Parameter("N m", 0.0), "stiffness": Parameter("N m/rad", 1e-3)}
     confounders = (("coulomb_friction",), ("stribeck_friction",), ("backlash",))
     contains = ("coulomb_friction",)
+    contains_as_limit = True
     nonlinear = ("stiffness",)
     advice = (
         "reversals of a few milliradians, slow and fast: it depends on the distance since the reversal, not on speed"

@@ -50,6 +50,23 @@ def consistent(robot: Robot, solution: Solution, covariance: np.ndarray) -> tupl
     return psi, found.cost, max(chance, 1.0)
 
 
+def bodies(robot: Robot, theta: Array, covariance: Array) -> np.ndarray:
+    """Coefficients (p,) of the standard model, the first 10 n of which change the links' parameters, as likely as they
+    can be with links that are bodies; those that are bodies come back as they are.
+
+    Args:
+        covariance: (p, p) of the posterior, what was believed of the links included.
+    """
+    theta, own = np.asarray(theta, float), slice(10 * robot.dofs)
+    wanted = np.asarray(robot.inertial, float) + theta[own].reshape(-1, 10)
+    if all(pseudo_inertia.is_realisable(row) for row in wanted):
+        return theta
+    unit = np.sqrt(np.maximum(np.diag(covariance)[own], 1e-300))
+    information = np.linalg.inv(covariance[own, own] / np.outer(unit, unit)) / np.outer(unit, unit)
+    found = pseudo_inertia.consistent(_reference(robot), wanted, (information + information.T) / 2)
+    return theta + covariance[:, own] @ information @ (found.rows - wanted).ravel()
+
+
 def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[str]) -> str:
     """That the data want links that no bodies are, with the RMS torque (n,) by which those that can be differ."""
     worst = int(np.argmax(change))

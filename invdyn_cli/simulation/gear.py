@@ -1,8 +1,8 @@
 """Joints whose gear yields: the motor and the link turn on one axis, with play or a spring between them.
 
 The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's is the
-link's angle less the motor's, and carries the link: MuJoCo's joint limits stop it at either end of the play, MuJoCo's
-spring pulls it back.
+link's angle less the motor's, and carries the link: MuJoCo's joint limits stop it at either end of the play, or teeth
+that yield push it back; MuJoCo's spring pulls it back.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation.arm import Arm, build, mass_matrix
 from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Robot
@@ -22,6 +23,9 @@ ROTOR = 0.03
 
 DAMPED = 0.02
 """[-] Damping ratio of a link on its spring where no damping is given: steel, grease and bearings."""
+
+RESOLVED = 0.3
+"""[rad] of a tooth's swing that a step of the physics may take."""
 
 NEAR = 1e-3
 """[-] Share of the play within which a tooth lies on: there it is held even where it does not move yet."""
@@ -35,7 +39,8 @@ class Gear:
         joint: the column.
         rotor: [kg m^2; kg] inertia of the motor.
         gap: [rad; m] full width of the play; 0: a spring.
-        stiffness, damping: [N m/rad], [N m s/rad] of the spring.
+        stiffness, damping: [N m/rad], [N m s/rad] of the spring, or of the teeth of a gear with play, which then
+            bounce; with a stiffness of 0 their flanks stop each other at once.
     """
 
     joint: int
@@ -58,22 +63,26 @@ def chosen(
     gap: float = 0.0,
     stiffness: float = 0.0,
     damping: float | None = None,
+    damping_ratio: float = DAMPED,
     rotor: float | None = None,
 ) -> Gear:
-    """A gear of this robot, its defaults as DAMPED and ROTOR have them."""
+    """A gear of this robot, its defaults as DAMPED and ROTOR have them; teeth swing with the motor against the link."""
     inertia = carried(robot)[joint]
+    rotor = ROTOR * inertia if rotor is None else rotor
     if damping is None:
-        damping = 2 * DAMPED * float(np.sqrt(stiffness * inertia))
-    return Gear(joint, ROTOR * inertia if rotor is None else rotor, gap, stiffness, damping)
+        swinging = rotor * inertia / (rotor + inertia) if gap else inertia
+        damping = 2 * damping_ratio * float(np.sqrt(stiffness * swinging))
+    return Gear(joint, rotor, gap, stiffness, damping)
 
 
 def put(arm: Arm, gears: Sequence[Gear]) -> None:
     """Set springs and stops of an arm that was built with these gears."""
     model = arm.model
     for dof, gear in zip(arm.gear, gears, strict=True):
-        model.jnt_stiffness[dof], model.qpos_spring[dof] = gear.stiffness, 0.0
-        model.dof_damping[dof] = gear.damping
-        if gear.gap:
+        if not gear.gap:
+            model.jnt_stiffness[dof], model.qpos_spring[dof] = gear.stiffness, 0.0
+            model.dof_damping[dof] = gear.damping
+        elif not gear.stiffness:
             model.jnt_limited[dof], model.jnt_range[dof] = 1, (-gear.gap / 2, gear.gap / 2)
             model.jnt_solimp[dof] = model.dof_solimp[dof]
 
@@ -92,19 +101,35 @@ class Stops:
 
     MuJoCo stops a joint when it is beyond its limit, by then up to a step's way. So before each step the limit is
     moved to where the joint is, if it would pass the end within the step, with the damping that takes it just there.
+    Teeth that yield push by their own force.
+
+    Raises:
+        UsageError: if teeth are too stiff for the steps of the physics.
     """
 
     def __init__(self, arm: Arm, gears: Sequence[Gear], data: Any) -> None:
-        plays = [(dof, gear.gap / 2) for dof, gear in zip(arm.gear, gears, strict=True) if gear.gap]
-        self._plays, self._model, self._data = plays, arm.model, data
+        plays = [(dof, gear) for dof, gear in zip(arm.gear, gears, strict=True) if gear.gap]
+        self._plays = [(dof, gear.gap / 2) for dof, gear in plays if not gear.stiffness]
+        self._teeth = [(dof, gear) for dof, gear in plays if gear.stiffness]
+        self._model, self._data = arm.model, data
         self._step = float(arm.model.opt.timestep)
+        for _, gear in self._teeth:
+            most = gear.rotor * (RESOLVED / self._step) ** 2
+            if gear.stiffness > most:
+                got = f"backlash stiffness={gear.stiffness:.3g} N m/rad with steps of {1e6 * self._step:.3g} us"
+                raise UsageError(f"{got}; allowed: at most {most:.3g}. Try more substeps")
 
     def __bool__(self) -> bool:
-        return bool(self._plays)
+        return bool(self._plays or self._teeth)
 
     def look_ahead(self) -> None:
-        """Set the limits for the next step."""
+        """Set the limits and the forces of teeth for the next step."""
         model, h = self._model, self._step
+        for dof, gear in self._teeth:
+            q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
+            deep = q - np.clip(q, -gear.gap / 2, gear.gap / 2)
+            push = gear.stiffness * deep + gear.damping * qd
+            self._data.qfrc_applied[dof] = -push if deep * push > 0 else 0.0
         for dof, half in self._plays:
             q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
             model.jnt_margin[dof], model.jnt_solref[dof] = 0.0, (2 * h, 1.0)

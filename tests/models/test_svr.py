@@ -38,7 +38,7 @@ def test_predicts_what_scikit_learn_predicts(options, data):
     said = (model.predict(fit, data.motion) - fit.params["target_mean"]) / fit.params["target_scale"]
     gamma = model.gamma or 1 / x.shape[1]
     for j in range(2):
-        machine = NuSVR(nu=model.nu, C=model.cost, gamma=gamma).fit(x, y[:, j])
+        machine = NuSVR(nu=model.nu, C=model.cost, gamma=gamma, tol=model.tolerance).fit(x, y[:, j])
         np.testing.assert_allclose(said[:, j], machine.predict(x), atol=1e-9)
     assert (fit.details["support_vectors"] >= model.nu * len(x) - 1).all()
 

@@ -11,6 +11,7 @@ from invdyn_cli.diagnosis.columns.candidates import kind_of, trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.gears import load_on
 from invdyn_cli.diagnosis.search import events, naming, noise, resting
+from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
@@ -71,8 +72,10 @@ def _beside(always: Hypothesis, wear: Hypothesis, found: Sequence[Candidate | Ef
 
 
 def _apart(wear: Hypothesis, found: Sequence[Candidate | EffectInstance]) -> Hypothesis:
-    """The standard model but for special cases of what was found: a Stribeck friction has its own Coulomb level."""
-    return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in found))
+    """What is worn beside what was found, which may have a standard term as its special case: a Stribeck friction has
+    its own Coulomb level. Bristles may stand beside rigid friction."""
+    general = [x for x in found if not x.effect.contains_as_limit]
+    return tuple(c for c in wear if not any(x.joint == c.joint and c.effect.name in x.effect.contains for x in general))
 
 
 def inquire(
@@ -128,8 +131,14 @@ def inquire(
 
     inquiry: Inquiry | None = None
     held: Windows = {}
-    found = _at_first(evidence, everywhere, nominal, most) if everywhere and not wear else {}
-    if found:  # what a gear carries is known when what comes and goes is
+    found: Windows = {}
+    if everywhere:
+        found = (
+            _standing_out(evidence, everywhere, allowed, most, wear)
+            if wear
+            else _at_first(evidence, everywhere, nominal, most)
+        )
+    if found and not wear:  # what a gear carries is known when what comes and goes is
         inquiry, held = looked(evidence, found, [], [()], 1)
         if held:
             evidence, found = inquiry.evidence, proposed(inquiry, held)
@@ -172,6 +181,26 @@ def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: n
     return events.proposed(evidence, everywhere, [left, nominal], measured)
 
 
+def _standing_out(
+    evidence: Evidence,
+    everywhere: Sequence[events.Place],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    wear: Hypothesis,
+) -> Windows:
+    """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts."""
+    rows = evidence.role == ROLES.index("train")
+    measured = noise.measure_beside(evidence, rows)
+    found = events.proposed(evidence, everywhere, [_beside_standard(evidence, measured, rows, wear)], measured)
+    if not found:
+        return {}
+    pool = [*evidence.candidates, *(c for own in found.values() for c in own)]
+    always = (*known.allowed_for(pool, allowed), *_terms(pool, wear))
+    pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
+    begun = believed(evidence, rows, measured, always, wear[0], pool, [()], most).found
+    return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
+
+
 def _outdoes(judge: HypothesisScorer, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
     """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
     lasts."""
@@ -203,7 +232,8 @@ def _searched(
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
     if isinstance(ripple, TorqueRipple) and not any(c.effect is ripple for c in evidence.candidates):
-        lines = noise.ripples(evidence, measured, choosing, ripple)
+        residual = _beside_standard(evidence, measured, choosing, wear) if wear else measured.residual
+        lines = noise.ripples(evidence, measured, residual, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines
             measured = noise.measure(evidence, new)
@@ -215,8 +245,10 @@ def _searched(
         always += common
     usual: Hypothesis = ()
     if wear:
-        usual = (*(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect), *wear)
+        usual = _terms(pool, wear)
         pool = [c for c in pool if c.effect.group != "standard"]
+        begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
         always += usual
 
     beside = partial(_beside, always, usual)
@@ -272,6 +304,19 @@ def _searched(
         pool = [c for c in pool if c.key not in odd]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
         hypothesis = simplified(hypothesis)
+
+
+def _terms(pool: Sequence[Candidate], wear: Hypothesis) -> Hypothesis:
+    """The standard terms of every joint, beside links."""
+    return tuple(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect)
+
+
+def _beside_standard(evidence: Evidence, measured: noise.Noise, rows: np.ndarray, wear: Hypothesis) -> np.ndarray:
+    """(R, n) what the standard model leaves; a model of all columns would take up a ripple with those of others."""
+    model = (*_terms(evidence.candidates, wear), *wear)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, model, True)
+    judge.refresh()
+    return evidence.residual(model, judge.quick(model)[1])
 
 
 def _begun(

@@ -10,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, HypothesisScorer, parameters_of, strain
+from invdyn_cli.diagnosis.search.judge import (
+    PRICE_OF_COEFFICIENT,
+    PRICE_OF_EFFECT,
+    Hypothesis,
+    HypothesisScorer,
+    parameters_of,
+    strain,
+)
 from invdyn_cli.diagnosis.search.steps import clash, free_beside
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
@@ -32,8 +39,9 @@ MEMORY, LAGS = 0.8, 6
 back within it, if only as its opposite."""
 
 
-LEAST_SHARE = 0.1
-"""Of what an effect explains, below which what is in its place does not do the same, however much blocks differ."""
+LEAST_SHARE = 0.7
+"""Of what an effect explains by more than noise can, below which what is in its place does not do the same, however
+much blocks differ: play may come up in a single one."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +66,8 @@ def simplified(
 ) -> Hypothesis:
     """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
     simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
-    being part of it."""
-    simpler = _simplified(judge, always, hypothesis, [*pool, *usual])
+    being part of it, if they are not among `always`."""
+    simpler = _simplified(judge, always, hypothesis, [*pool, *(u for u in usual if u not in always)])
     return tuple(c for c in simpler if c not in usual)
 
 
@@ -109,12 +117,13 @@ def rivals(
         elsewhere = [j for j in range(len(rows)) if j not in own.columns]
         step = other.blocks - now.blocks - sum(np.minimum(rows[j].sum(), 0.0) / rows.shape[1] for j in elsewhere)
         dearer = strain(always, other.theta) - believed
-        excess = float(step.sum() + dearer + PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)))
+        simpler = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(own)) + _timed(c) - _timed(own)
+        excess = float(step.sum() + dearer + simpler)
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
         equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
         share = 1 - (float(step.sum()) + dearer) / whole if whole > 0 else 0.0
-        equal &= share > LEAST_SHARE
+        equal &= share > LEAST_SHARE or excess < MIN_CLEAR_DIFFERENCE
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
         if refused:
             why, equal = f"{refused} (it {why})", False
@@ -130,6 +139,11 @@ def rivals(
         parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
         made.append(Rival(c, excess, error, equal, why, parameters))
     return made
+
+
+def _timed(candidate: Candidate) -> float:
+    """What a window costs: it was chosen among many, and has two edges."""
+    return 0.0 if candidate.when is None else PRICE_OF_EFFECT + 2 * PRICE_OF_COEFFICIENT
 
 
 def chance(step: np.ndarray, extra: float) -> float:

@@ -74,6 +74,17 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
     return Noise(deviation, time, residual)
 
 
+def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: Noise) -> Noise:
+    """The noise beside a hypothesis that leaves this residual (R, n) on the chosen rows: structure and all, but no less
+    than `least` measured, and nothing where that knows nothing."""
+    deviation, time = least.deviation.copy(), least.time.copy()
+    for j in np.flatnonzero(least.deviation > 0):
+        used = rows & evidence.valid[:, j]
+        deviation[j] = max(deviation[j], np.sqrt(np.mean(residual[used, j] ** 2)))
+        time[j] = max(time[j], autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows]))
+    return Noise(deviation, time, residual)
+
+
 def _fitted(x: np.ndarray, y: np.ndarray, independent: float) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of columns x (N, k) of unit mean square for each of the targets y (N, m), and the variance
     (m,) of what they leave. Rows behind a low filter are as many `independent` samples, and may be no more than the
@@ -127,8 +138,10 @@ def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
     return fixed if candidate.effect.yields else free
 
 
-def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRipple) -> list[Candidate]:
-    """Candidates for every line that stands out in the residual over a joint's angle."""
+def ripples(
+    evidence: Evidence, noise: Noise, residual: np.ndarray, rows: np.ndarray, effect: TorqueRipple
+) -> list[Candidate]:
+    """Candidates for every line that stands out of the noise in a residual (R, n) over a joint's angle."""
     made = []
     angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
     for j in range(evidence.dofs):
@@ -140,12 +153,12 @@ def ripples(evidence: Evidence, noise: Noise, rows: np.ndarray, effect: TorqueRi
             continue
         passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
         grid = ripple.grid(q, effect.most)
-        power = ripple.power(noise.residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
+        power = ripple.power(residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
         for _ in range(PEAKS):
             best = int(np.argmax(power)) if len(power) else 0
             if not len(power) or power[best] < PEAK:
                 break
-            cycles, _ = ripple.sharpened(noise.residual[used, j], q, float(grid[best]), **passed)
+            cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
             made.append(kind_of(effect).candidate(evidence, effect, j, {"cycles": cycles}))
             power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
     return made

@@ -54,14 +54,16 @@ def test_weights_count_correlation(quiet):
 def test_a_ripple_is_found_by_its_cycles(cycles):
     """A ripple as large as the noise becomes a candidate, its cycles right to a fifth of what the range can resolve."""
     evidence, rows, found = measured(on(1, lambda t, q, qd, qdd: SIGMA * np.sin(cycles * q + 1.0)))
-    trials = [c.shape["cycles"] for c in noise.ripples(evidence, found, rows, TorqueRipple()) if c.joint == 1]
+    lines = noise.ripples(evidence, found, found.residual, rows, TorqueRipple())
+    trials = [c.shape["cycles"] for c in lines if c.joint == 1]
     q = np.concatenate([s[1].q for s in evidence.states])
     assert trials and abs(trials[0] - cycles) < 0.2 * 2 * np.pi / np.ptp(q)
 
 
 def test_noise_has_no_ripples(quiet):
     """In noise alone no line stands out."""
-    assert noise.ripples(*(quiet[i] for i in (0, 2, 1)), TorqueRipple()) == []
+    evidence, rows, found = quiet
+    assert noise.ripples(evidence, found, found.residual, rows, TorqueRipple()) == []
 
 
 @pytest.mark.parametrize("seed", range(3))

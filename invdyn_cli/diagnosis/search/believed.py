@@ -1,0 +1,126 @@
+"""By how much the links of a worn arm are off, and the anomalies that its search begins with: both at once.
+
+Links that may be off by anything imitate a payload, a tilt or an encoder offset, and a share that was chosen while the
+anomaly was missing is too large. So each anomaly is tried with every share, and the marginal likelihood decides
+(MacKay 1992): it pays for links by the volume that the log leaves of what was believed of them. The noise is measured
+anew beside each hypothesis: what it leaves on a joint, with its autocorrelation, is what another cause must outdo.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.noise import Noise, beside
+from invdyn_cli.diagnosis.search.shared_part import precision_of
+from invdyn_cli.diagnosis.search.steps import free_beside
+
+SMALLER = (1.0, 0.3, 0.1, 0.03)
+"""Of the share by which links are off beside no anomaly, what is tried beside one."""
+
+
+SHORTLIST = 6
+"""Trials whose evidence is computed; the others gain less while the noise stays as it is."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Links with a share, the anomalies beside them, and the noise that both leave; `cost`: what they must gain, as
+    twice a logarithm: the prices of anomalies, and links by the prior and by the volume."""
+
+    links: Candidate
+    found: Hypothesis
+    noise: Noise
+    cost: float
+
+    def beats(self, other: "Belief", rows: np.ndarray) -> bool:
+        """Whether the evidence for this is larger, `rows` (n,) being counted by what of them is independent where the
+        better of both is right: what is missing goes on for long, and leaves noise when it is there."""
+        time = np.minimum(self.noise.time, other.noise.time)
+        heard = self.noise.deviation > 0
+        gain = 2 * np.log(other.noise.deviation[heard] / self.noise.deviation[heard])
+        return float((rows / time)[heard] @ gain) > self.cost - other.cost
+
+
+def believed(
+    evidence: Evidence,
+    rows: np.ndarray,
+    noise: Noise,
+    always: Hypothesis,
+    links: Candidate,
+    pool: Sequence[Candidate],
+    starts: Sequence[Hypothesis],
+    most: int,
+) -> Belief:
+    """The share of largest evidence, and the anomalies that are added one by one to each of `starts`, as long as the
+    evidence grows; the best of these.
+
+    Args:
+        rows: (R,) bool, those that choose.
+        noise: to begin with, and the least.
+        always: what else is part of every hypothesis.
+        links: all links off by the largest share, as one candidate.
+        pool: trials of anomalies.
+        most: anomalies at most.
+    """
+    shares = [replace(links, precision=links.precision / share**2) for share in SMALLER]
+    used = np.sum(rows[:, None] & evidence.valid, axis=0)
+
+    def told(own: Noise, links: Candidate, found: Hypothesis) -> Belief:
+        """A hypothesis, fitted with a first guess of its noise."""
+        scorer = HypothesisScorer(evidence, rows, own.weights, own.deviation, (*always, links), True)
+        scorer.refresh()
+        every = (*scorer.always, *found)
+        theta = scorer.quick(every)[1]
+        left = beside(evidence, evidence.residual(every, theta), rows, noise)
+        cost = precision_of(every) @ theta**2 + volume(scorer, (links,)) + scorer.price(found)
+        return Belief(links, found, left, float(cost))
+
+    def best(of: Iterable[Belief]) -> Belief:
+        return reduce(lambda one, other: other if other.beats(one, used) else one, of)
+
+    def grown(found: Hypothesis) -> Belief:
+        own = told(noise, links, found).noise
+        while True:
+            bases = [told(own, x, found) for x in shares]
+            more = (told(x.noise, x.links, one) for x in bases for one in _more(evidence, rows, x, always, pool, most))
+            chosen = best([best(bases), *more])
+            if chosen.found is found:
+                return chosen
+            found, own = chosen.found, chosen.noise
+
+    return best([grown(start) for start in starts])
+
+
+def _more(
+    evidence: Evidence, rows: np.ndarray, base: Belief, always: Hypothesis, pool: Sequence[Candidate], most: int
+) -> Iterator[Hypothesis]:
+    """What was found with one of a few trials beside it, those that gain most at its noise and are physics."""
+    if len(base.found) >= most:
+        return
+    scorer = HypothesisScorer(evidence, rows, base.noise.weights, base.noise.deviation, (*always, base.links), True)
+    every, free = (*scorer.always, *base.found), free_beside(base.found, pool)
+    losses, own = scorer.extended(every, free)
+    gained = losses - [scorer.price((c,)) for c in free]
+    seen: set[tuple] = set()
+    for i in np.argsort(gained):
+        one = (*every, free[i])
+        if free[i].key in seen or scorer.impossible(free[i], own[i]) or scorer.refused(one, scorer.quick(one)[1]):
+            continue
+        seen.add(free[i].key)
+        yield (*base.found, free[i])
+        if len(seen) == SHORTLIST:
+            return
+
+
+def volume(scorer: HypothesisScorer, hypothesis: Hypothesis) -> float:
+    """Logarithm of the volume of coefficients beforehand, less that of those that the log allows; doubled, as losses
+    are."""
+    if not hypothesis:
+        return 0.0
+    scale = 1 / np.sqrt(np.concatenate([c.precision for c in hypothesis]))
+    normal = scorer.equations(hypothesis)[1] * np.outer(scale, scale)
+    return float(np.linalg.slogdet(np.eye(len(scale)) + normal)[1])
