@@ -18,7 +18,7 @@ ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# eac
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint format tables figures real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
+.PHONY: help venv run test benchmarks lint format tables figures real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
 
 help:  ## what there is to make
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,7 +29,10 @@ run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs
 	$(BIN)/invdyn run model=ffnn data=sim_noisy
 
 test: lint  ## everything that must hold: lint, then all tests
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal
+
+benchmarks: $(INSTALLED)  ## tests that are no part of `make test`: the same claims on more effects, seeds and sizes
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m benchmark
 
 lint: $(INSTALLED)  ## ruff and pyright
 	$(BIN)/ruff check --quiet

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
+from invdyn_cli import precision as precision
 from invdyn_cli.types import Array, Motion
 
 CHUNK = 4096

@@ -59,7 +59,7 @@ def outline(path: Path, raises: type[InvdynError]) -> Group:
         `raises`: if it is no HDF5 file, is damaged, or holds what is not allowed.
     """
     with _READER.lock:
-        [head] = _READER.ask({"do": "outline", "path": str(path.absolute())}, 1, path, raises)
+        [head] = _READER.ask({"do": "outline", "path": str(path.absolute())}, path, raises)
     return _tree(head["tree"])
 
 
@@ -73,7 +73,7 @@ def read(
     """
     asked = {"do": "read", "path": str(path.absolute()), "names": list(names), "limit": int(limit)}
     with _READER.lock:
-        heads = _READER.ask(asked, len(names), path, raises)
+        heads = _READER.ask(asked, path, raises)
     return {name: _value(name, head, path, raises) for name, head in zip(names, heads, strict=True)}
 
 
@@ -144,10 +144,8 @@ class _Reader:
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0
 
-    def ask(
-        self, request: Mapping[str, Any], answers: int, path: Path, raises: type[InvdynError]
-    ) -> list[dict[str, Any]]:
-        """So many answers to a request about a file."""
+    def ask(self, request: Mapping[str, Any], path: Path, raises: type[InvdynError]) -> list[dict[str, Any]]:
+        """All answers to a request about a file, which is closed again."""
         patience = PATIENCE + (path.stat().st_size if path.is_file() else 0) / SLOWEST
         process = self._running()
         assert process.stdin and process.stdout
@@ -163,17 +161,18 @@ class _Reader:
             process.stdin.write(json.dumps(request).encode() + b"\n")
             process.stdin.flush()
             heads = []
-            while len(heads) < answers:
+            while True:
                 head = json.loads(process.stdout.readline() or b"null")
                 if head is None:
                     raise EOFError
+                if "done" in head:
+                    return heads
                 if "error" in head:
                     raise _refusal(path, head, raises)
                 if "type" in head:
                     head["array"] = np.empty(head["shape"], head["type"])
                     _fill(process.stdout, head["array"])
                 heads.append(head)
-            return heads
         except (EOFError, OSError, ValueError) as error:
             self.close()
             got = f"reading it took over {patience:.0f} s" if late.is_set() else "the HDF5 library crashed on it"

@@ -152,7 +152,8 @@ def _limit_memory(size: int) -> None:
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests {"do": "outline", "path"} and {"do": "read", "path", "names", "limit"} until there are none."""
+    """Answer requests {"do": "outline", "path"} and {"do": "read", "path", "names", "limit"} until there are none. The
+    last line of every answer, {"done": true} or {"error": …}, is written after the file was closed."""
     doing = {"outline": outline, "read": read}
     for line in requests:
         asked = json.loads(line)
@@ -161,6 +162,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
                 answers.write(json.dumps(head).encode() + b"\n")
                 if data is not None:
                     answers.write(data)
+            answers.write(b'{"done": true}\n')  # the file is closed again: whoever asked may write it anew
         except Refused as error:
             answers.write(json.dumps({"error": str(error), "refused": True}).encode() + b"\n")
         except Exception as error:  # h5py raises nearly anything on a damaged file

@@ -2,7 +2,7 @@
 without behaviour of their own.
 
 Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's
-order. Importing this module switches jax to 64 bit: in float32 the singular values that decide a rank are lost.
+order.
 """
 
 from collections.abc import Mapping
@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-
-jax.config.update("jax_enable_x64", True)
 
 Array = jax.Array | np.ndarray
 PyTree = Any

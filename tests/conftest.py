@@ -14,6 +14,11 @@ from beartype.claw import beartype_packages
 
 from tests.commands import ENVIRONMENT, Said
 
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(ENVIRONMENT["XDG_CACHE_HOME"]) / "invdyn" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
+"""What one worker has compiled the other one, the commands and the next run take over; before jax is imported."""
+
 CHECKED = ("maths", "training", "experiment", "store", "adaptation")
 beartype_packages([f"invdyn_cli.{name}" for name in CHECKED], conf=BeartypeConf(is_pep484_tower=True))
 

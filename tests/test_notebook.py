@@ -32,7 +32,7 @@ def test_the_notebook_shows_what_comes_out(monkeypatch):
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     committed, notebook = nbformat.read(PATH, 4), nbformat.read(PATH, 4)
-    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(ROOT / "docs")}}).execute()
+    nbclient.NotebookClient(notebook, timeout=900, resources={"metadata": {"path": str(ROOT / "docs")}}).execute()
     kinds = {x.output_type for cell in committed.cells if cell.cell_type == "code" for x in cell.outputs}
     assert kinds == {"execute_result", "display_data", "stream"}
     assert texts(notebook) == texts(committed)

@@ -18,6 +18,15 @@ def test_import_loads_nothing_heavy(tmp_path):
     assert "invdyn_cli" in loaded and not loaded & {*HEAVY, "pandas", "sklearn"}
 
 
+def test_what_only_describes_leaves_jax_as_it_is(tmp_path):
+    """`invdyn_cli.types` and `log` may stand beside other code that uses jax in 32 bit; what computes switches it."""
+    show = "import sys, jax, invdyn_cli.types, invdyn_cli.log; print(jax.config.jax_enable_x64); "
+    said = python("-c", f"{show} import invdyn_cli.interfaces; print(jax.config.jax_enable_x64)", cwd=tmp_path)
+    assert said.stdout.split() == ["False", "True"], said.stderr
+    said = python("-c", "import jax, invdyn_cli.maths; print(jax.config.jax_enable_x64)", cwd=tmp_path)
+    assert said.stdout.split() == ["True"], said.stderr
+
+
 def test_editors_see_what_is_offered():
     """The imports for type checkers, `__all__`, the table of modules and `dir()` name the same things, from the same
     modules."""

@@ -4,11 +4,11 @@ The arm is MuJoCo's (`invdyn_cli.simulation`); from its log on everything is as 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Any, Literal
 
 from invdyn_cli.errors import UsageError, listed
-from invdyn_cli.interfaces import AbstractSource, Progress, silent
+from invdyn_cli.interfaces import AbstractHiddenEffect, AbstractSource, Progress, silent
 from invdyn_cli.log import POSITION_SIDES, Log, Recorded
 from invdyn_cli.recording.conditioning import Conditioning
 from invdyn_cli.recording.selection import SETS, asked, windows
@@ -28,7 +28,8 @@ class Plant(AbstractSource):
 
     Attributes:
         effects: hidden effects, a list of {effect: name, joint: name, parameter: value, …} (docs/plant.md); one that
-            comes and goes also has window: [from, to] in seconds, and may have a trajectory.
+            comes and goes also has window: [from, to] in seconds, and may have a trajectory. One of your own:
+            {_target_: module.Class, joint: name, …} (docs/own_effects.md).
         reference: reference motion: multisine, pick_place or constant_speed, or such an object with options of its own.
         trajectories: number of recordings, each with its own random motion.
         duration: [s] length of each recording.
@@ -51,7 +52,7 @@ class Plant(AbstractSource):
             torque_lag, decimate: as in data=real_log.
     """
 
-    effects: Sequence[Mapping[str, Any]] = ()
+    effects: Sequence[Mapping[str, Any] | AbstractHiddenEffect] = ()
     reference: str | AbstractReference = "multisine"
     trajectories: int = 3
     duration: float = 30.0
@@ -86,7 +87,8 @@ class Plant(AbstractSource):
         for name in ("effects", *SETS):
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, (value,) if isinstance(value, str | Mapping) else tuple(value))
+                alone = isinstance(value, str | Mapping | AbstractHiddenEffect)
+                object.__setattr__(self, name, (value,) if alone else tuple(value))
         for name in ("position_noise", "velocity_noise", "torque_noise", "position_quantum", "torque_quantum"):
             value = getattr(self, name)
             if isinstance(value, Sequence):
@@ -115,15 +117,17 @@ class Plant(AbstractSource):
         self._conditioning().refuse_options()
 
     def hidden(self) -> tuple[Hidden, ...]:
-        """The effects as the simulation takes them; UsageError for one that is not written as a mapping."""
-        for one in self.effects:
-            if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str):
-                raise UsageError(
-                    f"data.effects has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}",
-                    advice="'data.effects=[{effect: coulomb_friction, joint: arm_joint_2, coulomb: 2.0}]'",
-                )
-        rest = [{k: v for k, v in one.items() if k not in ("effect", "joint")} for one in self.effects]
-        return tuple(Hidden(x["effect"], x.get("joint"), p) for x, p in zip(self.effects, rest, strict=True))
+        """The effects as the simulation takes them; UsageError for one that is neither a mapping nor one's own."""
+        return tuple(_hidden(one) for one in self.effects)
+
+    def told(self) -> list[dict[str, Any]]:
+        """What is hidden, as plain data: {"effect", "joint", "parameters"}."""
+        return [
+            asdict(_hidden(one))
+            if isinstance(one, Mapping)
+            else {"effect": one.name, "joint": one.joint, "parameters": _sizes(one)}
+            for one in self.effects
+        ]
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
         """The log, played anew; UsageError as `record`."""
@@ -169,7 +173,7 @@ class Plant(AbstractSource):
         records = {raw.name: (log, raw) for raw in log.trajectories}
         notes = list(dict.fromkeys(raw.notes for raw in log.trajectories if raw.notes))
         reference = self.reference if isinstance(self.reference, str) else type(self.reference).__name__
-        what = {"source": SOURCE, "effects": [asdict(one) for one in self.hidden()], "reference": reference}
+        what = {"source": SOURCE, "effects": self.told(), "reference": reference}
         how = self._conditioning()
         return how.splits(
             how.asked(records),
@@ -186,3 +190,21 @@ class Plant(AbstractSource):
 
     def _conditioning(self) -> Conditioning:
         return Conditioning.of(self, rate=None, max_gap=1.5 / self.rate)
+
+
+def _hidden(one: Any) -> Hidden:
+    if isinstance(one, AbstractHiddenEffect):
+        return Hidden("custom", one.joint, {"force": one.force})
+    if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str):
+        raise UsageError(
+            f"data.effects has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}, or an "
+            "AbstractHiddenEffect of your own",
+            advice="'data.effects=[{effect: coulomb_friction, joint: arm_joint_2, coulomb: 2.0}]'",
+        )
+    return Hidden(one["effect"], one.get("joint"), {k: v for k, v in one.items() if k not in ("effect", "joint")})
+
+
+def _sizes(one: AbstractHiddenEffect) -> dict[str, Any]:
+    """The fields of a hidden effect of the user's own, but its joint."""
+    known = fields(one) if is_dataclass(one) else ()
+    return {x.name: getattr(one, x.name) for x in known if x.name != "joint"}

@@ -16,10 +16,14 @@ def once_for_a_log(function: F) -> F:
     @wraps(function)
     def asked(*args: Any, **kwargs: Any) -> Any:
         objects = (*args, *kwargs.values())
-        if kept and kept[0]() is objects[0] and [id(x) for x in objects[1:]] == kept[1]:
-            return kept[3]
+        if (
+            kept
+            and len(objects) == len(kept[1]) + 1
+            and all(x is y for x, y in zip(objects, (kept[0](), *kept[1]), strict=True))
+        ):
+            return kept[2]
         value = function(*args, **kwargs)
-        kept[:] = [weakref.ref(objects[0]), [id(x) for x in objects[1:]], objects[1:], value]
+        kept[:] = [weakref.ref(objects[0]), objects[1:], value]
         return value
 
     return asked  # type: ignore[return-value]

@@ -155,6 +155,7 @@ def one_in_words(name: str) -> Iterator[str]:
     for format_name, text in _in_files(effect, robot):
         yield from entry(f"in {format_name}", text)
     yield from entry("source", effect.reference)
+    yield from entry("code", f"{type(effect).__qualname__} in {type(effect).__module__}")
 
 
 def _bounds(lower: float, upper: float) -> str:

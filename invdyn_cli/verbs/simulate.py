@@ -70,10 +70,10 @@ def write(log: Log, source: Plant, robot: Robot, folder: Path) -> None:
 def truth(source: Plant, robot: Robot) -> dict[str, Any]:
     """What is hidden, and all that the recording was made with."""
     effects = []
-    for x in source.hidden():
-        where = {name: x.parameters[name] for name in ("trajectory", "window") if name in x.parameters}
-        parameters = {name: value for name, value in x.parameters.items() if name not in where}
-        effects.append({"effect": x.effect, "joint": x.joint, "parameters": parameters, **where})
+    for x in source.told():
+        where = {name: x["parameters"][name] for name in ("trajectory", "window") if name in x["parameters"]}
+        parameters = {name: value for name, value in x["parameters"].items() if name not in where}
+        effects.append({**x, "parameters": parameters, **where})
     return {
         "schema": "invdyn-truth/1",
         "robot": robot.name,
@@ -96,8 +96,8 @@ def _recordings(log: Log) -> Table:
 
 def _hidden(source: Plant) -> Table:
     table = Table("hidden effect", "joint", "parameters", title_justify="left")
-    for one in source.hidden():
-        table.add_row(one.effect, one.joint or "(whole arm)", _words(one.parameters))
+    for one in source.told():
+        table.add_row(one["effect"], one["joint"] or "(whole arm)", _words(one["parameters"]))
     if not source.effects:
         table.add_row("(none)", "", "")
     return table

@@ -67,7 +67,7 @@ def test_wear_is_asked_for_where_links_are_off(off):
     assert (wear is None) == (off == 0.0)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.benchmark)])
 def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
     """Friction on every joint, links up to 8 % off and a spring: the spring is named, and no other anomaly. Frictions
     of 3 % of their joint's torque and more are claimed, too, within 10 %, behind it; the table by joint says so."""
@@ -97,7 +97,7 @@ def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
     assert named == {key for key in told if key[0] != "link_inertia_error"}
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.benchmark)])
 def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
     """A body of 0.7 to 1.5 times the last link's mass beside friction and links up to 8 % off: the ten parameters of
     the last link make the same torques, but none is believed to be that wrong. It is told as a payload, or left open

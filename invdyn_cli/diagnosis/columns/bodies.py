@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.columns.kind import AbstractKind, change, known
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, change, known
 from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of, rebuilt, rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
@@ -62,12 +62,7 @@ class Bodies(AbstractKind[AbstractBodyEffect]):
         return made
 
     def candidate(
-        self,
-        evidence: Evidence,
-        effect: AbstractBodyEffect,
-        joint: int | None,
-        trial: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractBodyEffect, joint: int | None, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
         return _linearised(evidence, effect, joint, trial)
 
@@ -92,12 +87,7 @@ class Motions(AbstractKind[AbstractMotionEffect]):
         return made
 
     def candidate(
-        self,
-        evidence: Evidence,
-        effect: AbstractMotionEffect,
-        joint: int,
-        trial: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractMotionEffect, joint: int, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
         return _linearised(evidence, effect, joint, trial)
 
@@ -113,12 +103,7 @@ class Forces(AbstractKind[AbstractForceEffect]):
         return [self.candidate(evidence, effect, joint, {}) for effect, joint in places]
 
     def candidate(
-        self,
-        evidence: Evidence,
-        effect: AbstractForceEffect,
-        joint: int | None,
-        trial: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractForceEffect, joint: int | None, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
         count = len(evidence.recording.pieces)
         columns = filtered(evidence.recording, [self.basis(evidence, effect, joint, k) for k in range(count)])
@@ -126,12 +111,7 @@ class Forces(AbstractKind[AbstractForceEffect]):
         return Candidate(effect, joint, {}, where, effect.precision(evidence.robot, joint, len(columns)))
 
     def refined(
-        self,
-        evidence: Evidence,
-        effect: AbstractForceEffect,
-        joint: int | None,
-        at: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractForceEffect, joint: int | None, at: Parameters, beside: Beside = ()
     ) -> Candidate:
         return known(evidence, effect, joint)
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.gears import load_on
-from invdyn_cli.diagnosis.columns.kind import AbstractKind
-from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside
 from invdyn_cli.interfaces import AbstractChannelEffect, Parameters
 
 STEP = 1e-3
@@ -26,12 +25,7 @@ class Channels(AbstractKind[AbstractChannelEffect]):
         return [self.candidate(evidence, *at, shape) for at in places for shape in _shapes(evidence, *at)]
 
     def candidate(
-        self,
-        evidence: Evidence,
-        effect: AbstractChannelEffect,
-        joint: int,
-        trial: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractChannelEffect, joint: int, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
         rate, pieces = evidence.recording.filter.rate, evidence.recording.pieces
         if effect.factor:
@@ -62,6 +56,8 @@ class Channels(AbstractKind[AbstractChannelEffect]):
         return Candidate(effect, joint, trial, columns, 1 / np.square(reach), quieter)
 
     def basis(self, evidence: Evidence, effect: AbstractChannelEffect, joint: int, piece: int) -> np.ndarray:
+        if not effect.factor:
+            return super().basis(evidence, effect, joint, piece)
         row = (np.arange(evidence.dofs) == joint)[:, None] * evidence.states[piece][joint].transmitted
         return row[None]
 

@@ -50,9 +50,10 @@ ADJOINING = 0.1
 """[s] between two pieces of a trajectory within which what remembers goes on."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect on a joint with a trial's nonlinear parameters: which columns of which rows it takes.
+    """An effect on a joint with a trial's nonlinear parameters: which columns of which rows it takes. Each is equal to
+    itself alone, so that results can be kept by it.
 
     `columns[j]` = (fixed columns, free columns) of row j; free columns are in the order of the coefficients, one for
     each; behind those that the effect reads there may be two that only correct the timing of its reversals. `precision`

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.columns.kind import AbstractKind, change, nominal
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, change, nominal
 from invdyn_cli.effects.composition import (
     LEAST_INERTIA,
     EffectInstance,
@@ -48,7 +48,7 @@ class Gears(AbstractKind[AbstractGearEffect]):
         effect: AbstractGearEffect,
         joint: int,
         trial: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        beside: Beside = (),
         exact: bool = False,
     ) -> Candidate:
         """`exact`: the fixed column as it is, however small."""
@@ -62,12 +62,7 @@ class Gears(AbstractKind[AbstractGearEffect]):
         return Candidate(effect, joint, trial, columns, np.array([1 / (0.3 * effect.compliance(trial)) ** 2]))
 
     def refined(
-        self,
-        evidence: Evidence,
-        effect: AbstractGearEffect,
-        joint: int,
-        at: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractGearEffect, joint: int, at: Parameters, beside: Beside = ()
     ) -> Candidate:
         return self.candidate(evidence, effect, joint, at, beside, exact=True)
 
@@ -78,7 +73,7 @@ class Gears(AbstractKind[AbstractGearEffect]):
         joint: int,
         before: Parameters,
         after: Parameters,
-        beside: Sequence[EffectInstance],
+        beside: Beside,
     ) -> np.ndarray:
         softer = effect.compliance(after) - effect.compliance(before)
         return _columns(evidence, effect, joint, before, beside)[1] * softer
@@ -87,17 +82,13 @@ class Gears(AbstractKind[AbstractGearEffect]):
         return max(3e-2 * value, 1e-6)
 
 
-def load_on(evidence: Evidence, joint: int, beside: Sequence[EffectInstance] = ()) -> np.ndarray:
+def load_on(evidence: Evidence, joint: int, beside: Beside = ()) -> np.ndarray:
     """(T,) of all pieces: the torque that a joint transmits with other effects."""
     return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
 
 
 def _columns(
-    evidence: Evidence,
-    effect: AbstractGearEffect,
-    joint: int,
-    parameters: Parameters,
-    beside: Sequence[EffectInstance] = (),
+    evidence: Evidence, effect: AbstractGearEffect, joint: int, parameters: Parameters, beside: Beside = ()
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """(n, R) what a gear that yields changes of the torque with others, and the change with its compliance, to first
     order: it goes with the link's acceleration against the motor's, and with its angle; how far it yields [rad; m]."""
@@ -119,7 +110,7 @@ def _columns(
     return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * compliance), max(far)
 
 
-def _carried(evidence: Evidence, joint: int, beside: Sequence[EffectInstance] = ()) -> list[tuple[Array, Array]]:
+def _carried(evidence: Evidence, joint: int, beside: Beside = ()) -> list[tuple[Array, Array]]:
     """Of every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
     kept."""
     key = ("carried", joint, identity(beside))

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
-from invdyn_cli.diagnosis.columns.kind import AbstractKind, known
-from invdyn_cli.effects.composition import EffectInstance, has_driver
+from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, known
+from invdyn_cli.effects.composition import has_driver
 from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 from invdyn_cli.interfaces import AbstractTorqueEffect, Parameters
 
@@ -25,12 +25,7 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
         return made
 
     def candidate(
-        self,
-        evidence: Evidence,
-        effect: AbstractTorqueEffect,
-        joint: int,
-        trial: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractTorqueEffect, joint: int, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
         """The columns are added to the joint's table; those of a coupled effect to that of the joint before it, too,
         with the same coefficients."""
@@ -53,16 +48,7 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
         return Candidate(effect, joint, trial, where, precision)
 
     def refined(
-        self,
-        evidence: Evidence,
-        effect: AbstractTorqueEffect,
-        joint: int,
-        at: Parameters,
-        beside: Sequence[EffectInstance] = (),
+        self, evidence: Evidence, effect: AbstractTorqueEffect, joint: int, at: Parameters, beside: Beside = ()
     ) -> Candidate:
         shape = effect.shape_of(at)
         return self.candidate(evidence, effect, joint, shape) if shape else known(evidence, effect, joint)
-
-    def basis(self, evidence: Evidence, effect: AbstractTorqueEffect, joint: int, piece: int) -> np.ndarray:
-        columns = np.stack(effect.basis(evidence.states[piece][joint], {}))
-        return (np.arange(evidence.dofs) == joint)[:, None] * columns[:, None]

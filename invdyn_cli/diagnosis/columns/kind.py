@@ -8,9 +8,13 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.effects.composition import EffectInstance, link_torque
+from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractEffect, JointState, Parameters
 
 E = TypeVar("E", bound=AbstractEffect)
+
+Beside = Sequence[EffectInstance]
+"""The other effects at work."""
 
 
 class AbstractKind(abc.ABC, Generic[E]):
@@ -24,29 +28,20 @@ class AbstractKind(abc.ABC, Generic[E]):
         """Every trial of lasting effects, wherever they show."""
 
     @abc.abstractmethod
-    def candidate(
-        self, evidence: Evidence, effect: E, joint: Any, trial: Parameters, beside: Sequence[EffectInstance] = ()
-    ) -> Candidate:
+    def candidate(self, evidence: Evidence, effect: E, joint: Any, trial: Parameters, beside: Beside = ()) -> Candidate:
         """The trial of an effect at these parameters, beside others."""
 
-    def refined(
-        self, evidence: Evidence, effect: E, joint: Any, at: Parameters, beside: Sequence[EffectInstance] = ()
-    ) -> Candidate:
+    def refined(self, evidence: Evidence, effect: E, joint: Any, at: Parameters, beside: Beside = ()) -> Candidate:
         """The candidate of an effect at parameters that were found, beside others."""
         return self.candidate(evidence, effect, joint, at, beside)
 
     def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int) -> np.ndarray:
-        """Columns (k, n, T) of a piece, of an effect that may come and go."""
-        raise NotImplementedError(f"{effect.name} cannot come and go")
+        """Columns (k, n, T) of a piece, of an effect that may come and go; UsageError for one that cannot."""
+        got = f"{effect.name} acts on {effect.point}, and cannot be passing"
+        raise UsageError(f"{got}; allowed for effects that come and go: bodies, forces, and channels with a factor")
 
     def slope(
-        self,
-        evidence: Evidence,
-        effect: E,
-        joint: Any,
-        before: Parameters,
-        after: Parameters,
-        beside: Sequence[EffectInstance],
+        self, evidence: Evidence, effect: E, joint: Any, before: Parameters, after: Parameters, beside: Beside
     ) -> np.ndarray | None:
         """(n, R) how the torque changes from one set of parameters to another nearby; None where the formula itself
         shows it best."""
@@ -71,7 +66,7 @@ def nominal(states: Sequence[JointState]) -> np.ndarray:
     return np.stack([np.asarray(s.transmitted) for s in states])
 
 
-def change(evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()) -> np.ndarray:
+def change(evidence: Evidence, acting: EffectInstance, beside: Beside = ()) -> np.ndarray:
     """(n, R) what an effect that reaches other joints changes of the torque with others."""
     robot, recording = evidence.robot, evidence.recording
     changes = []

@@ -96,7 +96,7 @@ def report(
     whole, rested = resting.edges(evidence, inquiry.model, whole)
     ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
     terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
-    claims, acting, shown = [], [], []
+    claims, places, shown = [], [], []
     parts = {k: (place, one) for one in sums.standing(effects, hypothesis, ends) for place, k in enumerate(one.places)}
     for i, candidate in enumerate(hypothesis):
         rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
@@ -123,11 +123,11 @@ def report(
         if one is not None and place == 0:
             finding, both = _summed(inquiry, hypothesis, whole, finding, one, after), one.places
             terms[i] = np.sum([terms[k] for k in both], axis=0)
-            acting += [whole.acting[k] for k in both]
+            places += both
         elif one is not None:
             continue
         else:
-            acting.append(whole.acting[i])
+            places.append(i)
         others = sums.hidden(effects, hypothesis, i)
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             others.append(StribeckFriction.name)
@@ -151,11 +151,11 @@ def report(
         dropped += ("All errors include the known effects. The extended model does not include them.",)
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -_worth(claims[k])))
     ordered = tuple(claims[k] for k in order)
-    by_acting = {id(a): e for a, e in zip(whole.acting, ends, strict=True)}
+    acting = tuple(whole.acting[k] for k in places)
     return Made(
         findings=(*ordered, *unseen(effects, ordered, examination, side, position_side)),
-        acting=tuple(acting),
-        intervals=tuple(by_acting[id(a)] for a in acting),
+        acting=acting,
+        intervals=tuple(ends[k] for k in places),
         terms=tuple(shown[k] for k in order),
         before=nothing.residual + inquiry.worn(nothing),
         residual=chosen.residual + inquiry.worn(chosen),

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Evidence, shared_out
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
@@ -63,7 +63,8 @@ def exactly(inquiry: Inquiry, hypothesis: Hypothesis, before: Refined) -> Refine
 
 def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     """The candidates that gain on data that did not choose them, and explain more than what stays unknown, their
-    parameters, refined anew whenever one is dropped; and a sentence for each of the others."""
+    parameters, refined anew whenever one is dropped; and sentences on others that held-out data speak for. What another
+    effect might be as well has no sentence of its own: which of them was tried is chance."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
     if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
         chosen = exactly(inquiry, hypothesis, chosen)
@@ -73,13 +74,15 @@ def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
             why = _fails(inquiry, hypothesis, chosen, i, after)
             if why is not None and (worst is None or why[0] < worst[1][0]):
                 worst = i, why
-        if worst is None and inquiry.wear:
-            worst = _vague(inquiry, hypothesis)
+        if worst is None and inquiry.wear and (vague := _vague(inquiry, hypothesis)):
+            worst = vague[0], (vague[1].excess, "")
+            one, other = sorted(_titled(inquiry, x) for x in (hypothesis[vague[0]], vague[1].candidate))
+            said.append(f"Neither {one} nor {other} is claimed: these different effects explain the data equally well.")
         if worst is None:
             break
-        out = hypothesis[worst[0]]
-        where = f" on {inquiry.evidence.robot.joints[out.joint]}" if out.joint is not None else ""
-        said.append(f"{out.effect.title.capitalize()}{where} was tried, but it is not claimed: {worst[1][1]}.")
+        if worst[1][1] and not any(r.equal for r in _rivals(inquiry, hypothesis, worst[0])):
+            name = _titled(inquiry, hypothesis[worst[0]])
+            said.append(f"{name[0].upper()}{name[1:]} was tried, but it is not claimed: {worst[1][1]}.")
         hypothesis = hypothesis[: worst[0]] + hypothesis[worst[0] + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
@@ -87,27 +90,32 @@ def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     return hypothesis, chosen, tuple(said)
 
 
-def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, tuple[float, str]] | None:
+def _titled(inquiry: Inquiry, one: Candidate) -> str:
+    """A candidate in a sentence: its effect and its joint."""
+    return one.effect.title + (f" on {inquiry.evidence.robot.joints[one.joint]}" if one.joint is not None else "")
+
+
+def _rivals(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> list[naming.Rival]:
+    return naming.rivals(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool)
+
+
+def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, naming.Rival] | None:
     """The candidate beside the standard model in whose place an effect does best for which theory does not take it, if
-    there is one: what so different effects explain alike is too little to have a name."""
-    found: list[tuple[int, tuple[float, str]]] = []
+    there is one, and that effect: what so different effects explain alike is too little to have a name."""
+    found: list[tuple[int, naming.Rival]] = []
     for i, one in enumerate(hypothesis):
         like = {one.effect.name, *(name for names in one.effect.confounders for name in names)}
-        rivals = naming.rivals(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool)
-        others = [r for r in rivals if r.equal and not (one.effect.load and r.candidate.effect.load)]
-        foreign = [r for r in others if r.candidate.effect.name not in like]
-        if foreign:
-            best = min(foreign, key=lambda r: r.excess)
-            found.append(
-                (i, (best.excess, f"{best.candidate.effect.title}, a different effect, explains the data as well"))
-            )
-    return min(found, key=lambda x: x[1][0], default=None)
+        others = [r for r in _rivals(inquiry, hypothesis, i) if r.equal]
+        others = [r for r in others if not (one.effect.load and r.candidate.effect.load)]
+        found += [(i, r) for r in others if r.candidate.effect.name not in like]
+    return min(found, key=lambda x: x[1].excess, default=None)
 
 
 def _fails(
     inquiry: Inquiry, hypothesis: Hypothesis, chosen: Refined, i: int, after: np.ndarray
 ) -> tuple[float, str] | None:
-    """Why a candidate may not be claimed, with how much it explains; None if it may. `after` is what the hypothesis
+    """Why a candidate may not be claimed, with how much it explains; None if it may. The reason is "" where held-out
+    data are not predicted better: that what is not there was tried is not worth a word. `after` is what the hypothesis
     leaves, `chosen` its exact parameters."""
     evidence, weights = inquiry.evidence, inquiry.noise.weights
     before = without(inquiry, hypothesis, (i,), after)
@@ -118,10 +126,10 @@ def _fails(
     unknown = naming.structure(evidence, after, valid)
     gain = float(np.sum(weights * squares))
     if gain <= 0:
-        return gain, "it does not improve the fit on held-out data"
+        return gain, ""
     everywhere = np.mean(before[rows] ** 2 - after[rows] ** 2, axis=0) @ own  # rows at rest count too
     if everywhere <= 0 and _acts_at_rest(inquiry, hypothesis, i):
-        return gain, "with it, the torques of its joints in held-out data, rests included, are predicted worse"
+        return gain, ""
     rest = float(np.sum(weights * unknown * valid.sum(0) * (np.abs(squares) > 1e-3 * np.abs(squares).max())))
     needed = OUTWEIGHED + PICKED_UP * (inquiry.judge.freedom(hypothesis[i]) - 1)
     if 0 < gain < needed * rest:
@@ -133,7 +141,7 @@ def _fails(
             return gain, f"{1e3 * value:.2g} ms is less than one sampling period and may come from the clock of the log"
     sure, share = _exactly(inquiry, hypothesis, chosen, i)
     if not sure:
-        return gain, "its exact formula does not improve the fit on held-out data"
+        return gain, ""
     if share < MIN_SHARE_OF_RESIDUAL:
         why = "it is small compared with the residual, and may be an artefact of encoder noise in the feedback loop"
         return gain, why

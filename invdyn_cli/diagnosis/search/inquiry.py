@@ -259,7 +259,7 @@ def _searched(
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.load for c in pool):
         pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
-    pool += [c for start in starts for c in start if not any(c is p for p in pool)]
+    pool += [c for start in starts for c in start if c not in pool]
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
     model = Model(evidence)
@@ -280,7 +280,7 @@ def _searched(
             continue
         trials = tuple(trial_at(evidence, a, others_of(refined.acting, a)) for a in refined.acting)
         more = [*trials, *_geared(evidence, refined.acting, loads)]
-        pool = [*pool, *(c for c in more if not any(c is p for p in pool))]
+        pool = [*pool, *(c for c in more if c not in pool)]
         judge.refresh()
         hypothesis = simplified(search(judge, pool, always, trials, most))
         before, loss = loss, judge.loss((*always, *hypothesis))

@@ -94,12 +94,12 @@ class HypothesisScorer:
         self.floor = float(self.rows_worth @ deviation**2)
         self.deviation = deviation
         self.always, self.worn = always, worn
-        self._always = {id(c) for c in always}
-        self._shared: dict[tuple[int, ...], Shared] = {}
-        self._freedom: dict[int, float] = {}
-        self._prices: dict[int, tuple[float, Candidate]] = {}
+        self._always = frozenset(always)
+        self._shared: dict[Hypothesis, Shared] = {}
+        self._freedom: dict[Candidate, float] = {}
+        self._prices: dict[Candidate, float] = {}
         self._alike: dict[tuple[int, int, int], _Alike] = {}
-        self._places: dict[int, tuple[tuple[int, int, int], int, Candidate]] = {}
+        self._places: dict[Candidate, tuple[tuple[int, int, int], int]] = {}
         self.tried = 0
 
     def refresh(self) -> None:
@@ -114,14 +114,13 @@ class HypothesisScorer:
     def _parted(self, hypothesis: Sequence[Candidate]) -> tuple[Shared, Hypothesis, np.ndarray]:
         """What of a hypothesis is always there; the rest; and where the coefficients of both, one behind the other, are
         among the hypothesis'."""
-        always = tuple(c for c in hypothesis if id(c) in self._always)
-        own = tuple(c for c in hypothesis if id(c) not in self._always)
-        key = tuple(id(c) for c in always)
-        if key not in self._shared:
-            self._shared[key] = Shared(always, self.grams, self.weights)
+        always = tuple(c for c in hypothesis if c in self._always)
+        own = tuple(c for c in hypothesis if c not in self._always)
+        if always not in self._shared:
+            self._shared[always] = Shared(always, self.grams, self.weights)
         ends = np.cumsum([0, *(len(c.precision) for c in hypothesis)])
-        at = {id(c): np.arange(a, b) for c, a, b in zip(hypothesis, ends[:-1], ends[1:], strict=True)}
-        return self._shared[key], own, np.concatenate([np.zeros(0, int), *(at[id(c)] for c in (*always, *own))])
+        at = {c: np.arange(a, b) for c, a, b in zip(hypothesis, ends[:-1], ends[1:], strict=True)}
+        return self._shared[always], own, np.concatenate([np.zeros(0, int), *(at[c] for c in (*always, *own))])
 
     def quick(self, hypothesis: Sequence[Candidate]) -> tuple[float, np.ndarray]:
         """Loss with prices on the data that fits the hypothesis, and its coefficients."""
@@ -175,13 +174,13 @@ class HypothesisScorer:
         """Which of these are alike, and their numbers among all that are."""
         groups: dict[tuple, tuple[list[int], list[int]]] = {}
         for i, c in enumerate(candidates):
-            kind, number, _ = self._places.get(id(c)) or self._placed(c)
+            kind, number = self._places.get(c) or self._placed(c)
             members, numbers = groups.setdefault(kind, ([], []))
             members.append(i)
             numbers.append(number)
         return groups
 
-    def _placed(self, c: Candidate) -> tuple[tuple[int, int, int], int, Candidate]:
+    def _placed(self, c: Candidate) -> tuple[tuple[int, int, int], int]:
         """Put a candidate among those alike; its place."""
         columns = [(*fixed, *free) for fixed, free in c.columns.values()]
         kind = len(columns), len(columns[0]) - len(c.precision), len(c.precision)
@@ -195,8 +194,8 @@ class HypothesisScorer:
         alike.square.append(np.sum(squares, axis=0))
         alike.precision.append(c.precision)
         alike.price.append(self.price((c,)))
-        self._places[id(c)] = kind, len(alike.price) - 1, c
-        return self._places[id(c)]
+        self._places[c] = kind, len(alike.price) - 1
+        return self._places[c]
 
     def _crossed(
         self, shared: Shared, own: Hypothesis, through: np.ndarray, first: np.ndarray, theta: np.ndarray
@@ -245,7 +244,7 @@ class HypothesisScorer:
     def price(self, hypothesis: Sequence[Candidate]) -> float:
         """What a hypothesis must gain at least."""
         for c in hypothesis:
-            if id(c) not in self._prices:
+            if c not in self._prices:
                 local = c.joint if c.effect.is_local else None
                 least = 0.0 if self.worn and not c.effect.is_local else self.least[local]
                 quiet = (
@@ -254,13 +253,13 @@ class HypothesisScorer:
                     else 0.0
                 )
                 value = PRICE_OF_EFFECT + PRICE_OF_COEFFICIENT * self.freedom(c) + least + float(quiet)
-                self._prices[id(c)] = value, c
-        return sum(self._prices[id(c)][0] for c in hypothesis)
+                self._prices[c] = value
+        return sum(self._prices[c] for c in hypothesis)
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
         """Why the coefficients of a hypothesis are no physics, "" if they are; what is always in it may be anything."""
         for candidate, own in shared_out(hypothesis, theta):
-            if any(candidate is a for a in self.always):
+            if candidate in self._always:
                 continue
             if why := self.impossible(candidate, own):
                 return why
@@ -300,11 +299,11 @@ class HypothesisScorer:
         """How many coefficients of a candidate the data determine at all."""
         if not candidate.precision.any():
             return float(len(candidate.precision))
-        if id(candidate) not in self._freedom:
+        if candidate not in self._freedom:
             normal = self.equations((candidate,))[1]
             prior = np.diag(candidate.precision)
-            self._freedom[id(candidate)] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
-        return self._freedom[id(candidate)]
+            self._freedom[candidate] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
+        return self._freedom[candidate]
 
 
 def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):

@@ -67,8 +67,8 @@ def simplified(
     """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
     simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
     being part of it, if they are not among `always`."""
-    simpler = _simplified(judge, always, hypothesis, [*pool, *(u for u in usual if not any(u is a for a in always))])
-    return tuple(c for c in simpler if not any(c is u for u in usual))
+    simpler = _simplified(judge, always, hypothesis, [*pool, *(u for u in usual if u not in always)])
+    return tuple(c for c in simpler if c not in usual)
 
 
 def _simplified(

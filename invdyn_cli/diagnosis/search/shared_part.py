@@ -59,7 +59,7 @@ class Shared:
         self.inverse = inverted(total, self.precision)[None]
         self._projected: dict[tuple, tuple[int, np.ndarray]] = {}
         self._crossed = np.zeros((0, 0, 0))
-        self._known: dict[int, tuple[np.ndarray, np.ndarray, Candidate]] = {}
+        self._known: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
 
     @cached_property
     def inverses(self) -> np.ndarray:
@@ -93,15 +93,15 @@ class Shared:
     def _beside(self, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
         """Of each fold, the products of what is always there with a candidate's fixed columns (F, k) and with its free
         ones (F, k, m)."""
-        if id(c) not in self._known:
+        if c not in self._known:
             folds, k = self._moments.shape[1:]
             fixed, cross = np.zeros((folds, k)), np.zeros((folds, k, len(c.precision)))
             for j, (tried, free) in c.columns.items():
                 gram, w, (_, mine, at) = self.grams.parts[j], self.weights[j], self.at[j]
                 fixed[:, at] += w * gram[:, np.array(tried, int)[:, None], mine].sum(1)
                 cross[:, at] += w * np.swapaxes(gram[:, np.array(free, int)[:, None], mine], 1, 2)
-            self._known[id(c)] = fixed, cross, c
-        return self._known[id(c)][:2]
+            self._known[c] = fixed, cross
+        return self._known[c]
 
     def solve(self, equations: Equations, own: Hypothesis, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (F, k) of what is always there and (F, m) of the rest; `inverse` (F, k, k) belongs to the same

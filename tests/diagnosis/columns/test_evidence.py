@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.columns.candidates import YIELD, gather, gear_candidate, passing_candidate
+from invdyn_cli.diagnosis.columns.candidates import gather, kind_of, passing_candidate
 from invdyn_cli.diagnosis.columns.evidence import BLOCK
+from invdyn_cli.diagnosis.columns.gears import YIELD
 from invdyn_cli.diagnosis.search.exact import Model
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
@@ -99,7 +100,7 @@ def test_columns_of_a_gear(name, parameter, value):
     slope of that over a tenth more and less compliance, likewise: they leave out what the link's other speed makes."""
     evidence = evidence_of(log_of(raw(*moved(seconds=10.0))), [], cutoffs=(10.0,))
     effect = EFFECTS[name]
-    made, model, change = gear_candidate(evidence, effect, 1, {parameter: value}), Model(evidence), {}
+    made, model, change = kind_of(effect).candidate(evidence, effect, 1, {parameter: value}), Model(evidence), {}
     compliance = effect.compliance({parameter: value})
     for factor in (1 - YIELD, 1.0, 1 + YIELD):
         gear = EffectInstance(effect, 1, effect.from_compliance(factor * compliance))
