@@ -84,13 +84,15 @@ def believed(
 
     def grown(found: Hypothesis) -> Belief:
         own = told(noise, links, found).noise
-        while True:
+        for _ in range(2 * most):
             bases = [told(own, x, found) for x in shares]
-            more = (told(x.noise, x.links, one) for x in bases for one in _more(evidence, rows, x, always, pool, most))
-            chosen = best([best(bases), *more])
+            more = [(x, one) for x in bases for one in _more(evidence, rows, x, always, pool, most)]
+            fewer = [(x, found[:i] + found[i + 1 :]) for x in bases for i in range(len(found))]
+            chosen = best([best(bases), *(told(x.noise, x.links, one) for x, one in more + fewer)])
             if chosen.found is found:
-                return chosen
+                break
             found, own = chosen.found, chosen.noise
+        return chosen
 
     return best([grown(start) for start in starts])
 
