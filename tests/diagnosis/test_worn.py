@@ -114,3 +114,37 @@ def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
     assert [f.effect for f in anomalies] == ["payload"]
     assert set(anomalies[0].alternatives) <= {("link_inertia_error",)}
     assert abs(anomalies[0].parameters["mass"].value - mass) < 0.08 * robot.inertial[1:, 0].sum()
+
+
+def ripple(scene):
+    """A tenth of the joint's torque, 30 times a turn."""
+    return {"amplitude": float(0.1 * scene.torque[1]), "cycles": 30.0, "phase": 1.0}
+
+
+def bristles(scene):
+    """An eighth of the joint's torque, held by bristles over a hundredth of its range, beside the friction of wear."""
+    coulomb = 0.12 * scene.torque[1]
+    return {"coulomb": float(coulomb), "stiffness": float(100 * coulomb / np.ptp(scene.q[:, 1]))}
+
+
+def weaker(scene):
+    """A drive that is a quarter weaker for a third of the time."""
+    return {"gain": 0.75, "window": [6.0, 14.0]}
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes"),
+    [("torque_ripple", ripple), ("presliding_hysteresis", bristles), ("torque_gain_change", weaker)],
+)
+def test_an_anomaly_is_ranked_beside_the_standard_model(effect, sizes, tmp_path):
+    """On a worn arm an anomaly that a model of every column would take up (a ripple), that stands beside rigid friction
+    (bristles) or that comes and goes is the only one that is claimed, on its joint."""
+    draw = np.random.default_rng(5)
+    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
+    robot = load_urdf(tmp_path / "arm.urdf")
+    scene = scene_of(robot, Multisine(), 25.0, 5)
+    hidden = [*wear(draw, scene), Hidden(effect, robot.joints[1], sizes(scene))]
+    noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
+    log = record(robot, [scene.reference], hidden, noise=noise, duration=25.0, seed=5)
+    anomalies = [f for f in claims(diagnose(log, robot)) if f.effect not in STANDARD]
+    assert [(f.effect, f.joint) for f in anomalies] == [(effect, robot.joints[1])]
