@@ -56,7 +56,7 @@ def test_keys_are_those_of_the_schema(make, tmp_path):
     tree = written(diagnosis, tmp_path)
     assert set(tree) == DESIGN | {"summary", "replay", "notes", "details"}
     assert tree["schema"] == "invdyn-diagnosis/1" and tree["files"] == FILES
-    assert set(tree["log_checks"]) == {"usable", "checks", "corrections", "excitation"}
+    assert set(tree["log_checks"]) == {"usable", "as_recorded", "checks", "corrections", "excitation"}
     assert all(set(x) == {f.name for f in fields(Check)} for x in tree["log_checks"]["checks"])
     assert len(tree["findings"]) == len(diagnosis.findings)
     for x in tree["findings"]:

@@ -4,7 +4,9 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import noise, realisable
+from invdyn_cli.diagnosis.search.events import EDGE
 from invdyn_cli.diagnosis.search.exact import Model, Refined
+from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.joints import JointState
 
 CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
@@ -22,6 +24,8 @@ def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: R
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
     """Whether an effect with these parameters can be told from what only looks like it."""
     one = refined.acting[place]
+    if one.when is not None and _lasts(evidence, one.when):
+        return False
     if not one.effect.invertible:
         return _is_a_limit(evidence, model, measured, refined, place)
     if one.joint is not None:
@@ -29,6 +33,12 @@ def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined:
         state = JointState(evidence.on_rows("t"), q, qd, qdd, np.sign(qd), evidence.nominal[:, one.joint])
         return one.effect.is_plain(one.parameters, state)
     return True
+
+
+def _lasts(evidence: Evidence, when: TimeWindow) -> bool:
+    """Whether a window came out as all of its trajectory: what is in it neither comes nor goes."""
+    t = evidence.on_rows("t")[evidence.trajectory == when.trajectory]
+    return bool(when.start < t[0] + EDGE and when.end > t[-1] - EDGE)
 
 
 def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
