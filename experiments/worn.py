@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.control import Control
+from invdyn_cli.simulation.gear import RESOLVED
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.references import AbstractReference, room
 from invdyn_cli.simulation.sensors import Noise
@@ -115,16 +116,34 @@ def sized(draw: np.random.Generator, scene: Scene, name: str) -> Hidden:
     j = int(draw.choice(felt(scene, name)))
     one = draw_effect(draw, scene, name, j)
     wider: dict[str, Any] = {
-        "backlash": lambda: {"gap": float(np.exp(draw.uniform(np.log(1e-3), np.log(2e-2))))},
+        "backlash": lambda: {"gap": _drawn(draw, 1e-3, 2e-2)} | _teeth(draw),
         "joint_elasticity": lambda: {"damping": _damping(draw, one, scene, j)},
-        "stribeck_friction": lambda: {"velocity": float(np.exp(draw.uniform(np.log(0.01), np.log(0.4))))},
+        "stribeck_friction": lambda: {"velocity": _drawn(draw, 0.01, 0.4)},
     }
     return replace(one, parameters={**one.parameters, **wider.get(name, dict)()})
 
 
+def _drawn(draw: np.random.Generator, least: float, most: float) -> float:
+    """A size, its logarithm even."""
+    return float(np.exp(draw.uniform(np.log(least), np.log(most))))
+
+
+def _teeth(draw: np.random.Generator) -> dict[str, float]:
+    """Stiffness [N m/rad] and damping ratio of teeth; those of every gear bounce otherwise."""
+    return {"stiffness": _drawn(draw, 1e4, 1e6), "damping_ratio": _drawn(draw, 0.02, 0.5)}
+
+
+def _substeps(anomaly: Hidden | None, rate: float) -> int:
+    """Steps of the physics per tick, short enough for teeth against the rotor."""
+    if anomaly is None or "damping_ratio" not in anomaly.parameters:
+        return 4
+    swing = float(np.sqrt(anomaly.parameters["stiffness"] / anomaly.parameters["rotor"]))
+    return max(4, int(np.ceil(swing / (RESOLVED * rate))))
+
+
 def _damping(draw: np.random.Generator, one: Hidden, scene: Scene, j: int) -> float:
     """Of a ratio of 0.02 to 0.3, for a rotor that swings on the spring."""
-    ratio = np.exp(draw.uniform(np.log(0.02), np.log(0.3)))
+    ratio = _drawn(draw, 0.02, 0.3)
     return float(2 * ratio * np.sqrt(one.parameters["stiffness"] * one.parameters["rotor"]))
 
 
@@ -150,7 +169,7 @@ def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None
         if scene.duration * rate > 60_000:
             rate = 1000.0
         options: dict[str, Any] = {"duration": scene.duration, "rate": rate, "seed": scene.seed, "control": control}
-        options |= {"noise": noise, "position_side": "motor"}
+        options |= {"noise": noise, "position_side": "motor", "substeps": _substeps(anomaly, rate)}
         try:
             log, *twin = (
                 plant.record(scene.robot, [scene.reference], hidden, **options)
