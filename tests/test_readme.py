@@ -39,10 +39,17 @@ def skeleton(text: str) -> list[str]:
 @pytest.mark.parametrize("command", runs())
 def test_commands_compose(command):
     """Every `invdyn run` in the pages composes: its groups, choices and options exist."""
-    overrides = [a for a in shlex.split(command)[2:] if not a.startswith("-")]
-    single = [a if not a.startswith(("model=", "seed=", "data.split=")) else a.split(",")[0] for a in overrides]
+    given = shlex.split(command.removesuffix("\\"))[2:]
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        compose("run", single)
+        compose("run", [one_of(x) for x in given if not x.startswith(("-", "hydra"))])
+
+
+def one_of(override: str) -> str:
+    """The override of one job of a sweep: its first value, or the beginning of its interval."""
+    key, value = override.split("=", 1)
+    if interval := re.search(r"interval\(([^,]+),", value):
+        return f"{key}={interval[1]}"
+    return override if value.startswith(("[", "{")) else f"{key}={value.split(',')[0]}"
 
 
 def test_wrong_use_is_answered_as_the_readme_says(monkeypatch, tmp_path, capfd):
