@@ -26,8 +26,9 @@ COMMANDS = [pair for page in PAGES for pair in console(page.read_text())]
 
 
 def runs() -> list[str]:
-    """The `invdyn run …` commands that name no config of the reader's own."""
-    return [c for c, output in COMMANDS if c.startswith("invdyn run") and "invdyn:" not in output and "mine" not in c]
+    """The `invdyn run …` commands, each once, that name no config of the reader's own."""
+    asked = [c for c, output in COMMANDS if c.startswith("invdyn run") and "invdyn:" not in output and "mine" not in c]
+    return list(dict.fromkeys(asked))
 
 
 def skeleton(text: str) -> list[str]:
