@@ -104,6 +104,10 @@ class AbstractEffect(abc.ABC):
         columns hold the log's noise themselves."""
         return True
 
+    def travel(self, parameters: Parameters) -> float:
+        """Motion of its joint [rad; m] within which it differs from what it contains as a limit; inf: at any motion."""
+        return float("inf")
+
     def is_plain(self, parameters: Parameters, state: JointState) -> bool:
         """Whether an effect of these parameters can be told, on this motion of its joint, from what only looks like
         it."""

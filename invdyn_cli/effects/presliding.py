@@ -58,6 +58,9 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     def term(self, parameters: Parameters, state: JointState) -> Array:
         return parameters["coulomb"] * _bristle(state, self.shape_of(parameters)["length"])
 
+    def travel(self, parameters: Parameters) -> float:
+        return parameters["coulomb"] / parameters["stiffness"]
+
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         return [{"length": x} for x in self.lengths]
 

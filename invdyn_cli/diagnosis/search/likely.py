@@ -15,6 +15,11 @@ the RMS of what is left elsewhere the torque beyond must be: a limit set into no
 how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
 
 
+SEEN = 5.0
+"""Standard deviations of the logged angle's noise, rounding included, below which a travel is not seen: reversals come
+then where the encoder's step is."""
+
+
 def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
     """Effects and joints whose parameters came out as no such effect has them."""
     odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
@@ -29,6 +34,8 @@ def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined:
     if not one.effect.invertible:
         return _is_a_limit(evidence, model, measured, refined, place)
     if one.joint is not None:
+        if one.effect.travel(one.parameters) < SEEN * evidence.recording.position_noise[one.joint]:
+            return False
         q, qd, qdd = (evidence.on_rows(x)[:, one.joint] for x in ("q", "qd", "qdd"))
         state = JointState(evidence.on_rows("t"), q, qd, qdd, np.sign(qd), evidence.nominal[:, one.joint])
         return one.effect.is_plain(one.parameters, state)
