@@ -52,7 +52,7 @@ def test_bash_completes_every_kind_of_word(bash):
     """Verbs; groups and options with their "="; choices after it, without the part that bash keeps; files; effects."""
     assert bash("invdyn dia") == ["diagnose "]
     assert bash("invdyn run mod") == ["model=", "model."]
-    assert bash("invdyn run model=pe") == ["pest ", "pest_friction "]
+    assert bash("invdyn run model=pe") == ["pest ", "pest_coulomb ", "pest_friction "]
     assert {"dbm ", "ffnn ", "pest "} <= set(bash("invdyn run model="))
     assert bash("invdyn run model=pest model.thr") == ["model.threshold="]
     assert bash("invdyn check data.path=lo") == ["logs"]
