@@ -105,6 +105,7 @@ def diagnose(
     recording, common = hold.remove_common_delay(robot, recording, side)
     progress(0.25, "columns")
     evidence = gather(robot, recording, list(pool.values()), side, log.position_side)
+    evidence.given = known.timed(evidence, facts)
     progress(0.5, "search")
     most = 3 * robot.dofs if options.most is None else options.most
     compares = any("reference" in p.role for p in recording.pieces)

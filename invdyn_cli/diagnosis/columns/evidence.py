@@ -90,6 +90,7 @@ class Evidence:
         block, role, piece: (R,) block number, index into ROLES, piece number.
         kept: what candidates are made from and is dear to compute.
         base: of every piece what the nominal torque (n, T) has more than that of `robot`, if that has other links.
+        given: part of every hypothesis, and no finding.
     """
 
     robot: Robot
@@ -106,6 +107,7 @@ class Evidence:
     reference_rows: np.ndarray | None = None
     kept: dict[tuple, list] = field(default_factory=dict)
     base: list[np.ndarray] | None = None
+    given: tuple[Candidate, ...] = ()
 
     def residual(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""

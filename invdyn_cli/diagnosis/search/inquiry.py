@@ -195,7 +195,7 @@ def _standing_out(
     if not found:
         return {}
     pool = [*evidence.candidates, *(c for own in found.values() for c in own)]
-    always = (*known.allowed_for(pool, allowed), *_terms(pool, wear))
+    always = (*evidence.given, *known.allowed_for(pool, allowed), *_terms(pool, wear))
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
     begun = believed(evidence, rows, measured, always, wear[0], pool, [()], most).found
     return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
@@ -238,7 +238,7 @@ def _searched(
             evidence.candidates += lines
             measured = noise.measure(evidence, new)
     pool = list(evidence.candidates)
-    always = known.allowed_for(pool, allowed)
+    always = (*evidence.given, *known.allowed_for(pool, allowed))
     pool = [c for c in pool if not known.is_allowed(c, allowed)]
     if compares:
         common, pool = known.compared(evidence, pool, ROLES.index("reference"))
