@@ -49,7 +49,8 @@ def test_time_left(monkeypatch):
     monkeypatch.setattr(screen.time, "monotonic", lambda: now[0])
 
     def line(share: float, after: float, note: str = "") -> str:
-        now[0], clock = 0.0, screen.Clock()
+        now[0] = 0.0
+        clock = screen.Clock()
         now[0] = after
         clock.report(share)
         return screen.progress_line("fit", clock, note)
