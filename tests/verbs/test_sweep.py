@@ -167,14 +167,15 @@ def test_as_slurm_runs_them(tmp_path):
 @pytest.mark.skipif(
     importlib.util.find_spec("hydra_plugins.hydra_optuna_sweeper") is None, reason="no hydra-optuna-sweeper"
 )
-def test_a_search_by_optuna(command):
+def test_a_search_by_optuna(tmp_path):
     """Optuna makes the validation error small: its best value is the least mean NMSE of all its jobs, a failed one
     counts as infinitely bad, and jobs that it asks for at once share a program."""
     argv = ("run", "-m", "model=ffnn", "model.epochs=2", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
-    said = command(*argv, "hydra/sweeper=optuna", "hydra.sweeper.n_trials=6", "hydra.sweeper.n_jobs=3")
-    folder = folder_of(said)
+    search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=6", "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found")
+    said = invdyn(*argv, *search, cwd=tmp_path)  # a process of its own: optuna warns on import
+    folder = tmp_path / "found"
     rows = rows_of(folder)
-    assert len(rows) == 6, said.err
+    assert len(rows) == 6, said.stderr
     scores = [
         json.loads((folder / row["folder"] / "metrics.json").read_text())["validation"]["nmse"]["mean"]
         for row in rows
