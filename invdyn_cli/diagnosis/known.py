@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.joint_torques import reversal_columns
 from invdyn_cli.effects.composition import (
     EffectInstance,
     changed,
@@ -20,10 +21,9 @@ from invdyn_cli.effects.composition import (
     joint_terms,
     link_torque,
     rigid_torque,
-    shares,
     sign_of,
 )
-from invdyn_cli.effects.friction import STICK_TIME, about_reversals
+from invdyn_cli.effects.friction import STICK_TIME
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import AbstractEffect, JointState
 from invdyn_cli.recording.pieces import Recording
@@ -139,17 +139,12 @@ def taken_out(
 def timed(evidence: Evidence, facts: Sequence[EffectInstance]) -> tuple[Candidate, ...]:
     """What corrects the times at which declared friction jumps, a candidate each: it was taken out as it is, and a
     joint turns back some milliseconds before or after the logged angle says so."""
-    made, parents = [], evidence.robot.parents
+    made = []
     for one in facts:
-        if not one.effect.jumps or one.joint is None or one.when is not None:
+        if not one.effect.jumps or one.when is not None:
             continue
-        terms = [np.asarray(sum(joint_terms([one], one.joint, states, parents))) for states in evidence.states]
-        parts = list(zip(*(about_reversals(x, evidence.recording.filter.rate) for x in terms), strict=True))
-        columns = {
-            j: ((), evidence.append(j, [share * filtered(evidence.recording, list(x), j) for x in parts]))
-            for j, share in shares(one, parents).items()
-            if j is not None
-        }
+        parts = reversal_columns(evidence, one)
+        columns = {j: ((), evidence.append(j, [part[j] for part in parts])) for j in parts[0]}
         made.append(Candidate(one.effect, one.joint, {}, columns, np.full(len(parts), 1 / STICK_TIME**2)))
     return tuple(made)
 

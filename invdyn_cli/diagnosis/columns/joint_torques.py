@@ -6,7 +6,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, known
-from invdyn_cli.effects.composition import has_driver
+from invdyn_cli.effects.composition import EffectInstance, has_driver, joint_terms, shares
 from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 from invdyn_cli.interfaces import AbstractTorqueEffect, Parameters
 
@@ -52,3 +52,19 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
     ) -> Candidate:
         shape = effect.shape_of(at)
         return self.candidate(evidence, effect, joint, shape) if shape else known(evidence, effect, joint)
+
+
+def reversal_columns(evidence: Evidence, one: EffectInstance) -> list[dict[int, np.ndarray]]:
+    """What an effect of a joint that jumps lacks where its jumps come late or spread (`about_reversals`): a column (R,)
+    for every joint that feels it, of each."""
+    assert one.joint is not None
+    parents, rate = evidence.robot.parents, evidence.recording.filter.rate
+    terms = [np.asarray(sum(joint_terms([one], one.joint, states, parents))) for states in evidence.states]
+    return [
+        {
+            j: share * filtered(evidence.recording, list(parts), j)
+            for j, share in shares(one, parents).items()
+            if j is not None
+        }
+        for parts in zip(*(about_reversals(x, rate) for x in terms), strict=True)
+    ]

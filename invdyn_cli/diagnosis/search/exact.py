@@ -12,6 +12,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import kind_of, passing_columns, passing_torque
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
+from invdyn_cli.diagnosis.columns.joint_torques import reversal_columns
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates, flat, inside, precision_of, with_parameters
 from invdyn_cli.diagnosis.search.edges import summed, within
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
@@ -26,7 +27,7 @@ from invdyn_cli.effects.composition import (
     link_torque,
     shares,
 )
-from invdyn_cli.effects.friction import STICK_TIME, about_reversals
+from invdyn_cli.effects.friction import STICK_TIME
 
 STEPS = 4
 """Newton steps at most: columns start within a few percent."""
@@ -363,13 +364,10 @@ def _timing(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.nd
     for a in acting:
         if not a.effect.jumps:
             continue
-        assert a.joint is not None
-        parents = evidence.robot.parents
-        terms = [np.asarray(sum(joint_terms([a], a.joint, states, parents))) for states in evidence.states]
-        for parts in zip(*(about_reversals(x, evidence.recording.filter.rate) for x in terms), strict=True):
+        for part in reversal_columns(evidence, a):
             column = np.zeros(evidence.tau.shape)
-            for j, share in shares(a, parents).items():
-                column[:, j] = share * filtered(evidence.recording, parts, j)
+            for j, own in part.items():
+                column[:, j] = own
             columns.append(column)
             precision.append(1 / STICK_TIME**2)
     return np.array(columns).reshape(len(columns), *evidence.tau.shape), np.array(precision)
