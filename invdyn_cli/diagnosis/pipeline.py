@@ -11,7 +11,7 @@ from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide import findings, unexplained, wording
-from invdyn_cli.diagnosis.decide.support import judged
+from invdyn_cli.diagnosis.decide.claim import judged
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
 from invdyn_cli.diagnosis.search.judge import Hypothesis

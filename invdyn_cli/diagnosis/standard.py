@@ -16,8 +16,8 @@ from invdyn_cli.diagnosis.columns.bodies import body_columns
 from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.links import with_links
+from invdyn_cli.diagnosis.decide.claim import judged
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
-from invdyn_cli.diagnosis.decide.support import judged
 from invdyn_cli.diagnosis.search.believed import volume
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis

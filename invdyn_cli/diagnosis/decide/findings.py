@@ -12,9 +12,10 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.decide import bodies, sums, support
+from invdyn_cli.diagnosis.decide import bodies, claim, sums
+from invdyn_cli.diagnosis.decide.claim import held_out, judged, left, refitted
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
-from invdyn_cli.diagnosis.decide.support import held_out, judged, left, refitted, supported
+from invdyn_cli.diagnosis.decide.support import supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import Refined, refine
@@ -168,7 +169,7 @@ def report(
 def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
     """Held-out error of every joint that gains by these candidates, without and with them, which leaves `after`."""
     evidence = inquiry.evidence
-    before = support.without(inquiry, hypothesis, without, after)
+    before = claim.without(inquiry, hypothesis, without, after)
     own = [hypothesis[k] for k in without]
     local = all(not c.effect.reaches_others for c in own)
     felt = {j for c in own for j in c.columns} if local else range(evidence.dofs)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.decide import support
+from invdyn_cli.diagnosis.decide import claim, support
 from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
@@ -21,8 +21,9 @@ def test_a_delay_that_was_never_refined_is_judged():
     late = next(c for c in evidence.candidates if c.effect.name == "torque_delay")
     assert late.key not in {a.key for a in inquiry.chosen.acting}
     hypothesis = (*inquiry.hypothesis, candidate(evidence, *late.key))
-    chosen, after = support.exactly(inquiry, hypothesis, inquiry.chosen), support.left(inquiry, hypothesis)
-    why = support._fails(inquiry, hypothesis, chosen, len(hypothesis) - 1, after)
-    assert why is not None and why[1] == ""
+    chosen, after = claim.exactly(inquiry, hypothesis, inquiry.chosen), claim.left(inquiry, hypothesis)
+    one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, chosen, after)
+    why = support.refusal(one)
+    assert why is not None and why.why(one) == ""
     kept, _, said = support.supported(replace(inquiry, hypothesis=hypothesis))
     assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)

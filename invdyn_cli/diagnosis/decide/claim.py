@@ -1,0 +1,181 @@
+"""What one candidate of a hypothesis explains, on rows that chose nothing, and what the rest leaves without it: the
+figures that decide whether it may be claimed."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out
+from invdyn_cli.diagnosis.search import naming
+from invdyn_cli.diagnosis.search.exact import Refined, refine
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
+from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
+from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.recording.pieces import ROLES
+
+FELT = 0.1
+"""Share of an effect's weighted squares that a joint must have to feel it."""
+
+RARE = 0.1
+"""Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A candidate of a hypothesis.
+
+    Attributes:
+        hypothesis: all candidates; this one is number `place`.
+        chosen: their exact parameters.
+        after: (R, n) what the hypothesis leaves.
+    """
+
+    inquiry: Inquiry
+    hypothesis: Hypothesis
+    place: int
+    chosen: Refined
+    after: np.ndarray
+
+    @property
+    def candidate(self) -> Candidate:
+        return self.hypothesis[self.place]
+
+    @cached_property
+    def before(self) -> np.ndarray:
+        """(R, n) what the hypothesis leaves without it."""
+        return without(self.inquiry, self.hypothesis, (self.place,), self.after)
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """(R,) bool on which it is judged."""
+        evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
+        return _judging(evidence, (((self.after - self.before) * evidence.valid) ** 2) @ weights)
+
+    @cached_property
+    def saved(self) -> np.ndarray:
+        """(n,) squares that it saves on its own joints."""
+        valid = self.inquiry.evidence.valid & self.rows[:, None]
+        return np.sum((self.before**2 - self.after**2) * valid, axis=0) * self._own
+
+    @property
+    def gain(self) -> float:
+        """The same in noise variances."""
+        return float(np.sum(self.inquiry.noise.weights * self.saved))
+
+    @cached_property
+    def gain_with_rest(self) -> float:
+        """Mean squares saved while joints rest, too."""
+        rows = self.rows
+        return float(np.mean(self.before[rows] ** 2 - self.after[rows] ** 2, axis=0) @ self._own)
+
+    @cached_property
+    def unknown(self) -> float:
+        """What stays unexplained on the joints that gain, in noise variances."""
+        valid = self.inquiry.evidence.valid & self.rows[:, None]
+        unknown, gains = naming.structure(self.inquiry.evidence, self.after, valid), np.abs(self.saved)
+        return float(np.sum(self.inquiry.noise.weights * unknown * valid.sum(0) * (gains > 1e-3 * gains.max())))
+
+    @cached_property
+    def acts_at_rest(self) -> bool:
+        """Whether it is there while joints rest: of one that is not they say nothing, but of what friction bears."""
+        evidence = self.inquiry.evidence
+        term = term_of(self.inquiry, self.hypothesis, self.place) ** 2 * self.inquiry.noise.weights
+        at_rest = ~evidence.valid
+        return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
+
+    @cached_property
+    def delay(self) -> float:
+        """Its own delay [s], infinite where it has none."""
+        late_by = self.candidate.effect.late_by
+        if not late_by:
+            return np.inf
+        acting = acting_of(self.inquiry.judge, self.inquiry.always, self.hypothesis)[self.place]
+        return float(acting.parameters[late_by])
+
+    @cached_property
+    def exact(self) -> tuple[bool, float]:
+        """Whether the logged torque is predicted better with the effect than without it, the others staying as they
+        are: on held-out rows, and on draws of blocks of all rows by more than the effect costs for having been chosen
+        on some of them; and by how much on the former, as a share of what is left on the joints that feel it. Columns
+        of a channel effect act on the measured torque, and calm its noise; the formula does not.
+        An effect that hardly comes up on the held-out rows is judged on all."""
+        evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
+        others = [a for a in self.chosen.acting if a.key != self.candidate.key]
+        after = self.chosen.residual * evidence.valid
+        change = (self.inquiry.model.without(self.chosen, others) - self.chosen.residual) * evidence.valid
+        rows = _judging(evidence, change**2 @ weights)
+        saved = ((2 * after + change) * change) @ weights
+        every = evidence.role != ROLES.index("reference")
+        per_block = np.bincount(evidence.block[every], saved[every])[np.unique(evidence.block[every])]
+        doubt = naming.chance(per_block, -self.inquiry.judge.price((self.candidate,)))
+        total = float(saved[rows].sum())
+        of_joint = np.sum(change[rows] ** 2, axis=0) * weights
+        felt = of_joint > FELT * of_joint.sum()
+        remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
+        return total > 0 and doubt < naming.DOUBT, total / max(remains, 1e-300)
+
+    @property
+    def _own(self) -> np.ndarray:
+        return np.array([j in self.candidate.columns for j in range(self.inquiry.evidence.dofs)])
+
+
+def judged(evidence: Evidence) -> np.ndarray:
+    """Rows (R,) bool that chose nothing; all but the reference's where there are none."""
+    test = evidence.role == ROLES.index("test")
+    return test if held_out(evidence) else evidence.role != ROLES.index("reference")
+
+
+def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
+    """Rows (R,) bool on which an effect is judged that makes `squares` (R,) of them: all where it hardly comes up on
+    those that chose nothing."""
+    rows = judged(evidence)
+    return rows if np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
+
+
+def held_out(evidence: Evidence) -> bool:
+    """Whether there are rows that chose nothing."""
+    return bool(np.any(evidence.role == ROLES.index("test")))
+
+
+def refitted(inquiry: Inquiry, acting: Sequence[EffectInstance], rows: np.ndarray) -> Refined:
+    return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.beside(acting))
+
+
+def exactly(inquiry: Inquiry, hypothesis: Hypothesis, before: Refined) -> Refined:
+    """The exact parameters of a hypothesis on the data that chose it, from where they were `before` if they were."""
+    known = {a.key: a for a in before.acting}
+    start = acting_of(inquiry.judge, inquiry.beside(hypothesis), hypothesis)
+    return refitted(inquiry, [known.get(a.key, a) for a in start], inquiry.judge.rows)
+
+
+def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:
+    """Residual (R, n) of a hypothesis fitted on the data that chose."""
+    every = (*inquiry.always, *hypothesis)
+    return inquiry.evidence.residual(every, inquiry.judge.verdict(every).theta)
+
+
+def without(inquiry: Inquiry, hypothesis: Hypothesis, places: Collection[int], after: np.ndarray) -> np.ndarray:
+    """Residual (R, n) of a hypothesis, which leaves `after`, without the candidates at these places: all else is fitted
+    anew. Where that is mostly links that would be off by more than is believed of them, all else stays as it is: the
+    data do not tell them from a load."""
+    others = tuple(c for k, c in enumerate(hypothesis) if k not in places)
+    fitted = left(inquiry, others)
+    strained = _strain(inquiry, others) - _strain(inquiry, hypothesis)
+    missed = (fitted**2 - after**2) * (inquiry.evidence.valid & judged(inquiry.evidence)[:, None])
+    if strained <= np.sum(missed @ inquiry.noise.weights):
+        return fitted
+    return after + np.sum([term_of(inquiry, hypothesis, k) for k in places], axis=0)
+
+
+def term_of(inquiry: Inquiry, hypothesis: Hypothesis, place: int) -> np.ndarray:
+    """(R, n) what one candidate of a hypothesis adds to the logged torque."""
+    evidence, every = inquiry.evidence, (*inquiry.always, *hypothesis)
+    own = [theta for _, theta in shared_out(every, inquiry.judge.verdict(every).theta)][len(inquiry.always) + place]
+    return evidence.residual((), own) - evidence.residual((hypothesis[place],), own)
+
+
+def _strain(inquiry: Inquiry, hypothesis: Hypothesis) -> float:
+    """`judge.strain` beside a hypothesis."""
+    return strain(inquiry.always, inquiry.judge.verdict((*inquiry.always, *hypothesis)).theta)
