@@ -233,14 +233,15 @@ def count(seed: int, name: str) -> Counted:
     seconds = time.perf_counter() - started
     found = claims(diagnosis)
     result, false = spoken(anomaly, found)
-    names = tuple(_said(f) for f in found if f.effect not in STANDARD)
+    names = tuple(said_of(f) for f in found if f.effect not in STANDARD)
     errors = tuple(term_errors(scene, worn, anomaly, diagnosis))
     hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
-    false = tuple(map(_said, false))
+    false = tuple(map(said_of, false))
     return Counted(seed, said, hidden, times, result, names, false, errors, diagnosis.verdict, seconds)
 
 
-def _said(finding: Finding) -> str:
+def said_of(finding: Finding) -> str:
+    """A finding as effect@joint, with its alternatives."""
     other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
     return f"{finding.effect}{other}@{finding.joint}"
 

@@ -1,5 +1,6 @@
 """From a measured log to what its simulation lacks: `diagnose(log, robot)`."""
 
-from invdyn_cli.diagnosis.pipeline import Options, diagnose
+from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.pipeline import diagnose
 
 __all__ = ["Options", "diagnose"]

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.cases import Scene, draw_effect, draw_scene, scene_of
 from invdyn_cli.diagnosis import diagnose, gains
-from invdyn_cli.diagnosis.pipeline import Options
+from invdyn_cli.diagnosis.case import Options
 from invdyn_cli.log import Log
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record

@@ -9,7 +9,7 @@ from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose
-from invdyn_cli.diagnosis.pipeline import Options
+from invdyn_cli.diagnosis.case import Options
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record

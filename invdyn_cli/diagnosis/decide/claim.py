@@ -95,12 +95,11 @@ class Claim:
         return float(acting.parameters[late_by])
 
     @cached_property
-    def exact(self) -> tuple[bool, float]:
-        """Whether the logged torque is predicted better with the effect than without it, the others staying as they
-        are: on held-out rows, and on draws of blocks of all rows by more than the effect costs for having been chosen
-        on some of them; and by how much on the former, as a share of what is left on the joints that feel it. Columns
-        of a channel effect act on the measured torque, and calm its noise; the formula does not.
-        An effect that hardly comes up on the held-out rows is judged on all."""
+    def exact(self) -> tuple[float, float]:
+        """The chance that the logged torque is predicted better with the effect than without it, the others staying as
+        they are, and by how much, as a share of what is left on the joints that feel it. Better on held-out rows, and
+        on draws of blocks of all rows by more than the effect costs for having been chosen on some of them.
+        Columns of a channel effect act on the measured torque, and calm its noise; the formula does not."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
         others = [a for a in self.chosen.acting if a.key != self.candidate.key]
         after = self.chosen.residual * evidence.valid
@@ -114,7 +113,7 @@ class Claim:
         of_joint = np.sum(change[rows] ** 2, axis=0) * weights
         felt = of_joint > FELT * of_joint.sum()
         remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
-        return total > 0 and doubt < naming.DOUBT, total / max(remains, 1e-300)
+        return (1 - doubt) * (total > 0), total / max(remains, 1e-300)
 
     @property
     def _own(self) -> np.ndarray:

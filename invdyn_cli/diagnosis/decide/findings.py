@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.decide import bodies, claim, sums
 from invdyn_cli.diagnosis.decide.claim import held_out, judged, left, refitted
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
-from invdyn_cli.diagnosis.decide.support import supported
+from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import Refined, refine
@@ -77,11 +77,12 @@ def report(
     side: str,
     position_side: str = "unknown",
     unsure: Hypothesis = (),
+    refusals: Sequence[Refusal] = REFUSALS,
 ) -> Made:
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
     evidence, judge = inquiry.evidence, inquiry.judge
-    hypothesis, chosen, dropped = supported(inquiry)
+    hypothesis, chosen, dropped = supported(inquiry, refusals)
     whole = inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))

@@ -1,8 +1,10 @@
 """What is refused a claim, in one ordered table: data that did not choose it must gain by it, its exact formula must
 hold there, and what stays unexplained on its joint must not outweigh it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
@@ -29,48 +31,54 @@ class Refusal:
     """A row of the table.
 
     Attributes:
-        name: for the ablation, which leaves out one at a time.
-        holds: whether a claim is refused by it.
-        why: the clause that a report has of it; none where held-out data are not predicted better: that what is not
-            there was tried is not worth a word.
+        name: as the calibration has it (experiments/calibrate.md).
+        figure: of a claim.
+        least: what the figure must be.
+        why: the clause that a report has of a claim below it; none where held-out data are not predicted better: that
+            what is not there was tried is not worth a word.
     """
 
     name: str
-    holds: Callable[[Claim], bool]
+    figure: Callable[[Claim], float]
+    least: float
     why: Callable[[Claim], str] = lambda _: ""
 
 
-def _outweighed(claim: Claim) -> bool:
+def _beside_unknown(claim: Claim) -> float:
+    """What a claim gains, as a multiple of what one of its coefficients picks up of an unknown cause."""
     needed = OUTWEIGHED + PICKED_UP * (claim.inquiry.judge.freedom(claim.candidate) - 1)
-    return claim.gain < needed * claim.unknown
+    return claim.gain / max(needed * claim.unknown, 1e-300)
 
 
 REFUSALS = (
-    Refusal("nothing is gained", lambda x: x.gain <= 0),
-    Refusal("nothing is gained at rest", lambda x: x.gain_with_rest <= 0 and x.acts_at_rest),
+    Refusal("gain on held-out rows", lambda x: x.gain, np.nextafter(0, 1)),
+    Refusal("gain while joints rest", lambda x: x.gain_with_rest if x.acts_at_rest else np.inf, np.nextafter(0, 1)),
     Refusal(
-        "the unknown is more",
-        _outweighed,
+        "gain over what stays unknown",
+        _beside_unknown,
+        1.0,
         lambda _: "most of what it would explain comes from an effect that is not in the catalogue",
     ),
     Refusal(
-        "a delay below one sample",
-        lambda x: x.delay < x.inquiry.evidence.recording.period,
+        "delay over the sampling period",
+        lambda x: x.delay / x.inquiry.evidence.recording.period,
+        1.0,
         lambda x: f"{1e3 * x.delay:.2g} ms is less than one sampling period and may come from the clock of the log",
     ),
-    Refusal("its exact formula gains nothing", lambda x: not x.exact[0]),
+    Refusal("chance that its exact formula gains", lambda x: x.exact[0], 1 - naming.DOUBT),
     Refusal(
-        "small beside the residual",
-        lambda x: x.exact[1] < MIN_SHARE_OF_RESIDUAL,
+        "gain over the residual",
+        lambda x: x.exact[1],
+        MIN_SHARE_OF_RESIDUAL,
         lambda _: (
             "it is small compared with the residual, and may be an artefact of encoder noise in the feedback loop"
         ),
     ),
 )
-"""What is refused, in this order."""
+"""What a claim must reach, in this order."""
 
 
-def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
+def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     """The candidates that gain on data that did not choose them, and explain more than what stays unknown, their
     parameters, refined anew whenever one is dropped; and sentences on others that held-out data speak for. What another
     effect might be as well has no sentence of its own: which of them was tried is chance."""
@@ -80,7 +88,7 @@ def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     while hypothesis:
         after = left(inquiry, hypothesis)
         claims = (Claim(inquiry, hypothesis, i, chosen, after) for i in range(len(hypothesis)))
-        refused = [(x, why) for x in claims if (why := refusal(x))]
+        refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
         if refused:
             worst, row = min(refused, key=lambda x: x[0].gain)
             place, why = worst.place, row.why(worst)
@@ -100,9 +108,9 @@ def supported(inquiry: Inquiry) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
     return hypothesis, chosen, tuple(said)
 
 
-def refusal(claim: Claim) -> Refusal | None:
+def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:
     """The first row that refuses a claim; None if it may be claimed."""
-    return next((row for row in REFUSALS if row.holds(claim)), None)
+    return next((row for row in refusals if row.figure(claim) < row.least), None)
 
 
 def _titled(inquiry: Inquiry, one: Candidate) -> str:

@@ -1,0 +1,127 @@
+"""What each refusal of a claim is worth, and how far its figure is from right and false claims (calibrate.md)."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from experiments.cases import SIZES
+from experiments.confusion import claims
+from experiments.worn import ANOMALIES, drawn, said_of, spoken
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
+from invdyn_cli.diagnosis import Options
+from invdyn_cli.diagnosis.case import Case, prepared
+from invdyn_cli.diagnosis.columns.evidence import Candidate
+from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
+from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
+from invdyn_cli.diagnosis.pipeline import decided, searched
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.simulation.hidden import Hidden
+
+WHOLE = "none"
+"""What is left out of the whole table."""
+
+
+@dataclass(frozen=True)
+class Worth:
+    """One log without one row of the table: how its anomaly was spoken of, what else was claimed, and the row's figure
+    of each candidate that the search found, as a multiple of the least: of the right one, and of others."""
+
+    seed: int
+    hidden: str
+    left_out: str
+    result: str
+    false: tuple[str, ...]
+    right: tuple[float, ...] = ()
+    others: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Calibrate(AbstractExperiment):
+    """Worn arms, each searched once and decided with each row of the table left out."""
+
+    row: ClassVar[type] = Worth
+
+    seed: int = 0
+    logs: int = 12
+    clean: int = 6
+    only: Sequence[str] = ANOMALIES
+
+    def plan(self, rows: Sequence[Worth]) -> Iterable[tuple]:
+        """A job per log: its seed and its anomaly."""
+        names = chosen("only", self.only, SIZES)
+        plan = [(1000 * self.seed + k, names[k % len(names)]) for k in range(self.logs)]
+        return plan + [(1000 * self.seed + 500 + k, "") for k in range(self.clean)]
+
+    def run(self, folder: Path, seed: int, name: str) -> Iterable[Worth]:
+        """Draw and search one log, and decide without each row."""
+        scene, log, _, anomaly, _, _ = drawn(seed, name)
+        case = prepared(log, scene.robot, None, None, Options(), EFFECTS)
+        if not isinstance(case, Case):
+            return
+        inquiry, columns = searched(case)
+        hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else WHOLE
+        told: dict[tuple, tuple[str, tuple[str, ...]]] = {}
+        for number, table in enumerate([REFUSALS, *(_without(k) for k in range(len(REFUSALS)))]):
+            kept = tuple(c.key for c in supported(inquiry, table)[0])
+            if kept not in told:
+                diagnosis = decided(case, inquiry, columns, Options(), refusals=table)
+                result, false = spoken(anomaly, claims(diagnosis))
+                told[kept] = result, tuple(map(said_of, false))
+            name = WHOLE if number == 0 else REFUSALS[number - 1].name
+            figures = _figures(inquiry, anomaly, number - 1) if number else ((), ())
+            yield Worth(seed, hidden, name, *told[kept], *figures)
+
+    def line(self, row: Worth) -> str:
+        """What was said without a row."""
+        return f"{row.seed} {row.hidden}, left out: {row.left_out}: {row.result}, false {row.false}"
+
+    def table(self, rows: Sequence[Worth]) -> str:
+        """A row for each of the table's, as Markdown."""
+        lines = [
+            "| left out | right | logs with a false claim | least | figures of right claims: smallest, median "
+            "| of others: median, largest |",
+            "|---|---:|---:|---:|---:|---:|",
+        ]
+        least = {WHOLE: ""} | {x.name: f"{x.least:.3g}" for x in REFUSALS}
+        for name in dict.fromkeys(x.left_out for x in rows):
+            own = [x for x in rows if x.left_out == name]
+            worn = [x for x in own if x.hidden != WHOLE]
+            right = sum(x.result in ("named", "ambiguous") for x in worn)
+            false = sum(bool(x.false) for x in own)
+            ends = [
+                _ends([v for x in own for v in x.right], (0, 50)),
+                _ends([v for x in own for v in x.others], (50, 100)),
+            ]
+            cells = [name, f"{right} of {len(worn)}", f"{false} of {len(own)}", least[name], *ends]
+            lines.append(f"| {' | '.join(cells)} |")
+        return "\n".join(lines)
+
+
+def _without(place: int) -> tuple:
+    return REFUSALS[:place] + REFUSALS[place + 1 :]
+
+
+def _figures(inquiry: Inquiry, anomaly: Hidden | None, place: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """A row's figure of every anomaly that the search found: of the right one, and of the others."""
+    hypothesis = inquiry.hypothesis
+    chosen, after = exactly(inquiry, hypothesis, inquiry.chosen), left(inquiry, hypothesis)
+    right, others = [], []
+    for k, c in enumerate(hypothesis):
+        if c.effect.group == "standard":
+            continue
+        value = float(REFUSALS[place].figure(Claim(inquiry, hypothesis, k, chosen, after)))
+        (right if _is_it(inquiry, c, anomaly) else others).append(value)
+    return tuple(right), tuple(others)
+
+
+def _is_it(inquiry: Inquiry, candidate: Candidate, anomaly: Hidden | None) -> bool:
+    joint = None if candidate.joint is None else inquiry.evidence.robot.joints[candidate.joint]
+    return anomaly is not None and candidate.effect.name == anomaly.effect and joint in (None, anomaly.joint)
+
+
+def _ends(values: Sequence[float], at: tuple[float, float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in np.percentile(values, at)) if values else "-"

@@ -1,0 +1,208 @@
+"""What a diagnosis works on: the corrected log in rows, what is known taken out, and the columns of every effect."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from invdyn_cli.diagnosis import doctor, gains, known
+from invdyn_cli.diagnosis.columns import hold
+from invdyn_cli.diagnosis.columns.candidates import gather
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.effects.actuator import TorqueGainError
+from invdyn_cli.effects.composition import EffectInstance, rigid_torque
+from invdyn_cli.errors import LogError, listed
+from invdyn_cli.interfaces import AbstractEffect, Progress, silent
+from invdyn_cli.log import Log, Window
+from invdyn_cli.recording.channels import in_newton_metres
+from invdyn_cli.recording.pieces import Preparation, Recording, prepare
+from invdyn_cli.types import Diagnosis, Examination, Motion, Robot
+
+AS_RECORDED = "correct=false: the log was diagnosed as recorded, nothing in it was corrected"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose.
+
+    Attributes:
+        known: causes that are known already: {"effect", "joint", parameters …}, taken as they are; without parameters,
+            "effect" or "effect@joint", allowed for and not reported.
+        most: effects that a diagnosis names at most; null: three for each joint.
+        conditioning: rates and filters.
+        replay: whether the simulated arm is played beside the log, before and after.
+        correct: False: the log is diagnosed as recorded; nothing in it is corrected, and what fails a check makes it
+            unusable.
+    """
+
+    known: Sequence[Any] = ()
+    most: int | None = None
+    conditioning: Preparation = field(default_factory=Preparation)
+    replay: bool = False
+    correct: bool = True
+
+
+@dataclass(frozen=True)
+class Case:
+    """One question to a log.
+
+    Attributes:
+        log: corrected, with a reference's trajectories beside its own where there is one.
+        robot: the nominal model.
+        examination: what the doctor said of the log.
+        recording: the log in rows, before what is known was taken out.
+        evidence: rows and columns without it.
+        effects: the causes to look for, by name.
+        facts: effects that are known, with their sizes.
+        allowed: (effect, joint) that may be there and are not reported.
+        most: effects that are named at most.
+        lead: [s] the delay that all joints share, which was taken out.
+        split: whether a user said which windows choose and which judge.
+        gained: drive gains that the log's masses tell, if it says none.
+        notes, corrected: sentences for the report, and for the model's provenance.
+    """
+
+    log: Log
+    robot: Robot
+    examination: Examination
+    recording: Recording
+    evidence: Evidence
+    effects: Mapping[str, AbstractEffect]
+    facts: Sequence[EffectInstance]
+    allowed: Sequence[tuple[str, int | None]]
+    most: int
+    lead: float
+    split: bool
+    gained: gains.Gains | None
+    notes: tuple[str, ...]
+    corrected: tuple[str, ...]
+
+    @property
+    def compares(self) -> bool:
+        """Whether only what has changed since a reference is looked for."""
+        return any("reference" in p.role for p in self.recording.pieces)
+
+
+def prepared(
+    log: Log,
+    robot: Robot,
+    windows: Mapping[str, Sequence[Window]] | None,
+    reference: Log | None,
+    options: Options,
+    effects: Mapping[str, AbstractEffect],
+    progress: Progress = silent,
+) -> Case | Diagnosis:
+    """The case of a log, or why it cannot be diagnosed. Arguments and errors as `pipeline.diagnose`'s."""
+    gained, log, reference = _gained(log, reference, robot, windows, options)
+    log, examination = doctor.correct(log, robot, change=options.correct)
+    if not examination.usable:
+        return _unusable(examination, () if options.correct else (AS_RECORDED,))
+    notes = doctor.done(examination)
+    corrected = (*log.history, *notes)
+    notes = notes if options.correct else (AS_RECORDED,)
+    notes = notes if gained is None else (gained.note(), *notes)
+    progress(0.1, "checked")
+    if reference is not None:
+        log, windows, more = _beside(log, reference, robot, windows, options)
+        notes += more
+    pool = {name: e for name, e in effects.items() if name not in log.compensated}
+    try:
+        recording = prepare(in_newton_metres(log), _typical_inertia(robot), windows, options.conditioning)
+    except LogError as error:
+        return _unusable(examination, (*notes, str(error)))
+    facts, allowed = known.read(options.known, effects, robot)
+    measured = recording
+    recording, changed = known.taken_out(recording, robot, facts, gravity="gravity" in log.compensated)
+    recording, lead = hold.remove_common_delay(changed, recording, log.torque_side)
+    progress(0.25, "columns")
+    evidence = gather(changed, recording, list(pool.values()), log.torque_side, log.position_side)
+    evidence.given = known.timed(evidence, facts)
+    return Case(
+        log=log,
+        robot=robot,
+        examination=examination,
+        recording=measured,
+        evidence=evidence,
+        effects=pool,
+        facts=facts,
+        allowed=allowed,
+        most=3 * robot.dofs if options.most is None else options.most,
+        lead=lead,
+        split=windows is not None,
+        gained=gained,
+        notes=(*notes, *recording.notes),
+        corrected=corrected,
+    )
+
+
+def _gained(
+    log: Log, reference: Log | None, robot: Robot, windows, options: Options
+) -> tuple[gains.Gains | None, Log, Log | None]:
+    """The log and its reference with drive gains that the log's masses tell, where it has currents and says none. A
+    wrong gain is not looked for then: all of them are fitted."""
+    if not gains.lacks(log):
+        return None, log, reference
+    corrected, _ = doctor.correct(log, robot, change=options.correct)
+    try:
+        found = gains.estimated(corrected, robot, _typical_inertia(robot), windows, options.conditioning)
+    except (LogError, ValueError):
+        return None, log, reference  # the doctor says why
+    if not found.known.any():
+        return None, log, reference
+    log = replace(log, drive_gain=found.value, compensated=(*log.compensated, TorqueGainError.name))
+    if reference is not None and gains.lacks(reference):
+        reference = replace(reference, drive_gain=found.value)
+    return found, log, reference
+
+
+def _typical_inertia(robot: Robot) -> np.ndarray:
+    """Inertia (n,) that each joint carries in a typical posture [kg m^2; kg]: its torque for unit acceleration."""
+    draw = np.random.default_rng(0)
+    low = np.where(np.isfinite(robot.lower), robot.lower, -1.0)
+    high = np.where(np.isfinite(robot.upper), robot.upper, 1.0)
+    q = draw.uniform(low[:, None], high[:, None], (robot.dofs, 32))
+    weightless = replace(robot, gravity=np.zeros(3))
+    inertia = np.zeros(robot.dofs)
+    for j in range(robot.dofs):
+        unit = np.zeros_like(q)
+        unit[j] = 1.0
+        inertia[j] = np.median(rigid_torque(weightless, Motion(q, 0 * q, unit))[j])
+    return inertia
+
+
+def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
+    """The log with the reference's trajectories beside its own, in a role of their own."""
+    reference, examination = doctor.correct(reference, robot, change=options.correct)
+    if not examination.usable:
+        failed = [c.seen for c in examination.checks if c.severity == "fail"]
+        raise LogError(f"the reference cannot be used: {listed(failed)}", advice="another data.reference")
+    reference, log = in_newton_metres(reference), in_newton_metres(log)
+    if windows is None:
+        share = options.conditioning.train_share
+        cuts = {x.name: x.t[0] + share * (x.t[-1] - x.t[0]) for x in log.trajectories}
+        windows = {
+            "train": [(name, -np.inf, cut) for name, cut in cuts.items()],
+            "test": [(name, cut, np.inf) for name, cut in cuts.items()],
+        }
+    renamed = tuple(replace(x, name=f"reference/{x.name}") for x in reference.trajectories)
+    windows = {**windows, "reference": [(x.name, -np.inf, np.inf) for x in renamed]}
+    return replace(log, trajectories=(*log.trajectories, *renamed)), windows, doctor.done(examination)
+
+
+def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:
+    failed = [c for c in examination.checks if c.severity == "fail"]
+    advice = [failed[0].advice, *["correct=true"] * examination.as_recorded] if failed else []
+    why = failed[0].seen if failed else (notes[-1] if notes else "no trajectory is left")
+    return Diagnosis(
+        verdict="log_unusable",
+        examination=examination,
+        findings=(),
+        baseline={},
+        extended={},
+        noise_floor=None,
+        unexplained={},
+        summary=f"This log cannot be diagnosed: {why.rstrip('.')}."
+        + (f" Try: {'; or '.join(advice)}." if advice else ""),
+        notes=tuple(notes),
+    )
