@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli import compiled
 from invdyn_cli.diagnosis import doctor, extension, gains, known, repeats, standard
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
@@ -79,6 +80,7 @@ def diagnose(
         UsageError: for options that make no sense.
         RobotError: if the robot has other joints than the log.
     """
+    compiled.drop_many()
     options = options or Options()
     gained, log, reference = _gained(log, reference, robot, windows, options)
     log, examination = doctor.correct(log, robot, change=options.correct)
