@@ -23,6 +23,14 @@ CHECKED = ("maths", "training", "experiment", "store", "adaptation")
 beartype_packages([f"invdyn_cli.{name}" for name in CHECKED], conf=BeartypeConf(is_pep484_tower=True))
 
 
+@pytest.fixture(autouse=True, scope="module")
+def few_compiled_programs():
+    """A worker runs thousands of tests, and compiles for most of them."""
+    from invdyn_cli import compiled
+
+    compiled.drop_many()
+
+
 @pytest.fixture(scope="session")
 def apollo4():
     """The paper's reduced arm: the upper four joints."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn_cli import compiled
 from invdyn_cli.diagnosis import extension, gains, repeats, standard
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.evidence import Evidence
@@ -54,6 +55,7 @@ def diagnose(
         UsageError: for options that make no sense.
         RobotError: if the robot has other joints than the log.
     """
+    compiled.drop_many()
     options = options or Options()
     case = prepared(log, robot, windows, reference, options, effects, progress)
     if isinstance(case, Diagnosis):

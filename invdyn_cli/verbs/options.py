@@ -9,7 +9,7 @@ import importlib.util
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,7 +98,6 @@ def first_sentence(text: str) -> str:
     return re.split(r"\.(?=\s+[A-Z0-9`])|\.$", " ".join(text.split()), maxsplit=1)[0]
 
 
-@cache
 def lines_of(target: str) -> dict[str, str]:
     """The line of each field of a class, or argument of a function, from its docstring, which is parsed, not run.
 
@@ -122,12 +121,17 @@ def find(target: str) -> ast.ClassDef | ast.FunctionDef | None:
     path = source_of(module)
     if path is None:
         return None
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in _parsed(path, path.stat().st_mtime_ns).body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
             return node
         if isinstance(node, ast.ImportFrom) and node.module and any((x.asname or x.name) == name for x in node.names):
             return find(f"{node.module}.{next(x.name for x in node.names if (x.asname or x.name) == name)}")
     return None
+
+
+@lru_cache(maxsize=64)
+def _parsed(path: Path, changed: int) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def source_of(module: str) -> Path | None:

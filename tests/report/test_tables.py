@@ -20,9 +20,9 @@ from tests.records import make_record
 SWEEP = [
     dict(zip(SWEEP_FIELDS, job, strict=True))
     for job in (
-        (0, "model=pest x=[1,2]", "ran", 0.1, 1 / 3, 12.5, ""),
-        (1, "model=dbm", "failed", None, None, None, 'no "x", y'),
-        (2, "model=ffnn", "kept", 1e-27, math.nan, 3.0, ""),
+        (0, "model=pest x=[1,2]", "ran", 0.1, 1 / 3, 12.5, "pest-12", ""),
+        (1, "model=dbm", "failed", None, None, None, "", 'no "x", y'),
+        (2, "model=ffnn", "kept", 1e-27, math.nan, 3.0, "ffnn", ""),
     )
 ]
 

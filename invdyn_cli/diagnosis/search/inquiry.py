@@ -153,6 +153,8 @@ def inquire(
         idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else proposed(inquiry, held)
+        if found and wear:
+            found = _asked_for(evidence, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
         if not found:
             break
     assert inquiry is not None
@@ -192,12 +194,25 @@ def _standing_out(
     rows = evidence.role == ROLES.index("train")
     measured = noise.measure_beside(evidence, rows)
     found = events.proposed(evidence, everywhere, [_beside_standard(evidence, measured, rows, wear)], measured)
-    if not found:
-        return {}
-    pool = [*evidence.candidates, *(c for own in found.values() for c in own)]
+    return _asked_for(evidence, found, {}, measured, allowed, most, wear, ()) if found else {}
+
+
+def _asked_for(
+    evidence: Evidence,
+    found: Windows,
+    held: Windows,
+    measured: noise.Noise,
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    wear: Hypothesis,
+    start: Hypothesis,
+) -> Windows:
+    """The windows among those found that the evidence asks for, beside what lasts and windows that are held."""
+    pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
     always = (*evidence.given, *known.allowed_for(pool, allowed), *_terms(pool, wear))
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
-    begun = believed(evidence, rows, measured, always, wear[0], pool, [()], most).found
+    rows = evidence.role == ROLES.index("train")
+    begun = believed(evidence, rows, measured, always, wear[0], pool, [start], most).found
     return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
 
 
