@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli import compiled
-from invdyn_cli.diagnosis import extension, gains, repeats, standard
+from invdyn_cli.diagnosis import extension, gains, repeats, standard, wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide import findings, unexplained, wording
@@ -68,19 +68,19 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     progress(0.5, "search")
     side = case.log.torque_side
 
-    def asked(evidence: Evidence, wear: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
-        return inquire(evidence, case.effects, case.allowed, case.most, case.compares, side, case.split, wear, start)
+    def asked(evidence: Evidence, links: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
+        return inquire(evidence, case.effects, case.allowed, case.most, case.compares, side, case.split, links, start)
 
     columns = standard.columns_of(case.evidence, side)
-    wear = None if case.compares else standard.plain_wear(columns)
-    if wear is not None:
-        return asked(*standard.beside_wear(columns, wear, standard.weights_of(case.evidence))), columns
+    fitted = None if case.compares else wear.plain(columns)
+    if fitted is not None:
+        return asked(*wear.beside(columns, fitted, wear.weights_of(case.evidence))), columns
     inquiry = asked(case.evidence)
-    wear = None if case.compares else standard.wear_of(columns, inquiry)
-    if wear is not None:
+    fitted = None if case.compares else wear.of(columns, inquiry)
+    if fitted is not None:
         progress(0.65, "search with link errors")
-        again = asked(*standard.beside_wear(columns, wear, inquiry.noise.weights, inquiry.chosen.acting))
-        inquiry = again if standard.is_worn(again, inquiry.hypothesis) else inquiry
+        again = asked(*wear.beside(columns, fitted, inquiry.noise.weights, inquiry.chosen.acting))
+        inquiry = again if wear.is_worn(again, inquiry.hypothesis) else inquiry
     return inquiry, columns
 
 
@@ -98,7 +98,7 @@ def decided(
     evidence, effects, robot = inquiry.evidence, case.effects, inquiry.evidence.robot
     side, position_side = case.log.torque_side, case.log.position_side
     progress(0.75, "names")
-    unsure = () if case.compares else standard.unsure_links(columns, inquiry)
+    unsure = () if case.compares else wear.unsure_links(columns, inquiry)
     made = findings.report(inquiry, effects, case.examination, side, position_side, unsure, refusals)
     more = standard.beside(columns, evidence, made)
     if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings

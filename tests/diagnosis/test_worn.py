@@ -8,8 +8,9 @@ import pytest
 from experiments.arms import random_arm
 from experiments.cases import scene_of
 from experiments.confusion import claims
-from experiments.worn import COUNTS, STANDARD, spoken, wear
-from invdyn_cli.diagnosis import diagnose, standard
+from experiments.worn import COUNTS, STANDARD, spoken
+from experiments.worn import wear as drawn_wear
+from invdyn_cli.diagnosis import diagnose, standard, wear
 from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import rigid_torque
@@ -33,7 +34,7 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
     evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
     columns = standard.columns_of(evidence, "unknown")
-    (worn,) = standard.worn_links(columns, inquiry.noise.weights, share)
+    (worn,) = wear.worn_links(columns, inquiry.noise.weights, share)
     scale = share * link_scales(evidence.robot).ravel()
     assert 0 < len(worn.precision) < len(scale)
     draw, left = np.random.default_rng(0), []
@@ -45,7 +46,7 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
         target = (weighed * torque).ravel()
         rest = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
         left.append(rest @ rest)
-    assert np.mean(left) < standard.FELT * (len(scale) - len(worn.precision))
+    assert np.mean(left) < wear.FELT * (len(scale) - len(worn.precision))
 
 
 @pytest.mark.parametrize("off", [0.0, 0.08])
@@ -63,8 +64,8 @@ def test_wear_is_asked_for_where_links_are_off(off):
 
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
-    wear = standard.wear_of(standard.columns_of(evidence, "unknown"), inquiry)
-    assert (wear is None) == (off == 0.0)
+    fitted = wear.of(standard.columns_of(evidence, "unknown"), inquiry)
+    assert (fitted is None) == (off == 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.benchmark)])
@@ -78,7 +79,7 @@ def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
     stiffness = float(0.15 * scene.torque[1] / scene.q[:, 1].std())
     spring = Hidden("joint_spring", robot.joints[1], {"stiffness": stiffness, "rest": float(scene.q[:, 1].mean())})
     noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
-    worn = wear(draw, scene)
+    worn = drawn_wear(draw, scene)
     log = record(robot, [scene.reference], [*worn, spring], noise=noise, duration=25.0, seed=seed)
     diagnosis = diagnose(log, robot)
     found = claims(diagnosis)
@@ -109,7 +110,7 @@ def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
     mass = float(robot.inertial[-1, 0] * draw.uniform(0.7, 1.5))
     body = Hidden("payload", None, {"mass": mass, "com": [float(x) for x in draw.uniform(-0.06, 0.06, 3)]})
     noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
-    log = record(robot, [scene.reference], [*wear(draw, scene), body], noise=noise, duration=25.0, seed=seed)
+    log = record(robot, [scene.reference], [*drawn_wear(draw, scene), body], noise=noise, duration=25.0, seed=seed)
     anomalies = [f for f in claims(diagnose(log, robot)) if f.effect not in STANDARD]
     assert [f.effect for f in anomalies] == ["payload"]
     assert set(anomalies[0].alternatives) <= {("link_inertia_error",)}
@@ -146,7 +147,7 @@ def test_an_anomaly_is_ranked_beside_the_standard_model(effect, sizes, tmp_path)
     scene = scene_of(robot, Multisine(), 25.0, 5)
     anomaly = Hidden(effect, robot.joints[1], sizes(scene))
     noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
-    hidden = [*wear(draw, scene), anomaly]
+    hidden = [*drawn_wear(draw, scene), anomaly]
     log = record(robot, [scene.reference], hidden, noise=noise, duration=25.0, seed=5)
     result, false = spoken(anomaly, claims(diagnose(log, robot)))
     assert result == "named"

@@ -1,0 +1,125 @@
+"""Worn arms: whether a log asks for links that are all a little off, as one candidate beside every hypothesis.
+
+A share of the links' own scales says by how much (`maths.standard`); what the log shows of it are the directions that
+make a torque beyond noise.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.candidates import trial_at
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.links import with_links
+from invdyn_cli.diagnosis.search.believed import volume
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
+from invdyn_cli.diagnosis.search.noise import MOVES, measure
+from invdyn_cli.diagnosis.standard import CLAIMED, LINK, Columns, least_of, std_of
+from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.maths.standard import Standard, link_scales
+from invdyn_cli.recording.pieces import ROLES
+
+WORN = 0.005
+"""Share of its scales below which a link is as its URDF has it: clocks and filters leave that much."""
+
+PLAINLY, SURE, HEARD = 0.75, 4.0, 0.5
+"""Share of the joints that have friction, so many standard deviations above zero, on an arm that is worn for sure; of
+those that move, and of whose torque less than that is left."""
+
+FELT = 0.1
+"""Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
+
+
+def worn_links(columns: Columns, weights: np.ndarray, share: float) -> Hypothesis:
+    """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
+    their parameters, in units of the share, that make FELT noise variances of torque at least, `weights` (n,) being
+    the inverse of a row's."""
+    evidence, n = columns.evidence, columns.evidence.dofs
+    scale = share * link_scales(evidence.robot).ravel()
+    rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]
+    normal = np.sum([w * x @ x.T for w, x in zip(weights, rows, strict=True)], axis=0)
+    values, vectors = np.linalg.eigh(normal)
+    moves = vectors[:, values > FELT].T * scale
+    where = {j: ((), evidence.append(j, list(moves @ columns.links[:, j]))) for j in range(n)}
+    return (Candidate(LINK, None, {}, where, np.ones(len(moves))),) if len(moves) else ()
+
+
+def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:
+    """Links that are off by as much as a log leaves open, where a load was found on links that seem right: what a load
+    takes up of their errors does not show; nothing where none was, or links are part of every hypothesis."""
+    acting = inquiry.chosen.acting
+    others = [a for a in acting if not a.effect.load or a.when is not None]
+    if inquiry.wear or len(others) == len(acting):
+        return ()
+    choosing = inquiry.evidence.role == ROLES.index("train")
+    share = columns.behind(others).widest(inquiry.model.residual(others), choosing)
+    return worn_links(columns, inquiry.noise.weights, share)
+
+
+def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
+    """Whether a hypothesis beside the standard model does better than another without. Links, all of them a little off
+    or some of them by themselves, are paid for as by the marginal likelihood, by the volume that the log leaves of what
+    was believed of them (MacKay 1992); other standard terms by their coefficients. Where several links would be wrong
+    by themselves, what clocks and filters leave (`judge.RELEVANT`) is no evidence that they are."""
+    judge, apart = inquiry.judge, inquiry.always[: len(inquiry.always) - len(inquiry.wear)]
+    judge.refresh()
+
+    def loss(always: Hypothesis, hypothesis: Hypothesis, standard: Hypothesis) -> float:
+        links = tuple(c for c in standard if c.effect is LINK)
+        terms = PRICE_OF_COEFFICIENT * sum(judge.freedom(c) for c in standard if c.effect is not LINK)
+        return judge.loss((*always, *hypothesis)) - judge.price(standard) + volume(judge, links) + terms
+
+    found = tuple(c for c in other if c.effect.group == "standard")
+    spared = judge.least[None] if sum(c.effect is LINK for c in found) > 1 else 0.0
+    return loss(inquiry.always, inquiry.hypothesis, inquiry.wear) < loss(apart, other, found) + spared
+
+
+def of(columns: Columns, inquiry: Inquiry) -> Standard | None:
+    """The standard model beside all that was found but errors of single links, if the log asks for it and for links
+    that are off by a share of their scales; else None."""
+    acting = [a for a in inquiry.chosen.acting if a.effect is not LINK]
+    choosing = inquiry.evidence.role == ROLES.index("train")
+    return _asked_for(columns.behind(acting).fit(inquiry.model.residual(acting), choosing, least_of(columns, acting)))
+
+
+def plain(columns: Columns) -> Standard | None:
+    """The standard model beside nothing else, if it is plain from it alone that the arm is worn: links are off, and
+    PLAINLY of the joints have a friction that can be claimed. No single cause makes that, so the arm is not
+    looked at as if it were as its URDF says."""
+    evidence, n = columns.evidence, columns.evidence.dofs
+    choosing = evidence.role == ROLES.index("train")
+    nominal = evidence.residual((), np.zeros(0))
+    fitted = _asked_for(columns.fit(nominal, choosing))
+    if fitted is None:
+        return None
+    of_friction = [t for t, term in enumerate(columns.terms) if term in ("coulomb", "viscous")]
+    value, std = (x[10 * n :].reshape(-1, n)[of_friction] for x in (fitted.theta, std_of(fitted)))
+    torque = value * np.sqrt(np.mean(columns.own[of_friction][:, :, choosing] ** 2, axis=2))
+    whole = np.sqrt(np.mean(evidence.tau[choosing] ** 2, axis=0))
+    moves = (evidence.valid & choosing[:, None]).sum(0) > MOVES * choosing.sum()
+    moves &= fitted.noise < HEARD * whole
+    worn = np.any((value > SURE * std) & (torque > CLAIMED * whole), axis=0)
+    return fitted if np.sum(worn & moves) >= max(2, np.ceil(PLAINLY * moves.sum())) else None
+
+
+def weights_of(evidence: Evidence) -> np.ndarray:
+    """(n,) 1 / (noise variance x autocorrelation time) of every row of the arm."""
+    return measure(evidence, evidence.role == ROLES.index("train")).weights
+
+
+def _asked_for(fitted: Standard) -> Standard | None:
+    return fitted if min(fitted.gain, fitted.of_inertial) > 0 and fitted.share > WORN else None
+
+
+def beside(
+    columns: Columns, wear: Standard, weights: np.ndarray, acting: Sequence[EffectInstance] = ()
+) -> tuple[Evidence, Hypothesis, Hypothesis]:
+    """The evidence with links as the standard model has them, `worn_links`, and the anomalies among what was found that
+    last, as trials there; `weights` (n,) are the inverse of a row's noise variance."""
+    evidence, found = columns.evidence, [a for a in acting if a.when is None]
+    changed = np.asarray(evidence.robot.inertial) + wear.theta[: len(columns.links)].reshape(-1, 10)
+    links = worn_links(columns, weights, wear.share)
+    worn = with_links(evidence, changed)
+    start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
+    return worn, links, tuple(start)
