@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import standard
+from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.columns.evidence import started
 from invdyn_cli.log import Log
 from invdyn_cli.recording.channels import in_newton_metres
@@ -100,7 +100,7 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
         # where nothing tells, the nominal torque is at most what the log allows of it; else currents stay as they are
         most = np.maximum(factor + error, 1e-9)
         value = np.where(known, value / np.where(known, factor, 1.0), np.maximum(value / most, 1.0))
-        relative = np.where(known, np.hypot(error / np.where(known, factor, 1.0), standard.WORN), 1.0)
+        relative = np.where(known, np.hypot(error / np.where(known, factor, 1.0), wear.WORN), 1.0)
     units = tuple("N/A" if slides else "N m/A" for slides in robot.prismatic)
     return Gains(robot.joints, units, value, value * relative)
 

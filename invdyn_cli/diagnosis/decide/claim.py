@@ -78,6 +78,13 @@ class Claim:
         return float(np.sum(self.inquiry.noise.weights * unknown * valid.sum(0) * (gains > 1e-3 * gains.max())))
 
     @cached_property
+    def evidence(self) -> float:
+        """Held-out loss of all else by itself, fitted anew, beyond that of the hypothesis, prices included."""
+        judge, always = self.inquiry.judge, self.inquiry.always
+        others = self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]
+        return judge.loss((*always, *others)) - judge.loss((*always, *self.hypothesis))
+
+    @cached_property
     def acts_at_rest(self) -> bool:
         """Whether it is there while joints rest: of one that is not they say nothing, but of what friction bears."""
         evidence = self.inquiry.evidence

@@ -26,6 +26,11 @@ MIN_SHARE_OF_RESIDUAL = 0.5
 rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
 
 
+EVIDENCE = 400.0
+"""Noise variances by which an anomaly of a worn arm must lower the held-out loss, all else fitted anew
+(experiments/calibrate.md)."""
+
+
 @dataclass(frozen=True)
 class Refusal:
     """A row of the table.
@@ -59,6 +64,7 @@ REFUSALS = (
         1.0,
         lambda _: "most of what it would explain comes from an effect that is not in the catalogue",
     ),
+    Refusal("evidence beside the standard model", lambda x: x.evidence if x.inquiry.wear else np.inf, EVIDENCE),
     Refusal(
         "delay over the sampling period",
         lambda x: x.delay / x.inquiry.evidence.recording.period,
