@@ -114,7 +114,7 @@ class Evidence:
         out = np.column_stack([table[:, 0] for table in self.tables])
         for c, own in shared_out(candidates, theta):
             for j, (fixed, free) in c.columns.items():
-                out[:, j] -= self.tables[j][:, list(fixed)].sum(1) + self.tables[j][:, list(free)] @ own
+                out[:, j] -= _of(self.tables[j], fixed).sum(1) + _of(self.tables[j], free) @ own
         return out
 
     def logged(self, acting: Sequence[EffectInstance], columns: np.ndarray) -> np.ndarray:
@@ -163,6 +163,13 @@ class Evidence:
             room[:, number] = x
         self.tables[row] = room[:, :last]
         return tuple(range(first, last))
+
+
+def _of(table: np.ndarray, columns: tuple[int, ...]) -> np.ndarray:
+    """Some columns of a table (R, C), without a copy where they stand side by side."""
+    first, count = (columns[0], len(columns)) if columns else (0, 0)
+    beside = columns == tuple(range(first, first + count))
+    return table[:, first : first + count] if beside else table[:, list(columns)]
 
 
 def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[tuple[Candidate, np.ndarray]]:

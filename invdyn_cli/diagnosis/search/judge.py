@@ -300,7 +300,10 @@ class HypothesisScorer:
         if not candidate.precision.any():
             return float(len(candidate.precision))
         if candidate not in self._freedom:
-            normal = self.equations((candidate,))[1]
+            normal = np.sum(
+                [self.weights[j] * self.grams.totals[j][np.ix_(x, x)] for j, (_, x) in candidate.columns.items()],
+                axis=0,
+            )
             prior = np.diag(candidate.precision)
             self._freedom[candidate] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
         return self._freedom[candidate]
