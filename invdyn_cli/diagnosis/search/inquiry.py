@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer, parameters_of, read_all
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.steps import search
+from invdyn_cli.diagnosis.search.windows import asked_for, at_first, left_by_standard, standing_out, terms_of
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect
@@ -28,9 +29,6 @@ ROUNDS = 3
 
 WORTH = 0.97
 """Of what was left before a round beyond ROUNDS, or before windows, what it must come below for another to follow."""
-
-CROWDED = 1
-"""Causes a joint, above which there seem to be many because what comes and goes is not among them."""
 
 PLAINLY = 0.5
 """Of the loss of a search that tries drives that two joints share at last, what one that tries them from the first step
@@ -134,9 +132,9 @@ def inquire(
     found: Windows = {}
     if everywhere:
         found = (
-            _standing_out(evidence, everywhere, allowed, most, wear)
+            standing_out(evidence, everywhere, allowed, most, wear)
             if wear
-            else _at_first(evidence, everywhere, nominal, most)
+            else at_first(evidence, everywhere, nominal, most)
         )
     if found and not wear:  # what a gear carries is known when what comes and goes is
         inquiry, held = looked(evidence, found, [], [()], 1)
@@ -154,7 +152,7 @@ def inquire(
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else proposed(inquiry, held)
         if found and wear:
-            found = _asked_for(evidence, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
+            found = asked_for(evidence, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
         if not found:
             break
     assert inquiry is not None
@@ -164,70 +162,6 @@ def inquire(
 def _left(inquiry: Inquiry, other: Inquiry) -> float:
     """Squares that an inquiry leaves of all data, in another's noise variances."""
     return float(np.sum((inquiry.whole.residual * inquiry.evidence.valid) ** 2 @ other.noise.weights))
-
-
-def _at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int) -> Windows:
-    """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
-    measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
-    judge = HypothesisScorer(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
-    judge.refresh()
-    lasting = [c for c in evidence.candidates if c.effect.invertible]  # a limit explains much of what comes and goes
-    found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
-    judge.refresh()
-    if found and _outdoes(judge, [c for own in found.values() for c in own], lasting):
-        return found
-    crowd = search(judge, lasting, most=most)
-    if len(crowd) <= CROWDED * evidence.dofs:
-        return {}
-    left = evidence.residual(crowd, judge.quick(crowd)[1])
-    return events.proposed(evidence, everywhere, [left, nominal], measured)
-
-
-def _standing_out(
-    evidence: Evidence,
-    everywhere: Sequence[events.Place],
-    allowed: Sequence[tuple[str, int | None]],
-    most: int,
-    wear: Hypothesis,
-) -> Windows:
-    """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts."""
-    rows = evidence.role == ROLES.index("train")
-    measured = noise.measure_beside(evidence, rows)
-    found = events.proposed(evidence, everywhere, [_beside_standard(evidence, measured, rows, wear)], measured)
-    return _asked_for(evidence, found, {}, measured, allowed, most, wear, ()) if found else {}
-
-
-def _asked_for(
-    evidence: Evidence,
-    found: Windows,
-    held: Windows,
-    measured: noise.Noise,
-    allowed: Sequence[tuple[str, int | None]],
-    most: int,
-    wear: Hypothesis,
-    start: Hypothesis,
-) -> Windows:
-    """The windows among those found that the evidence asks for, beside what lasts and windows that are held."""
-    pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
-    always = (*evidence.given, *known.allowed_for(pool, allowed), *_terms(pool, wear))
-    pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
-    rows = evidence.role == ROLES.index("train")
-    begun = believed(evidence, rows, measured, always, wear[0], pool, [start], most).found
-    return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
-
-
-def _outdoes(judge: HypothesisScorer, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:
-    """Whether something that comes and goes explains more by itself than one effect on every joint, or of the arm, that
-    lasts."""
-    nothing = judge.quick(())[0]
-    losses, own = judge.extended((), passing)
-    possible = [x for x, c, o in zip(losses, passing, own, strict=True) if not judge.impossible(c, o)]
-    best: dict[int | None, float] = {}
-    for loss, c in zip(judge.extended((), lasting)[0], lasting, strict=True):
-        place = c.joint if len(c.columns) == 1 else None
-        best[place] = max(best.get(place, 0.0), nothing - loss)
-    arm = best.pop(None, 0.0)
-    return nothing - min(possible, default=nothing) > max(arm, sum(best.values()))
 
 
 def _searched(
@@ -247,7 +181,7 @@ def _searched(
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
     if isinstance(ripple, TorqueRipple) and not any(c.effect is ripple for c in evidence.candidates):
-        residual = _beside_standard(evidence, measured, choosing, wear) if wear else measured.residual
+        residual = left_by_standard(evidence, measured, choosing, wear) if wear else measured.residual
         lines = noise.ripples(evidence, measured, residual, choosing, ripple)
         if lines:  # nor is a ripple
             evidence.candidates += lines
@@ -260,7 +194,7 @@ def _searched(
         always += common
     usual: Hypothesis = ()
     if wear:
-        usual = _terms(pool, wear)
+        usual = terms_of(pool, wear)
         pool = [c for c in pool if c.effect.group != "standard"]
         begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
         usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
@@ -319,19 +253,6 @@ def _searched(
         pool = [c for c in pool if c.key not in odd]
         hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
         hypothesis = simplified(hypothesis)
-
-
-def _terms(pool: Sequence[Candidate], wear: Hypothesis) -> Hypothesis:
-    """The standard terms of every joint, beside links."""
-    return tuple(c for c in pool if c.effect.group == "standard" and c.effect is not wear[0].effect)
-
-
-def _beside_standard(evidence: Evidence, measured: noise.Noise, rows: np.ndarray, wear: Hypothesis) -> np.ndarray:
-    """(R, n) what the standard model leaves; a model of all columns would take up a ripple with those of others."""
-    model = (*_terms(evidence.candidates, wear), *wear)
-    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, model, True)
-    judge.refresh()
-    return evidence.residual(model, judge.quick(model)[1])
 
 
 def _begun(
