@@ -1,5 +1,6 @@
 """`invdyn VERB --help`: usage, groups with their choices, and a line for every option, 80 columns wide."""
 
+import os
 import shutil
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
@@ -44,7 +45,9 @@ def look_up(
     try:
         if len(argv) > 1:
             raise UsageError(f"{verb} {' '.join(argv)}; allowed: the name of one {what}")
-        print("\n".join(one(argv[0]) if argv else every()))
+        print("\n".join(one(argv[0]) if argv else every()), flush=True)
+    except BrokenPipeError:  # head has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python flushes stdout once more at its end
     except Exception as error:
         line = str(error) if isinstance(error, InvdynError) else told("run", error, ())
         if not line:

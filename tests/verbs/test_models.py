@@ -1,5 +1,7 @@
 """invdyn models: models and adaptations with a line each, and one of them in full."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 from invdyn_cli.verbs import options
@@ -36,3 +38,13 @@ def test_nothing_heavy(tmp_path):
     """Neither the list nor a model in full loads JAX."""
     code = "import sys; from invdyn_cli.cli import main; main(['models', 'ffnn']); print('jax' in sys.modules)"
     assert python("-c", code, cwd=tmp_path).stdout.splitlines()[-1] == "False"
+
+
+def test_head_may_read_less(tmp_path):
+    """The reader of the list goes away before it is printed: no message, exit code 0."""
+    command = [sys.executable, "-c", "from invdyn_cli.cli import entry; entry()", "models"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    process.stdout = None
+    assert process.communicate()[1] == b"" and process.returncode == 0
