@@ -58,8 +58,9 @@ class Calibrate(AbstractExperiment):
 
     def run(self, folder: Path, seed: int, name: str) -> Iterable[Worth]:
         """Draw and search one log, and decide without each row."""
-        scene, log, _, anomaly, _, _ = drawn(seed, name)
-        case = prepared(log, scene.robot, None, None, Options(), EFFECTS)
+        one = drawn(seed, name)
+        anomaly = one.anomaly
+        case = prepared(one.log, one.scene.robot, None, None, Options(), EFFECTS)
         if not isinstance(case, Case):
             return
         inquiry, columns = searched(case)

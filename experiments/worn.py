@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -16,6 +16,7 @@ from experiments.confusion import claims, matches
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
+from invdyn_cli.log import Log
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.gear import RESOLVED
@@ -77,7 +78,7 @@ class RandomWalk(AbstractReference):
 class Counted:
     """One log: what was hidden beside the wear and how many times the noise it makes on the joint that feels it most,
     how it was spoken of, anomalies that were claimed beside it, and the relative error of each standard term that
-    counts."""
+    counts: on joints whose torque is more than the sensor's noise, and on the others (`faint`)."""
 
     seed: int
     said: str
@@ -87,6 +88,7 @@ class Counted:
     named: tuple[str, ...]
     false: tuple[str, ...]
     errors: tuple[float, ...]
+    faint: tuple[float, ...]
     verdict: str
     seconds: float
 
@@ -147,9 +149,21 @@ def _damping(draw: np.random.Generator, one: Hidden, scene: Scene, j: int) -> fl
     return float(2 * ratio * np.sqrt(one.parameters["stiffness"] * one.parameters["rotor"]))
 
 
-def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None, str, float]:
-    """A log that a controller survived, with its scene, its wear, its anomaly, what is to be said of its plant, and how
-    many times the noise of a joint's torque the anomaly makes there at most."""
+class Drawn(NamedTuple):
+    """A log that a controller survived, with its scene, its wear, its anomaly, what is to be said of its plant, how
+    many times the noise of a joint's torque the anomaly makes there at most, and the torque sensors' noise (n,)."""
+
+    scene: Scene
+    log: Log
+    worn: list[Hidden]
+    anomaly: Hidden | None
+    said: str
+    times: float
+    noise: np.ndarray
+
+
+def drawn(seed: int, name: str) -> Drawn:
+    """The log of a seed with an anomaly, or none for ""."""
     for attempt in range(20):
         draw = np.random.default_rng([seed, attempt, zlib.crc32(name.encode()), 9])
         scene = draw_scene(draw)
@@ -184,27 +198,32 @@ def drawn(seed: int, name: str) -> tuple[Scene, Any, list[Hidden], Hidden | None
             both, without = excess(scene.robot, log, [anomaly], worn), excess(scene.robot, twin[0], [], worn)
             alone = np.sqrt(np.maximum(both**2 - without**2, 0.0))
             times = float(np.max(alone / np.maximum(hiss, without)))
-        return scene, log, worn, anomaly, said, times
+        return Drawn(scene, log, worn, anomaly, said, times, hiss)
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
 
 
-def term_errors(scene: Scene, worn: Sequence[Hidden], anomaly: Hidden | None, diagnosis: Diagnosis) -> list[float]:
-    """Relative errors of the friction terms of the written model that count, but where bristles stand beside them."""
+def term_errors(one: Drawn, diagnosis: Diagnosis) -> tuple[list[float], list[float]]:
+    """Relative errors of the friction terms of the written model that count, but where bristles stand beside them: on
+    joints whose torque is more than their sensor's noise, and on the others."""
     terms = {"coulomb_friction": ("coulomb", "coulomb"), "viscous_friction": ("viscous", "damping")}
-    errors = []
-    for one in worn:
-        if one.effect not in terms or (anomaly and anomaly.joint == one.joint and "hysteresis" in anomaly.effect):
+    scene = one.scene
+    loud: list[float] = []
+    faint: list[float] = []
+    for friction in one.worn:
+        beside = one.anomaly if one.anomaly and one.anomaly.joint == friction.joint else None
+        if friction.effect not in terms or (beside and "hysteresis" in beside.effect):
             continue
-        j = scene.robot.joints.index(str(one.joint))
-        term, name = terms[one.effect]
-        true = one.parameters[name]
-        if anomaly and anomaly.joint == one.joint and anomaly.effect == "stribeck_friction" and term == "coulomb":
-            true += anomaly.parameters["coulomb"]
+        j = scene.robot.joints.index(str(friction.joint))
+        term, name = terms[friction.effect]
+        true = friction.parameters[name]
+        if beside and beside.effect == "stribeck_friction" and term == "coulomb":
+            true += beside.parameters["coulomb"]
         if true * (scene.speed[j] if term == "viscous" else 1.0) < COUNTS * scene.torque[j]:
             continue
         got = [a.parameters for a in diagnosis.model.acting if a.joint == j] if diagnosis.model else []
+        errors = loud if scene.torque[j] > one.noise[j] else faint
         errors.append(abs(sum(p.get(name, 0.0) for p in got) - true) / true)
-    return errors
+    return loud, faint
 
 
 def spoken(anomaly: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
@@ -227,17 +246,18 @@ def _usual(finding: Finding) -> bool:
 
 def count(seed: int, name: str) -> Counted:
     """What a diagnosis says of one log."""
-    scene, log, worn, anomaly, said, times = drawn(seed, name)
+    one = drawn(seed, name)
+    anomaly = one.anomaly
     started = time.perf_counter()
-    diagnosis = diagnose(log, scene.robot)
+    diagnosis = diagnose(one.log, one.scene.robot)
     seconds = time.perf_counter() - started
     found = claims(diagnosis)
     result, false = spoken(anomaly, found)
     names = tuple(said_of(f) for f in found if f.effect not in STANDARD)
-    errors = tuple(term_errors(scene, worn, anomaly, diagnosis))
+    loud, faint = map(tuple, term_errors(one, diagnosis))
     hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
     false = tuple(map(said_of, false))
-    return Counted(seed, said, hidden, times, result, names, false, errors, diagnosis.verdict, seconds)
+    return Counted(seed, one.said, hidden, one.times, result, names, false, loud, faint, diagnosis.verdict, seconds)
 
 
 def said_of(finding: Finding) -> str:
@@ -281,7 +301,7 @@ class Worn(AbstractExperiment):
             own = [c for c in rows if c.hidden.split("@")[0] == name]
             cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
             lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
-        errors = np.array([e for c in rows for e in c.errors])
+        errors, faint = np.array([e for c in rows for e in c.errors]), np.array([e for c in rows for e in c.faint])
         worn = [c for c in rows if c.hidden != "none"]
         loud = [c for c in worn if c.times > LOUD]
         right, plain = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud))
@@ -294,7 +314,8 @@ class Worn(AbstractExperiment):
                 f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise; "
                 f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",
                 f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
-                f"{100 * np.median(errors) if len(errors) else 0:.2g} %.",
+                f"{100 * np.median(errors) if len(errors) else 0:.2g} %; on joints whose torque is less than the "
+                f"sensor's noise {np.sum(faint < RIGHT)} of {len(faint)}.",
                 f"Seconds a log: median {seconds[len(seconds) // 2]:.0f}, longest {seconds[-1]:.0f}.",
             ]
         )
