@@ -15,9 +15,9 @@ the RMS of what is left elsewhere the torque beyond must be: a limit set into no
 how many times the RMS of all that is left, to be a limit whatever the nominal model says."""
 
 
-SEEN = 5.0
-"""Standard deviations of the logged angle's noise, rounding included, below which a travel is not seen: reversals come
-then where the encoder's step is."""
+SEEN = 10.0
+"""Standard deviations of the logged angle's noise below which a travel is not seen: three steps of an encoder, whose
+rounding is noise of 0.29 of a step. Reversals come where its steps are."""
 
 
 def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
