@@ -262,6 +262,8 @@ class AbstractBodyEffect(AbstractEffect):
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
     ) -> dict[str, Any]:
+        if trial:  # what was tried is there already, beside its correction
+            coefficients = np.add(coefficients, self.coefficients(trial, robot, joint))
         return self.read(coefficients, robot, joint)
 
     def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:

@@ -66,9 +66,9 @@ class Claim:
 
     @cached_property
     def gain_with_rest(self) -> float:
-        """Mean squares saved while joints rest, too."""
-        rows = self.rows
-        return float(np.mean(self.before[rows] ** 2 - self.after[rows] ** 2, axis=0) @ self._own)
+        """Squares saved in a mean row, rows at rest too, in noise variances."""
+        saved = np.mean(self.before[self.rows] ** 2 - self.after[self.rows] ** 2, axis=0)
+        return float(self.inquiry.noise.weights * saved @ self._own)
 
     @cached_property
     def unknown(self) -> float:

@@ -6,7 +6,7 @@ anomaly was missing is too large. So each anomaly is tried with every share, and
 anew beside each hypothesis: what it leaves on a joint, with its autocorrelation, is what another cause must outdo.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -22,8 +22,9 @@ SMALLER = (1.0, 0.3, 0.1, 0.03)
 """Of the share by which links are off beside no anomaly, what is tried beside one."""
 
 
-SHORTLIST = 6
-"""Trials whose evidence is computed; the others gain less while the noise stays as it is."""
+SHORTLIST = 3
+"""Trials whose evidence is computed, of those that gain most at the noise that a hypothesis leaves, and of those that
+do at the least noise: what an anomaly leaves on its joint while it is missing makes that joint count for nothing."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def believed(
         own = told(noise, links, found).noise
         for _ in range(2 * most):
             bases = [told(own, x, found) for x in shares]
-            more = [(x, one) for x in bases for one in _more(evidence, rows, x, always, pool, most)]
+            more = [(x, one) for x in bases for one in _more(evidence, rows, noise, x, always, pool, most)]
             fewer = [(x, found[:i] + found[i + 1 :]) for x in bases for i in range(len(found))]
             chosen = best([best(bases), *(told(x.noise, x.links, one) for x, one in more + fewer)])
             if chosen.found is found:
@@ -98,24 +99,37 @@ def believed(
 
 
 def _more(
-    evidence: Evidence, rows: np.ndarray, base: Belief, always: Hypothesis, pool: Sequence[Candidate], most: int
-) -> Iterator[Hypothesis]:
-    """What was found with one of a few trials beside it, those that gain most at its noise and are physics."""
+    evidence: Evidence,
+    rows: np.ndarray,
+    noise: Noise,
+    base: Belief,
+    always: Hypothesis,
+    pool: Sequence[Candidate],
+    most: int,
+) -> list[Hypothesis]:
+    """What was found with one of a few trials beside it, which are physics: those that gain most at the noise that it
+    leaves, and at the least `noise`."""
     if len(base.found) >= most:
-        return
-    scorer = HypothesisScorer(evidence, rows, base.noise.weights, base.noise.deviation, (*always, base.links), True)
-    every, free = (*scorer.always, *base.found), free_beside(base.found, pool)
+        return []
+    free, chosen = free_beside(base.found, pool), dict[tuple, Candidate]()
+    for own in (base.noise, noise):
+        scorer = HypothesisScorer(evidence, rows, own.weights, own.deviation, (*always, base.links), True)
+        chosen |= {c.key: c for c in _best(scorer, (*scorer.always, *base.found), free)}
+    return [(*base.found, c) for c in chosen.values()]
+
+
+def _best(scorer: HypothesisScorer, every: Hypothesis, free: Sequence[Candidate]) -> list[Candidate]:
+    """The trials beside a hypothesis that gain most and are physics, the best of each effect and joint."""
     losses, own = scorer.extended(every, free)
-    gained = losses - [scorer.price((c,)) for c in free]
-    seen: set[tuple] = set()
-    for i in np.argsort(gained):
+    seen: dict[tuple, Candidate] = {}
+    for i in np.argsort(losses - [scorer.price((c,)) for c in free]):
+        if len(seen) == SHORTLIST:
+            break
         one = (*every, free[i])
         if free[i].key in seen or scorer.impossible(free[i], own[i]) or scorer.refused(one, scorer.quick(one)[1]):
             continue
-        seen.add(free[i].key)
-        yield (*base.found, free[i])
-        if len(seen) == SHORTLIST:
-            return
+        seen[free[i].key] = free[i]
+    return list(seen.values())
 
 
 def volume(scorer: HypothesisScorer, hypothesis: Hypothesis) -> float:
