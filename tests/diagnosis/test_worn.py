@@ -8,7 +8,7 @@ import pytest
 from experiments.arms import random_arm
 from experiments.cases import scene_of
 from experiments.confusion import claims
-from experiments.worn import COUNTS, STANDARD, spoken
+from experiments.worn import COUNTS, STANDARD, drawn, spoken
 from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis import diagnose, standard, wear
 from invdyn_cli.diagnosis.search.inquiry import inquire
@@ -152,3 +152,19 @@ def test_an_anomaly_is_ranked_beside_the_standard_model(effect, sizes, tmp_path)
     result, false = spoken(anomaly, claims(diagnose(log, robot)))
     assert result == "named"
     assert not false or effect == "presliding_hysteresis"
+
+
+@pytest.mark.benchmark
+@pytest.mark.parametrize(
+    ("seed", "effect"),
+    [
+        pytest.param(51006, "payload", id="links that take it over when it is read as its correction alone"),
+        pytest.param(72005, "encoder_offset", id="a quiet joint beside a loud one that rests"),
+        pytest.param(72011, "torque_gain_change", id="noise in which its joint counts for nothing while it is missing"),
+    ],
+)
+def test_an_anomaly_that_was_missed_once(seed, effect):
+    """Random worn arms of the benchmark on which the anomaly was missed for a reason that has been corrected."""
+    one = drawn(seed, effect)
+    result, false = spoken(one.anomaly, claims(diagnose(one.log, one.scene.robot)))
+    assert result in ("named", "ambiguous") and not false
