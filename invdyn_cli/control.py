@@ -33,7 +33,7 @@ KIND_WORDS = {ALONE: "feedback alone", LEARNED: "not adapted", ADAPTED: "adapted
 """What tables and figures call them."""
 
 LOOK_EVERY = 50
-"""Ticks between two looks at whether the arm is still under control."""
+"""Ticks between two checks of whether the arm is still under control."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +111,13 @@ class Case:
 
     @property
     def share(self) -> float:
-        """Feedback's torque over the whole one, RMS each, mean over joints."""
+        """Feedback torque over total torque, RMS each, mean over joints."""
         return float(np.mean(self.feedback / self.torque))
 
 
 @dataclass(frozen=True)
 class ControlRecord:
-    """All runs of a sweep, and what they were made with; spread (n,) [N m] of the torques in what was learned from."""
+    """All runs of a sweep and their settings; spread (n,) [N m] is the standard deviation of the training torques."""
 
     joints: tuple[str, ...]
     spread: np.ndarray
@@ -204,7 +204,7 @@ def run(
 
 
 class Table:
-    """A feedforward that was known before: tau (T, n)."""
+    """A feedforward that was computed in advance: tau (T, n)."""
 
     def __init__(self, tau: np.ndarray) -> None:
         self._tau = tau
@@ -215,7 +215,7 @@ class Table:
 
 
 class Learner:
-    """A feedforward that learns from angles and torques until now; mutable, alive for one run.
+    """A feedforward that learns from the angles and torques so far. It is mutable and used for one run.
 
     Args:
         ticking: the model and its adapter, tick by tick.
@@ -269,7 +269,7 @@ def _measured(
     sweep: Sweep,
     what: tuple[bool, str, int],
 ) -> Case:
-    """The task in closed loop, from where the arm is held on."""
+    """The task in closed loop, from the posture in which the arm is held."""
     stiffness = gain * spread
     damping, follow = stiffness * sweep.damping_time, 1 - np.exp(-2 * np.pi * sweep.velocity_cutoff / RATE)
     goal, goal_qd = np.asarray(desired.q), np.asarray(desired.qd)

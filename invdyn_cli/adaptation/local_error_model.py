@@ -1,4 +1,4 @@
-"""adaptation=local_error_model: a model, what it leaves on the way just gone, and an offset that follows the error.
+"""adaptation=local_error_model: a model, a local regression of its recent error, and an offset that follows the error.
 
 Meier, Kappler, Ratliff and Schaal 2016, "Towards robust online inverse dynamics learning" (IROS): an offset that steps
 down the gradient of the squared error takes up any change at once, and a local regression of the error takes the load
@@ -67,7 +67,8 @@ class LocalErrorModel(AbstractAdapter):
         return replace(fit, details={**fit.details, **known})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """Parameters, robot, standardisation, an empty window, its coefficients, the offset, samples that came."""
+        """Parameters, robot, standardisation, an empty window, its coefficients, the offset, the number of samples so
+        far."""
         n = len(fit.joints)
         scale = jnp.asarray(fit.details["local_scale"]) * self.width * jnp.sqrt(3 * n)
         return {
@@ -88,7 +89,7 @@ class LocalErrorModel(AbstractAdapter):
         return model.apply(state["params"], motion, state["robot"]) + local + state["offset"]
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The offset steps; every `interval`-th sample enters the window."""
+        """Update the offset; every `interval`-th sample also enters the window."""
         x = self._input(state, motion)
         error = tau - model.apply(state["params"], motion, state["robot"])
         local = _kernel(x[None], state["inputs"])[0] @ state["coefficients"]
@@ -105,7 +106,7 @@ class LocalErrorModel(AbstractAdapter):
         return (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - state["mean"]) / state["scale"]
 
     def _entered(self, state: PyTree, x: Array, error: Array) -> PyTree:
-        """The window with a sample in the place of the oldest, and its coefficients."""
+        """The window in which a sample replaces the oldest one, and its coefficients."""
         number = state["samples"] // self.interval
         inputs = state["inputs"].at[number % self.window].set(x)
         errors = state["errors"].at[number % self.window].set(error)

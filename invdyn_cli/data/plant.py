@@ -1,4 +1,5 @@
-"""data=plant: recordings of a simulated arm that plays the real one, with effects hidden in it, treated as a real log.
+"""data=plant: recordings of a simulated arm that replaces the real one, with hidden effects; they are treated as a real
+log.
 
 The arm is MuJoCo's (`invdyn_cli.simulation`); from its log on everything is as with measured data.
 """
@@ -130,7 +131,7 @@ class Plant(AbstractSource):
         ]
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
-        """The log, played anew; UsageError as `record`."""
+        """The log, simulated anew; UsageError as `record`."""
         assert robot is not None
         log = self.record(robot, progress)
         blocks = asked({name: getattr(self, name) for name in SETS}, [x.name for x in log.trajectories])

@@ -37,7 +37,7 @@ DIGITS = 15
 """Decimal digits that a float64 holds."""
 
 MOST_SAMPLES = 1_000_000
-"""Samples of a task: eight tasks of them, half an hour each at 500 Hz, are 2 GB for seven joints."""
+"""Largest number of samples of a task: eight tasks of half an hour at 500 Hz take 2 GB for seven joints."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ _torques = jax.jit(rigid_body.inverse_dynamics)
 
 
 def _parted(x: Trajectory, share: float) -> tuple[Trajectory, Trajectory, Trajectory]:
-    """What comes before, in and after the middle block of this share."""
+    """The parts before, in and after the middle block, which has this share of the data."""
     start, end = round(len(x.t) * (1 - share) / 2), round(len(x.t) * (1 + share) / 2)
     rows = slice(None, start), slice(start, end), slice(end, None)
     before, middle, after = (Trajectory(x.name, x.t[r], x.motion[r], x.tau[r]) for r in rows)

@@ -166,7 +166,7 @@ def _unreadable(error: LogError) -> Check:
         "not_finite",
         "fail",
         seen=error.got,
-        meaning="what remains cannot be computed with",
+        meaning="what remains cannot be used",
         advice=error.advice,
         source="arithmetic",
     )

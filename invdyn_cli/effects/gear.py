@@ -1,4 +1,4 @@
-"""Gear: what lets the link move against the motor, gear play and elasticity.
+"""Gear: play and elasticity, which let the link move relative to the motor.
 
 The motor's angle is logged; the link follows it with a deflection, and the motor feels the inverse dynamics of the
 link's motion. Load is the torque that would keep the link on the motor's motion.
@@ -15,7 +15,7 @@ from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 STRETCH = 128
-"""Samples of a spring's course that are followed side by side with others."""
+"""Samples of a part of a spring's motion; all parts are computed in parallel."""
 
 USUAL_GAP, USUAL_RESONANCE = 0.003, 12.0
 """[rad; m] of play of an ordinary gear, 10 minutes of arc; and [Hz] of a link on its joint's spring, motor held."""
@@ -27,8 +27,8 @@ then takes that much of the link's speed against it."""
 
 @dataclass(frozen=True)
 class Backlash(AbstractGearEffect):
-    """Play of the gear: where the transmitted torque changes its sign the link falls free until the other flank of the
-    teeth takes it up.
+    """Play of the gear: where the transmitted torque changes its sign, the link moves freely until it reaches the other
+    flank of the teeth.
 
     Attributes:
         gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
@@ -63,7 +63,7 @@ class Backlash(AbstractGearEffect):
 
 @dataclass(frozen=True)
 class JointElasticity(AbstractGearEffect):
-    """A gear that yields: a spring between motor and link.
+    """A compliant gear: a spring between motor and link.
 
     Attributes:
         resonances: of the link on its spring, motor held, to try [Hz]; the found stiffness is refined between them.

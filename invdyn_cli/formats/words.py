@@ -1,4 +1,4 @@
-"""What the name of a column says: which quantity, of which joint, in which unit, measured or commanded."""
+"""What the name of a column says: quantity, joint, unit, and whether it is measured or commanded."""
 
 import re
 from dataclasses import dataclass

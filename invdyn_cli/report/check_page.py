@@ -233,7 +233,7 @@ def _can_show(examination: Examination, robot: Robot | None) -> str:
         body += f"<td>{escape(_joints(able, excitation)) if able else 'none'}</td><td>{said or '-'}</td></tr>"
     if not body:
         return ""
-    note = "Whether an effect is there is not said here: invdyn diagnose says it."
+    note = "This table does not say whether an effect is present; invdyn diagnose does."
     if unjudged:
         note += f" Not judged without a robot: {', '.join(map(words, unjudged))}."
     return table(("effect", "can be shown on", "not on, and why"), body) + f'<p class="note">{escape(note)}</p>'

@@ -237,7 +237,8 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
                 build.bristles.append(Bristle(i, **p))
         case "coupled_friction":
             if robot.parents[i] < 0:
-                raise UsageError(f"coupled_friction on {one.joint}: no joint is before it; allowed: one further out")
+                got = f"coupled_friction on {one.joint}: it is the first joint"
+                raise UsageError(f"{got}; allowed: a joint further from the base")
             build.couplings.append(Coupling(i, robot.parents[i], **{"armature": 0.0, **p}))
         case "backlash" | "joint_elasticity":
             if any(x.joint == i for x in build.gears):

@@ -148,7 +148,7 @@ def replay(
     """
     total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
     if not total > 0:
-        raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and what a motor remembers")
+        raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and the memory of a motor")
     every = max(total / most, length)
     found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     where: list[tuple[Segment, int]] = []

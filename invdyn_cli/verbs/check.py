@@ -53,7 +53,7 @@ def refuse_target(config: DictConfig, source: AbstractSource) -> None:
     if config.write is None:
         return
     if not config.correct:
-        raise UsageError(f"write={config.write} needs correct=true", advice="leave one of both out")
+        raise UsageError(f"write={config.write} needs correct=true", advice="only one of the two")
     target = Path(str(config.write)).expanduser()
     sources = {Path(str(x)).expanduser().resolve() for x in getattr(source, "path", ())}
     if not isinstance(config.write, str) or target.suffix not in (".h5", ".hdf5"):

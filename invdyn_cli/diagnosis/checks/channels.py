@@ -95,7 +95,7 @@ class Quantisation(AbstractCheck):
                         seen=f"tau comes in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
                         meaning="what is smaller than a step cannot be told from rounding",
                         advice="a logger that keeps more digits, or motion that asks more torque of this joint",
-                        source="ours: rounding then is above 1 % of the range",
+                        source="own choice: rounding is then above 1 % of the range",
                     )
                 )
         return found
@@ -169,9 +169,9 @@ class Saturation(AbstractCheck):
             value=value,
             threshold=self.share,
             seen=f"the torque is at {what}, {value:.4g}, in {100 * share:.2g} % of the samples",
-            meaning="the drive, the sensor or the message ends there: the true demand is not in the log",
+            meaning="the drive, the sensor or the message is limited to this value: the true torque is not in the log",
             advice="slower or less loaded motion, or leaving these stretches out",
-            source="ours: noise does not repeat a maximum",
+            source="own choice: noise does not repeat a maximum",
         )
 
 
@@ -214,7 +214,7 @@ class NotMoving(AbstractCheck):
             seen=f"{what}: q ranges over {value:.2g}",
             meaning="nothing can be learned of its friction, drive or inertia",
             advice="a motion that moves it there and back",
-            source="ours: what a controller wobbles while it holds",
+            source="own choice: a controller that holds a joint moves it less",
         )
 
 
@@ -250,7 +250,7 @@ class CommandCopiesMeasurement(AbstractCheck):
                         seen=f"q_ref and q are the same to {apart:.1g}",
                         meaning="one is a copy of the other: the command was logged as the position, or the reverse",
                         advice="the topic or field that q is taken from",
-                        source="ours: no controller tracks better than its encoder resolves",
+                        source="own choice: no controller tracks better than its encoder resolves",
                     )
                 )
         if all(raw.q_ref is None for raw in log.trajectories):
@@ -273,7 +273,7 @@ class CommandCopiesMeasurement(AbstractCheck):
                     seen=f"the torque is the nominal model's inverse dynamics, to {missed.max():.1g} of its variance",
                     meaning="this torque was computed, not measured: nothing can be learned from it about the robot",
                     advice="the measured torque or current in its place",
-                    source="ours: no measured torque of an arm agrees with its URDF like that",
+                    source="own choice: no measured torque agrees with a URDF so closely",
                 )
             )
         return found

@@ -76,7 +76,7 @@ class Duplicates(AbstractCheck):
                         "the arm moves",
                         meaning="the log is written faster than its source, or samples were lost and held",
                         advice="logging at the source's own rate",
-                        source="ours: noise on all channels does not repeat by chance",
+                        source="own choice: noise on all channels does not repeat by chance",
                     )
                 )
         return found
@@ -150,7 +150,7 @@ class ClockJitter(AbstractCheck):
                         f"{1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
                         meaning="reading puts it on a uniform clock by linear interpolation; fast signals lose there",
                         advice="stamps from the controller, not from the program that writes",
-                        source="ours: half a step of doubt is as much as a controller's hold",
+                        source="own choice: half a step, as much as the hold of a controller",
                     )
                 )
             off = log.rate * step - 1
@@ -165,7 +165,7 @@ class ClockJitter(AbstractCheck):
                         seen=f"the nominal rate is {log.rate:g} Hz, the median step says {1 / step:.4g} Hz",
                         meaning="the rate attribute or the stamps are wrong; the stamps are believed",
                         advice="the log's rate attribute",
-                        source="ours: data.real_log believes the median step from 20 % on",
+                        source="own choice: from 20 % on data=real_log uses the median step",
                     )
                 )
         return found
@@ -214,7 +214,7 @@ class Gaps(AbstractCheck):
                     f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time",
                     meaning="nothing is interpolated across a gap: the trajectory is parted there",
                     advice="a buffer or a faster disk for the logger" if missing > self.share else "",
-                    source="ours: as data.max_gap",
+                    source="own choice, as data.max_gap",
                 )
             )
         return found
@@ -263,7 +263,7 @@ class TooShort(AbstractCheck):
                     seen=f"{total:.3g} s of motion in the whole log",
                     meaning="too little to compute with",
                     advice="a recording of a minute or more in which all joints move back and forth",
-                    source="ours: less than one slow movement of an arm",
+                    source="own choice: less than one slow movement of an arm",
                 )
             )
         return found

@@ -217,7 +217,7 @@ class CommandSigns(AbstractCheck):
                         seen=f"q is {one.factor[j]:.3g} times q_ref at a lag of {1e3 * one.lag:.4g} ms",
                         meaning="q_ref has the opposite sign of q on this joint",
                         advice="the sign convention of the commanded positions",
-                        source="ours: a controller tracks well-moved joints to 10 %",
+                        source="own choice: a controller tracks moving joints to 10 %",
                     )
                 )
         return found
@@ -268,7 +268,7 @@ class CommandLag(AbstractCheck):
                     threshold={"channel": "q_ref", "seconds": limit},
                     seen=seen,
                     meaning=_meaning(one.lag, limit),
-                    source="ours",
+                    source="own choice",
                 )
             )
         return found
@@ -278,7 +278,7 @@ def _meaning(lag: float, limit: float) -> str:
     if abs(lag) <= limit:
         return ""
     if lag < 0 or lag > 0.5:
-        return "longer than a controller lags, or the wrong way: q_ref and q have different clocks or buffers"
+        return "longer than the lag of a controller, or q leads: q_ref and q have different clocks or buffers"
     return "the controller's tracking lag, or different clocks; commanded positions are no measured ones"
 
 

@@ -112,7 +112,7 @@ class Excitation:
         if ratio < self.speeds:
             yield "speeds", f"nearly one speed (90th over 10th percentile {ratio:.2g}): slopes look like constants"
         if ratio < self.curved:
-            yield "curvature", f"speeds spread by {ratio:.2g} only: a square looks like a slope"
+            yield "curvature", f"fastest over slowest speed is only {ratio:.2g}: a square looks like a slope"
         if numbers["creep_share"] < 0.01:
             seen = f"{100 * numbers['creep_share']:.2g} % of the time"
             yield "creep", f"{seen} between {self.rest:g} and {self.slow:g} rad/s"
@@ -133,10 +133,13 @@ class Excitation:
                 yield "torque", f"the nominal torque varies by {100 * varied:.2g} %: a factor looks like an offset"
             low, high = np.quantile(nominal, [0.02, 0.98])
             if low * high > 0:
-                yield "load_zeros", f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank carries all"
+                yield (
+                    "load_zeros",
+                    f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank of a gear stays free",
+                )
         rate = float(np.sqrt(np.mean(qdd**2) / max(np.mean(speed**2), 1e-12)) / (2 * np.pi))
         if rate < self.agile:
-            yield "frequency", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly bends"
+            yield "frequency", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly deflects"
 
 
 NEEDS: Mapping[str, str] = {

@@ -65,14 +65,14 @@ class ModelMismatch(AbstractCheck):
                 value=refit if fails else float(np.median(nominal)),
                 threshold=self.refit if fails else self.nominal,
                 seen=f"nominal torque and friction explain {np.median(nominal):.2g} of the torque's variance (median "
-                f"of {len(judged)} joints), all inertials fitted anew {refit:.2g} on data that they were not fitted to",
-                meaning="the kinematics are not this robot's, or the torque is no torque"
+                f"of {len(judged)} joints), refitted inertials {refit:.2g} on held-out data",
+                meaning="the kinematics are not this robot's, or this channel is not a torque"
                 if fails
                 else "the URDF's inertials are far from this robot's, or a heavy tool is missing in it",
                 advice="the URDF of the logged robot, the order of its joints, the topic of the torque"
                 if fails
                 else "robot.payload, the URDF of the arm with its tool, or model=pest",
-                source="ours: noise in place of a torque is explained to below 0 on held-out data",
+                source="own choice: of noise the model explains nothing on held-out data",
             )
         )
         return found
@@ -118,7 +118,7 @@ class ModelMismatch(AbstractCheck):
                     seen=f"q goes {past[joint]:.3g} rad past the URDF's limits",
                     meaning="another zero, another sign of the axis, or another robot",
                     advice="the joint's zero and direction in the URDF",
-                    source="ours: more than a homing error",
+                    source="own choice: more than a homing error",
                 )
             )
         return found

@@ -129,11 +129,12 @@ class GravityRemoved(AbstractCheck):
         )
         sure = gain > self.odds
         if sure:
-            seen += f"the URDF without gravity is likelier, log of the ratio {gain:.3g}"
-            meaning = "gravity is taken out of this torque already: an external or a feedback torque"
+            seen += f"the URDF without gravity is more likely, log of the likelihood ratio {gain:.3g}"
+            meaning = "gravity is already subtracted from this torque: it is an external or a feedback torque"
         else:
-            seen = f"ambiguous: {seen}the URDF with other masses explains that as well, log of the ratio {gain:.3g}"
-            meaning = "gravity may be taken out of this torque already; nothing is changed"
+            seen = f"ambiguous: {seen}the URDF with other masses explains this as well, log of the "
+            seen += f"likelihood ratio {gain:.3g}"
+            meaning = "gravity may already be subtracted from this torque; nothing is changed"
         return Check(
             self.name,
             "fail" if sure else "note",
@@ -141,8 +142,8 @@ class GravityRemoved(AbstractCheck):
             threshold=self.slope,
             seen=seen,
             meaning=meaning,
-            advice="attribute compensated=gravity in the log, or the driver's whole torque",
-            source="ours: with gravity in it, payloads and gains make 0.5 to 2",
+            advice="attribute compensated=gravity in the log, or the whole torque from the driver",
+            source="own choice: with gravity, payloads and gains change the slope by a factor of 2 at most",
         )
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
