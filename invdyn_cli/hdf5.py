@@ -27,7 +27,7 @@ LIMIT = 2e9
 """[bytes] What may be read of one file, unless its reader says otherwise: an hour of eight joints at 1 kHz."""
 
 PATIENCE, SLOWEST = 8.0, 20e6
-"""[s] and [bytes/s]: time limit for reading a file, and additional time for large files."""
+"""Time limit [s] for reading a file, and slowest rate [bytes/s], by which a larger file gets more time."""
 
 SCRIPT = Path(__file__).with_name("hdf5_reader.py")
 

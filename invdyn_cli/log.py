@@ -1,4 +1,5 @@
-"""A log as it was recorded, and what a diagnosis takes of it: plain objects; `logfile` reads and writes them."""
+"""A log as it was recorded, and the parts of it that a diagnosis uses: plain objects; `logfile` reads and writes
+them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ Window = tuple[str, float, float]
 
 @dataclass(frozen=True)
 class RawTrajectory:
-    """One trajectory as logged, torques at their own t, nothing shifted, filtered or resampled.
+    """One trajectory as logged: torques belong to their own t, and nothing is shifted, filtered or resampled.
 
     Attributes:
         name: its name in the log.

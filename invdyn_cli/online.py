@@ -1,4 +1,4 @@
-"""A model that adapts inside a control loop: sample by sample, with nothing that looks ahead.
+"""A model that adapts inside a control loop, sample by sample; nothing uses future samples.
 
 Each tick takes what was measured, passes it through the causal filter of `data.causal`, learns from it, and gives the
 torque of the motion that is wanted next: one compiled call, whose time is the whole cost.
@@ -40,7 +40,7 @@ def online(
     cutoff: float | None = 10.0,
     order: int = 4,
 ) -> Online:
-    """Make the loop's functions for an adapter and the (extended) model that it fitted.
+    """Make the functions of the loop for an adapter and the (extended) model that it fitted.
 
     The state has "adapter", what the adapter knows; "motion", the filtered state of the arm, and "said", the torque
     that was predicted for it before it was learned from.

@@ -59,7 +59,7 @@ CLASSES: Mapping[str, type] = {
     "memory_learning_rate": MemoryLearningRate,
     "local_error_model": LocalErrorModel,
 }
-"""Names in files. A class may move or change its name; what stands here stays."""
+"""Names in files. A class may move or be renamed; these names stay."""
 
 MODELS: Mapping[str, type[AbstractModel]] = {k: v for k, v in CLASSES.items() if issubclass(v, AbstractModel)}
 """The models among them."""
@@ -82,7 +82,7 @@ _PATHS: Mapping[str, type] = {
 
 @dataclass(frozen=True)
 class _Planned:
-    """An object that is not built yet."""
+    """Stands for an object that is not built yet."""
 
     kind: type
     fields: Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""Whether a URDF of anybody describes a robot: names, tree, numbers. What is odd but can be computed with is told."""
+"""Whether a URDF from any source describes a robot: names, tree, numbers. Unusual but usable values are reported."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,25 +10,27 @@ from invdyn_cli.errors import RobotError, listed, shortened
 from invdyn_cli.urdf import MOVING, number, triple
 
 MOST_JOINTS, MOST_ELEMENTS = 100, 2000
-"""Moving joints, and joints of all kinds: loading 100 takes a quarter of a second, and grows with their cube."""
+"""Largest number of moving joints, and of joints of all kinds: loading 100 takes a quarter of a second, and the time
+grows with the third power."""
 
 LONGEST_NAME = 200
 """Characters of a name."""
 
 LARGEST = {"mass": 1e6, "origin": 1e4, "inertia": 1e9, "limit": 1e9, "dynamics": 1e9}
-"""[kg], [m; rad], [kg m^2], [SI], [SI]: a hundred times what the largest machines have; their products stay finite."""
+"""[kg], [m; rad], [kg m^2], [SI], [SI] Largest values: a hundred times those of the largest machines; their products
+stay finite."""
 
 SHORTEST_AXIS, LONGEST_AXIS = 1e-6, 1e6
-"""Length of an axis, which should be 1: what is shorter has no direction that rounding did not make."""
+"""Least length of an axis, which should be 1: the direction of a shorter one is rounding."""
 
 ROUNDED = 0.01
-"""Share of an inertia by which rounded digits may break its laws."""
+"""Share of an inertia by which rounded digits may violate the laws of inertias."""
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def refuse(root: ET.Element, path: str | Path | None) -> None:
-    """Raise a RobotError for names, a tree or numbers that cannot be a robot's."""
+    """Raise a RobotError for names, a tree or numbers that no robot can have."""
     links, joints = root.findall("link"), root.findall("joint")
     moving = [x for x in joints if x.get("type") in MOVING]
     for what, count, most in (
@@ -117,8 +119,8 @@ def _refuse_axis(joint: ET.Element) -> None:
 
 
 def doubts(root: ET.Element) -> list[str]:
-    """A sentence for what can be computed with but is no body's: inertias that are not positive definite or break the
-    triangle inequality (the largest principal moment is at most the sum of the others)."""
+    """A sentence about inertias that can be computed with but belong to no body: those that are not positive definite
+    or violate the triangle inequality (the largest principal moment is at most the sum of the others)."""
     impossible = []
     for link in root.findall("link"):
         if link.find("inertial") is None:
@@ -136,7 +138,8 @@ def doubts(root: ET.Element) -> list[str]:
 
 
 def inertialess(inertias: Mapping[str, float]) -> list[str]:
-    """A sentence for joints [name -> kg m^2; kg about the axis, all that they move] that move nothing."""
+    """A sentence about joints [name -> kg m^2; kg about the axis, of everything that they move] that move almost no
+    inertia."""
     without = [name for name, inertia in inertias.items() if not inertia > 0]
     return [f"{listed(without, most=5)} moves no inertia: its <inertial> is missing or zero"] if without else []
 

@@ -44,8 +44,8 @@ ROUND = 12.0
 """[s] of a round, about."""
 
 TRIES, AT_ONCE, FRESH = 120, 6, 0.3
-"""Number of variations that are tried, how many of them at once, and the share that replaces a gesture from the
-library."""
+"""Number of variations that are tried, how many of them at once, and the share that replaces a gesture by one
+from the library."""
 
 ENOUGH = 1.1 * np.log(60.0**2)
 """Worth of a design in which all pairs are sixty standard errors apart: no more is tried."""

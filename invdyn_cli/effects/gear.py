@@ -15,7 +15,7 @@ from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 STRETCH = 128
-"""Samples of a part of a spring's motion; all parts are computed in parallel."""
+"""Samples of a stretch of a spring's motion; all stretches are computed in parallel."""
 
 USUAL_GAP, USUAL_RESONANCE = 0.003, 12.0
 """[rad; m] of play of an ordinary gear, 10 minutes of arc; and [Hz] of a link on its joint's spring, motor held."""

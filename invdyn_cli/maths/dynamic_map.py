@@ -45,7 +45,7 @@ class Arc(NamedTuple):
 
 @dataclass(frozen=True)
 class DynamicMap:
-    """Which columns there are, for n joints."""
+    """The columns of a form for n joints."""
 
     form: Form
     basis: bezier.Basis

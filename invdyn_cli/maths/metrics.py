@@ -8,7 +8,7 @@ ACCURATE = 0.1
 """The NMSE below which the paper calls predictions accurate (section V-B, the black line of Figs. 3 and 4)."""
 
 BLOCK = 100
-"""Samples over which errors of what adapts are averaged (the paper's lambda)."""
+"""Number of samples over which errors during adaptation are averaged (the paper's lambda)."""
 
 
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:

@@ -85,13 +85,13 @@ def lowpass(
 
 @lru_cache(maxsize=256)
 def butterworth(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """Second-order sections (S, 6) of the low-pass, as SciPy has them."""
+    """Second-order sections (S, 6) of the low-pass filter, as SciPy has them."""
     return np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
 
 
 @lru_cache(maxsize=256)
 def at_rest(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """The low-pass's state (S, 2) where all that has come in is 1."""
+    """The state (S, 2) of the low-pass filter after a constant input of 1."""
     return np.asarray(signal.sosfilt_zi(butterworth(rate, cutoff, order)))
 
 

@@ -204,7 +204,7 @@ class Ffnn(AbstractModel):
 
 
 def _weights(net: JointNet, seeds: int) -> int:
-    """Weights of a joint's nets behind their inputs."""
+    """Number of weights of a joint's networks after their inputs."""
     return seeds * sum(a * b for a, b in itertools.pairwise((1, *net.hidden, 1)))
 
 

@@ -93,7 +93,7 @@ class Svr(AbstractModel):
         )
 
     def chunk(self, motion: Motion) -> int:
-        """Fewer samples at a time: every one is compared with every support vector."""
+        """Fewer samples at a time: each one is compared with every support vector."""
         return 512
 
     def _gamma(self, inputs: int) -> float:

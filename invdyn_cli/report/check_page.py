@@ -1,5 +1,5 @@
-"""A checked log as one HTML file that needs nothing else: usable or not, what to do, every channel with what is wrong
-marked in it, what it excites and what it therefore can show, and every check."""
+"""A checked log as one HTML file that needs nothing else: whether it is usable, what to do, every channel with its
+defects, what the log excites and can therefore show, and every check."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -42,7 +42,7 @@ CORRECTED = ("duplicates", "outliers", "time_offset", "too_short", ("unit_error"
 """Checks, or checks of a channel, whose warnings the doctor corrects; of the others it corrects failures alone."""
 
 FOLD_FROM = 12
-"""Lines of what to do, or corrections, from which on the rest is folded."""
+"""Number of advices or corrections above which the rest is folded."""
 
 STYLE = """
 .verdict { font-weight: 600; font-size: 1.1rem; } table.words td, table.words th { text-align: left;
@@ -110,7 +110,7 @@ def page(
 
 
 def verdict(examination: Examination) -> str:
-    """One sentence: usable or not, what is wrong, what was corrected."""
+    """One sentence: whether the log is usable, what is wrong, what was corrected."""
     wrong, corrected = _wrong(examination)
     left = [x for x in wrong if x not in corrected]
     count = len(examination.corrections)
@@ -153,7 +153,7 @@ def _channel(check: Check) -> str:
 
 
 def _to_do(examination: Examination) -> str:
-    """What is not corrected first, the gravest on top; the commands that go on; what the next recording should have."""
+    """The most severe uncorrected findings first; the next commands; what the next recording should contain."""
     wrong, corrected = _wrong(examination)
     lines = _advice([x for x in wrong if x not in corrected])
     if examination.usable and examination.corrections:

@@ -1,5 +1,5 @@
-"""The plots of a checked log that zoom: every channel of every joint with what is wrong marked in it, and measured
-torque beside that of the URDF's model."""
+"""The interactive plots of a checked log: every channel of every joint with its defects, and measured torque beside
+that of the URDF's model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -92,7 +92,7 @@ def _dense(pieces: Pieces, total: int) -> np.ndarray:
 
 
 def _marks(drawn: CheckedLog, channel: str, joint: int, y: np.ndarray) -> tuple[list[Mark], str]:
-    """What is marked in a panel, and what holds of its whole channel."""
+    """The marks in a panel, and the defects of its whole channel."""
     marks, whole = [], []
     for one in drawn.marks:
         if one.check == "gaps" and one.rows is not None and len(one.rows):

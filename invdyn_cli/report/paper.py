@@ -1,4 +1,4 @@
-"""The page that puts what was found beside the paper: Tables I and II, then an experiment after the other."""
+"""The page that compares our results with the paper: Tables I and II, then one experiment after another."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Estimates as they are read: rounded by their interval, with a unit in proper type."""
+"""Estimates for readers: rounded by their interval, with a unit in proper type."""
 
 import math
 import re
@@ -52,7 +52,7 @@ def quantity_text(quantity: Quantity, *, interval: bool = True) -> str:
 
 
 def in_degrees(quantity: Quantity) -> str:
-    """The same estimate in degrees where it is a single angle [rad], else nothing."""
+    """The same estimate in degrees if it is a single angle [rad], otherwise nothing."""
     if quantity.unit != "rad" or np.ndim(quantity.value) > 0 or isinstance(quantity.value, str | None):
         return ""
     bounds = component_intervals(quantity.value, quantity.interval95)

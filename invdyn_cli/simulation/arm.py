@@ -17,13 +17,14 @@ import numpy as np
 from invdyn_cli.types import Robot
 
 LEAST_INERTIA = 1e-6
-"""[kg m^2; kg] Smallest inertia about a joint that is integrated as it is; a wrist's is a hundred times as large."""
+"""[kg m^2; kg] Smallest inertia about a joint that is integrated unchanged; that of a wrist is a hundred times as
+large."""
 
 POSTURES = 64
-"""So many random postures are looked at for the smallest inertia."""
+"""Number of random postures in which the smallest inertia is searched."""
 
 GEAR = "_gear"
-"""Behind a joint's name: the gear's degree of freedom."""
+"""Suffix of a joint's name: the degree of freedom of its gear."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def mass_matrices(model: mujoco.MjModel, gear: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
+    """MuJoCo's warnings of diverging states are replaced by our own; MuJoCo would write them to a file."""
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         yield
@@ -210,7 +211,7 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _least_inertia_added(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, ...]:
-    """Add the inertia that joints lack for a positive definite mass matrix, in place; words on what was added."""
+    """Add in place the inertia that joints lack for a positive definite mass matrix; sentences on what was added."""
     found = mass_matrices(model, gear)
     lack = np.maximum(0.0, LEAST_INERTIA - np.diagonal(found, axis1=1, axis2=2).min(0))
     lack += max(0.0, LEAST_INERTIA / 10 - float(np.linalg.eigvalsh(found + np.diag(lack)).min()))

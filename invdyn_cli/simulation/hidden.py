@@ -1,4 +1,4 @@
-"""What can be built into the arm: effects by name, with the parameters and signs of docs/plant.md.
+"""The effects that can be hidden in the arm, by name, with the parameters and signs of docs/plant.md.
 
 Logged torque = nominal torque + the effect's term: the joint receives what is logged less the term. `assemble` turns
 effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies, gears),
@@ -27,8 +27,8 @@ STANDARD_GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Kind:
-    """What an effect takes: parameters with what is allowed, those with a default, and whether it names a joint (None:
-    it may)."""
+    """The parameters of an effect: those that are needed and the optional ones, with the allowed values, and whether it
+    names a joint (None: it may)."""
 
     needed: Mapping[str, str]
     optional: Mapping[str, str] = field(default_factory=dict)
@@ -73,7 +73,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect that is built into the arm.
+    """One effect that is hidden in the arm.
 
     `custom` stands for whatever the catalogue lacks, from Python only: its `force(t, q, qd)` gives the term [N m; N] at
     t [s], of the joint's own true angle and velocity, or of all joints' (n,) where `joint` is None.
@@ -279,7 +279,7 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
 
 
 def _put_event(events: Events, one: Hidden, i: Any, p: dict[str, Any]) -> None:
-    """Add what comes and goes, in place."""
+    """Add an effect with a time window, in place."""
     window = window_of(one.effect, one.parameters["window"], p.get("ramp", 0.0))
     match one.effect:
         case "torque_gain_change":

@@ -1,4 +1,4 @@
-"""What the simulated arm is asked to do: motions from rest to rest, inside its joint and velocity limits."""
+"""References of the simulated arm: motions from rest to rest, inside its joint and velocity limits."""
 
 import abc
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.types import Motion, Robot
 
 UNLIMITED = 2.0
-"""[rad] to either side of zero for joints without limits."""
+"""[rad] Range on both sides of zero of joints without limits."""
 UNLIMITED_SLIDE = 0.5
 """[m] likewise for sliding joints."""
 UNLIMITED_SPEED = 3.0
@@ -125,8 +125,8 @@ POSTURES = {
 
 @dataclass(frozen=True)
 class Manipulation(AbstractReference):
-    """Approach an object, grasp and lift it, carry it to a target and put it there, retract: every repetition a little
-    different.
+    """Approach an object, grasp and lift it, carry it to a target and put it there, retract: each repetition differs a
+    little.
 
     Attributes:
         spread: of the postures, rms [rad; m]; of the moves' durations, rms, as a share of them, three times as much.
@@ -175,7 +175,7 @@ class Manipulation(AbstractReference):
         return Motion(q, qd, qdd)
 
     def _durations(self, seed: int) -> np.ndarray:
-        """Of the first rest and the four moves [s]."""
+        """Durations [s] of the first rest and the four moves."""
         draw = np.random.default_rng([4, seed])
         return np.array([0.3, 2.5, 1.3, 2.8, 1.3]) * (1 + 3 * self.spread * draw.normal(size=5))
 
@@ -269,7 +269,7 @@ def _smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _move(
     motion: tuple[np.ndarray, ...], t: np.ndarray, start: float, takes: float, here: np.ndarray, there: np.ndarray
 ) -> None:
-    """Let q, qd, qdd (T, n) go from `here` to `there` from `start` on, and stay."""
+    """Move q, qd, qdd (T, n) from `here` to `there` from `start` on; they stay there."""
     q, qd, qdd = motion
     x, x1, x2 = _smooth((t - start) / takes)
     rows = t >= start
