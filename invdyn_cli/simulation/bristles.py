@@ -39,7 +39,7 @@ class Bent:
         self._ahead = step * bristle.stiffness * max(0.0, 0.5 * (1 - SOFT / fast))
 
     def damping(self, qd: float) -> float:
-        """[N m s/rad] Damping that replaces the change of the force within the next step, if an explicit step is too long."""
+        """[N m s/rad] Damping that includes the change of the force within the next step, if steps are too long."""
         if not self._ahead or not qd:
             return self._ahead
         return self._ahead * min(2.0, max(0.0, 1 - copysign(self.force, self.force * qd) / self._coulomb))

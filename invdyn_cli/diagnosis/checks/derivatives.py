@@ -13,7 +13,7 @@ from invdyn_cli.recording.rows import each, is_series, median_step
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
-CLOCK = "more likely the clock is wrong by this factor, or rows are missing"
+CLOCK = "rather the clock is off by this factor, or rows were left out"
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ class Description(AbstractCheck):
                     seen=f"the gravity that fits best is {share:.2g} times the URDF's",
                     meaning="gravity is already subtracted from the torque, or the links' masses are far too large",
                     advice="the attribute compensated=gravity of the log, if a controller subtracts it",
-                    source="own choice: wrong masses make less",
+                    source="ours: masses that are off make less",
                 )
             ]
         if angle < self.tilt:
