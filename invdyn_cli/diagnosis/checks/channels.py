@@ -1,4 +1,4 @@
-"""What single channels can tell: their resolution, flat tops, whether a joint moves, and copies of other channels."""
+"""Checks of single channels: their resolution, torques at a limit, joints at rest, and copies of other channels."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,7 +16,7 @@ from invdyn_cli.types import Check, Robot
 
 
 def lattice(x: np.ndarray, most: int = 100_000) -> float:
-    """The step on whose multiples the values of x (T,) lie, 0 where they lie on none (T is cut to `most`)."""
+    """The step of which all values of x (T,) are multiples, 0 if there is none (T is cut to `most`)."""
     values = np.unique(x[:most])
     if len(values) < 3 or len(values) > 0.9 * min(len(x), most):
         return 0.0
@@ -32,7 +32,7 @@ def lattice(x: np.ndarray, most: int = 100_000) -> float:
 
 @dataclass(frozen=True)
 class Quantisation(AbstractCheck):
-    """Values on a lattice, and whether its step is coarse for what shall be computed from it.
+    """Values that are multiples of a step, and whether this step is too coarse for what is computed from the channel.
 
     Rounding to a step s is white noise of variance s^2 / 12 (Widrow 1956); a zero-phase low-pass at f leaves of it,
     after two derivatives, s / sqrt(12) (2 pi)^2 sqrt(f^5 / 5 / (rate / 2)).
@@ -142,7 +142,7 @@ class Saturation(AbstractCheck):
         return found
 
     def _flat(self, log: Log, raw, joint: int, side: int) -> tuple[float, float, str]:
-        """(share of samples, torque, trajectory) of flat tops on one side."""
+        """(share of samples, torque, trajectory) of values at the extreme on one side."""
         x = side * newton_metres(log, raw)[:, joint]
         top = np.nanmax(x)
         at = x >= top - 1e-6 * max(np.ptp(x), 1e-300)
@@ -220,7 +220,7 @@ class NotMoving(AbstractCheck):
 
 @dataclass(frozen=True)
 class CommandCopiesMeasurement(AbstractCheck):
-    """Channels that should be measured and are copies: q_ref of q, the torque of the model's own inverse dynamics.
+    """Channels that should be measured but are copies: q_ref of q, or the torque of the model's own inverse dynamics.
 
     Attributes:
         equal: [rad; m] (ours: below the resolution of any encoder).

@@ -25,7 +25,7 @@ from invdyn_cli.types import Check, Robot
 
 @dataclass(frozen=True)
 class Duplicates(AbstractCheck):
-    """Stamps that stand still or run backwards, and rows that repeat the one before while the arm moves.
+    """Time stamps that repeat or run backwards, and rows that repeat the one before while the arm moves.
 
     A row counts as repeated where q and tau of all joints are the very numbers of the row before, though a joint moves
     by more than `moving` in the `reach` rows around: two noisy samples of a moving arm do not agree by chance. A
@@ -82,7 +82,7 @@ class Duplicates(AbstractCheck):
         return found
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """Drop such rows; part a trajectory where its clock starts anew."""
+        """Drop such rows; divide a trajectory where its clock starts anew."""
         where, notes = {c.trajectory for c in found}, []
 
         def change(raw: RawTrajectory) -> list[RawTrajectory]:
@@ -113,7 +113,7 @@ class Duplicates(AbstractCheck):
 
 @dataclass(frozen=True)
 class ClockJitter(AbstractCheck):
-    """How regular the clock ticks, and whether it ticks at the nominal rate.
+    """How regular the clock is, and whether it has the nominal rate.
 
     Attributes:
         note, warn: standard deviation of the steps in median steps (first order: linear interpolation over a step errs
@@ -171,7 +171,7 @@ class ClockJitter(AbstractCheck):
         return found
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """The median rate in place of a nominal one that cannot be."""
+        """The median rate instead of an impossible nominal one."""
         rates = [1 / median_step(raw.t) for raw in log.trajectories if np.isfinite(median_step(raw.t))]
         if (np.isfinite(log.rate) and log.rate > 0) or not rates:
             return log, []

@@ -1,4 +1,4 @@
-"""The commanded positions q_ref beside the measured ones: unit, sign and lag together, one lag for a recording."""
+"""The commanded positions q_ref compared with the measured ones: unit, sign and lag together, one lag per recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,8 @@ WIDEST = 5.0
 """[s] of lags that are tried, and no more than a third of a stretch."""
 
 EXPLAINED = 0.95
-"""Least share of the variance of q (median over joints) that q_ref explains at the best lag; below, nothing is said."""
+"""Least share of the variance of q (median over joints) that q_ref explains at the best lag; below it nothing is
+reported."""
 
 MOVED = 0.02
 """[rad; m] RMS of q about its mean below which a joint is not used."""
@@ -60,7 +61,7 @@ class Following:
 
 @once_for_a_log
 def following(log: Log) -> list[Following]:
-    """One for each recording that has q_ref and in which a joint moves."""
+    """The result for each recording that has q_ref and in which a joint moves."""
     if all(raw.q_ref is None for raw in log.trajectories):
         return []
     parts = [x for x in stretches(log) if "q_ref" in x.extra]
@@ -110,7 +111,7 @@ class _Peak:
 
 
 def _near(q: np.ndarray, ref: np.ndarray, lag: int, step: int, most: int) -> _Peak:
-    """The best lag within a step of one."""
+    """The best lag within a step of a given one."""
     fine = np.arange(max(-most, lag - step), min(most, lag + step) + 1)
     missed = _missed(q, ref, fine, 1)
     pooled = np.mean(np.log(missed), axis=1)
@@ -283,7 +284,7 @@ def _meaning(lag: float, limit: float) -> str:
 
 
 def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Check]]:
-    """The recordings whose q follows q_ref, and of the others why the check was skipped."""
+    """The recordings whose q follows q_ref, and why the check was skipped for the others."""
     if all(raw.q_ref is None for raw in log.trajectories):
         return [], [check.skipped("q_ref is not logged", "q_ref")]
     fits = following(log)

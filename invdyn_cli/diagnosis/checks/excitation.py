@@ -1,4 +1,5 @@
-"""What a log excites: ranges, reversals, speeds, loads, the regressor's condition; and what it so cannot show.
+"""What a log excites: ranges, reversals, speeds, loads, the condition of the regressor; and therefore what it cannot
+show.
 
 Effects say what they need of a joint's motion (`AbstractEffect.needs`); the thresholds are fields here.
 """
@@ -97,7 +98,8 @@ class Excitation:
         moves: bool,
         seconds: float,
     ) -> Iterator[tuple[str, str]]:
-        """(need, why not) of what this joint's motion lacks; of one that stands still, motion."""
+        """(need, reason) for each need that this joint's motion does not meet; for a joint at rest only the need of
+        motion."""
         if not moves:
             yield "motion", f"it moves by {numbers['peak_to_peak']:.2g} rad only"
             return
@@ -158,15 +160,16 @@ NEEDS: Mapping[str, str] = {
     "minutes": "the recording lasts for minutes",
     "warming": "the recording lasts for as long as friction takes to warm up",
 }
-"""What effects may need of a joint's motion."""
+"""Requirements of effects on a joint's motion."""
 
 
 OF_ROBOT = ("load", "torque", "load_zeros")
-"""Of these, those that the nominal torque tells: with a robot alone."""
+"""Those of them that follow from the nominal torque: they need a robot."""
 
 
 def cannot_show(lacks: Mapping[str, str], effects: Mapping[str, AbstractEffect]) -> dict[str, str]:
-    """{effect: why not} for the effects that need what a joint's motion `lacks`; the first need counts."""
+    """{effect: reason} for the effects that need what a joint's motion `lacks`; the first missing need is the
+    reason."""
     missing = {name: next((lacks[x] for x in effect.needs if x in lacks), "") for name, effect in effects.items()}
     return {name: why for name, why in missing.items() if why}
 

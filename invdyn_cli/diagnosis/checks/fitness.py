@@ -1,4 +1,5 @@
-"""How well torque columns fit joints: the log marginal likelihood of each column on each joint, sign and unit.
+"""How well torque columns fit joints: the log marginal likelihood of each column on each joint, with each sign and
+unit.
 
     s tau_i = u (m_j + Y_j dphi + g m_j + d dm_j/dt)
               + coulomb sign(qd) + viscous qd + armature qdd + stiffness q + offset
@@ -24,7 +25,8 @@ from invdyn_cli.maths.statistics import autocorrelation_time
 from invdyn_cli.types import Array, Motion, Robot
 
 SHARES = (0.1, 0.3)
-"""By which inertial parameters are off, of their scales: a URDF from CAD, and a drawing (Swevers 2007)."""
+"""Relative errors of inertial parameters, in units of their scales: for a URDF from CAD, and from a drawing (Swevers
+2007)."""
 
 GAIN, DELAY = 0.2, 0.03
 """Standard deviations of a joint's torque gain [-] and delay [s] (ours: drives differ by less)."""
@@ -33,26 +35,27 @@ GAINS = (0.5, 2.0)
 """Factors of a drive's gain that a torque in the common unit may have at most (ours)."""
 
 TOOL, REACH = 0.1, 0.15
-"""Mass of a tool that the URDF lacks, over the arm's, and the distance [m] of its centre: standard deviations."""
+"""Mass of a tool that the URDF lacks, over the arm's mass, and the distance [m] of its centre: standard deviations."""
 
 EXCITED = 0.03
-"""Least RMS of a joint's nominal torque, friction taken out, of what random states ask of it (ours: below it friction
-and model errors rule)."""
+"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
+errors dominate)."""
 
 LOST = 0.03
-"""Chance that a joint's torque is none that its rigid body explains: a hose, a wrong topic, a contact."""
+"""Probability that rigid-body dynamics do not explain a joint's torque at all: a hose, a wrong topic, a contact."""
 
 FEWEST = -10.0
-"""Log chance of negative friction, or of a negative rotor inertia: other errors look like them so often."""
+"""Log probability of a negative friction, or of a negative rotor inertia: other errors have this effect that often."""
 
 HEAVY = -25.0
-"""Log chance of a negative inertia about a joint's axis, rotor and links together, friction and spring beside it."""
+"""Log probability of a negative inertia about a joint's axis (rotor and links together), with friction and spring
+fitted."""
 
 MOST_ROWS = 100.0
-"""Independent rows that a joint counts for at most (ours)."""
+"""Largest number of independent rows of a joint (ours)."""
 
 NOISE = np.geomspace(1e-4, 2.0, 16)
-"""Variances of what is left, over that of the torque."""
+"""Variance of the residual over that of the torque."""
 
 THIN = 3
 """Every third of the regressor's rows is used: a joint has 100 independent ones at most."""

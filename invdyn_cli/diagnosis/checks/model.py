@@ -1,4 +1,4 @@
-"""Whether the robot description can be the one of this log."""
+"""Whether the robot description can belong to this log."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -37,7 +37,7 @@ class ModelMismatch(AbstractCheck):
     blocks: int = 16
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """The value is the share of variance explained, or what a joint has of torque or travel."""
+        """The value is the explained share of variance, or the torque or travel of a joint."""
         if not log.trajectories:
             return []
         found = self._dead(log)

@@ -1,4 +1,4 @@
-"""Which inertias of a robot were neither measured nor computed: zero, equal on all axes, the same on several links."""
+"""Inertias of a robot that were neither measured nor computed: zero, equal on all axes, or equal on several links."""
 
 from collections.abc import Sequence
 

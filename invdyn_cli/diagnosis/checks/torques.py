@@ -1,4 +1,4 @@
-"""What the torque columns are: how well each follows the nominal model's torque, and whether gravity is in them.
+"""The torque columns: how well each follows the nominal model's torque, and whether gravity is in them.
 
 Friction (ramped sign(qd), qd, 1) is taken out of both before they are compared; a joint is judged where its nominal
 torque varies by a fair part of what this arm can ask of it.
@@ -19,8 +19,8 @@ from invdyn_cli.log import Log
 from invdyn_cli.types import Check, Robot
 
 EXCITED = 0.03
-"""Least RMS of a joint's nominal torque, friction taken out, of what random states ask of it (ours: below it friction
-and model errors rule)."""
+"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
+errors dominate)."""
 
 
 def matched(samples: Samples, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,7 +64,7 @@ def _without_gravity(samples: Samples, robot: Robot) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class GravityRemoved(AbstractCheck):
-    """Torques that have gravity taken out already, as some drivers' "external" or "feedback" torques have.
+    """Torques from which gravity is already subtracted, as some drivers' "external" or "feedback" torques.
 
     The URDF without gravity has to be likelier than with it (`fitness`: with errors in its inertials, and as it
     stands), and the torque must hardly follow gravity on the joints that it loads. Where neither is likelier, that is
@@ -112,7 +112,7 @@ class GravityRemoved(AbstractCheck):
         return [self._seen(slopes, gain)]
 
     def _slopes(self, samples: Samples) -> list[float]:
-        """Slope of torque on gravity torque, friction and the URDF's other torque taken out, of the joints on which
+        """Slope of torque over gravity torque, without friction and the other nominal torque, for the joints on which
         gravity varies."""
         slopes = []
         for joint in range(samples.tau.shape[1]):

@@ -1,5 +1,5 @@
-"""The time between torque and motion that belongs to no joint: a controller holds its command for a sample, a logger
-reads one channel after the other.
+"""The common time between torque and motion: a controller holds its command for a sample, a logger reads one channel
+after the other.
 
 Half a sample of it looks like a negative viscous friction on the heaviest joint. It is taken out before anything is
 named, and what is left of a joint beyond it may then be called a delay.
@@ -20,7 +20,8 @@ from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Robot
 
 MOST = 1.05
-"""Samples of the log that count as the log's own: holding takes half of one, reading in turn up to one."""
+"""Largest number of samples that count as a property of the log: holding takes half of one, reading in turn up to
+one."""
 
 
 def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +77,7 @@ def remove_common_delay(robot: Robot, recording: Recording, side: str) -> tuple[
 
 
 def moved(recording: Recording, lead: float) -> Recording:
-    """The recording with torques later by `lead` [s]."""
+    """The recording with torques delayed by `lead` [s]."""
     pieces = tuple(
         replace(p, tau=np.stack([shifted(x, -lead * recording.filter.rate) for x in p.tau])) for p in recording.pieces
     )

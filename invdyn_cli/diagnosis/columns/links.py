@@ -1,4 +1,5 @@
-"""The same evidence with links as a log has them: gears give way to, and load friction grows with, what links weigh."""
+"""The same evidence with the links' inertials from the log: gears and load-dependent friction depend on the weight of
+the links."""
 
 from dataclasses import replace
 
