@@ -51,7 +51,7 @@ class Gears(AbstractKind[AbstractGearEffect]):
         beside: Beside = (),
         exact: bool = False,
     ) -> Candidate:
-        """`exact`: the fixed column unchanged, even if it is small."""
+        """`exact`: the fixed column from the full formula, also for a small deflection."""
         fixed, slope, far = _columns(evidence, effect, joint, trial, beside)
         if exact or far > STRAIGHT:
             fixed = change(evidence, EffectInstance(effect, joint, trial), beside)

@@ -297,7 +297,7 @@ class HypothesisScorer:
         return float(np.sqrt(self.grams.totals[j][0, 0]))
 
     def freedom(self, candidate: Candidate) -> float:
-        """Number of coefficients of a candidate that the data determine."""
+        """Effective number of coefficients of a candidate, as far as the data determine them."""
         if not candidate.precision.any():
             return float(len(candidate.precision))
         if candidate not in self._freedom:

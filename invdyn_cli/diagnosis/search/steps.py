@@ -123,5 +123,5 @@ def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate], instead: bool
 
 
 def clash(whole: Candidate, part: Candidate) -> bool:
-    """Whether one effect on a joint is a special or general case of another there."""
+    """Whether one effect on a joint is the general case of another there."""
     return whole.joint == part.joint and part.effect.name in whole.effect.contains
