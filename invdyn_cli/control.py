@@ -2,9 +2,9 @@
 
     tau = tau_FF(q_d, qd_d, qdd_d) + Kp e + Kd ed,   e = q_d - q                      (paper, equations 2 to 4)
 
-The arm of data=pick_place does its task with feedback of several stiffnesses, without and with the object; the
-feedforward is nothing, the model as it was learned without the object, or the model adapting as it goes. Velocities are
-difference quotients of the measured angles behind a first-order low-pass. No files, no config, no printing.
+The arm of data=pick_place does its task with feedback of several gains, without and with the object. The feedforward is
+zero, the model learned without the object, or the adapting model. Velocities are difference quotients of the measured
+angles after a first-order low-pass filter. No files, no config, no printing.
 """
 
 import itertools

@@ -27,9 +27,9 @@ class AbstractEffect(abc.ABC):
     motion, on the bodies, in the gear, as a force from outside, on a joint's torque, on the channel (logged ->
     delivered); each has its class below.
 
-    Its formula appears twice: linear for the search (`basis`, and `read` back into parameters), which tries the
-    nonlinear parameters that `shapes` lists, and as it stands (`term` and the like) for the extended model. Array
-    functions come from the arrays themselves (`x.__array_namespace__()`): numpy or jax alike.
+    Its formula appears twice: in linear form for the search (`basis`, and `read` back into parameters), which tries the
+    nonlinear parameters that `shapes` lists, and exactly (`term` and the like) for the extended model. Array functions
+    come from the arrays themselves (`x.__array_namespace__()`): numpy or jax alike.
     """
 
     name: ClassVar[str]

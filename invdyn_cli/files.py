@@ -1,8 +1,8 @@
 """All files of the package are written by `write_file`: completely, or not at all.
 
-The content goes into a file that has no name yet (where the system knows such files), is flushed to the disk and takes
-its name last. A process that is killed leaves nothing behind; where files need a name from the start, the part that it
-leaves is removed by the next process that writes into that folder.
+The content is written into a file without a name (if the system supports this), flushed to the disk, and named last. A
+killed process leaves nothing behind; where files need a name from the start, the next process that writes into this
+folder removes the incomplete file.
 """
 
 import itertools

@@ -1,9 +1,8 @@
 """HDF5 files from anyone, read in a separate process and written completely; no other file of the package uses h5py
 except `hdf5_reader`.
 
-A file from a stranger may be built to crash libhdf5 or to keep it busy for ever. `hdf5_reader` opens it in a process
-beside this one, which is ended when it takes too long; what reaches outside of the file or is larger than allowed is
-refused before any of it is read.
+A malicious file may crash libhdf5 or keep it busy for ever. `hdf5_reader` opens it in a separate process, which is
+ended after a time limit. Links to other files and data above the size limit are refused before anything is read.
 """
 
 import atexit

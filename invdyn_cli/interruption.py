@@ -2,9 +2,9 @@
 
 Ctrl-C stops it within GRACE seconds, wherever it is: in Python, in compiled code, in an import.
 
-Python hands Ctrl-C to its main thread, and only between two instructions: a compiled program of minutes delays it, and
-an import may lose it. So a thread of our own sees the signal too, and ends the process when the main thread has not.
-Files are written whole or not at all (`files`), so nothing is lost by that.
+Python handles Ctrl-C in its main thread, and only between two instructions: a compiled program of minutes delays it,
+and an import may lose it. Therefore a thread of ours receives the signal, too, and ends the process if the main thread
+has not done so. Files are written completely or not at all (`files`), so that nothing is damaged.
 """
 
 import os

@@ -57,9 +57,9 @@ class RawTrajectory:
 class Log:
     """A recording of one robot with n joints: the attributes of the log format (docs/logs.md), and its trajectories.
 
-    `urdf` is a path that can be opened from here ("": none); `rate` [Hz] is nominal; `drive_gain` (n,) [N m/A] turns
-    torques in "A" into "N m" (None: not known); `compensated` names effects that the torque already has taken out;
-    `history` says what was corrected in it, a sentence each.
+    `urdf` is a path that can be opened from here ("": none); `rate` [Hz] is nominal; `drive_gain` (n,) [N m/A] converts
+    torques in "A" to "N m" (None: unknown); `compensated` names effects that are already subtracted from the torque;
+    `history` lists corrections, one sentence each.
     """
 
     robot: str

@@ -1,8 +1,8 @@
 """Models and adaptations <-> plain values: {"class": a name, "fields": {...}}, members likewise.
 
-Which classes a file may name is decided by this table and by who reads the file, never by the file: a name that is not
-in the table belongs to a module, and that module is imported only if the reader trusts it by name. A whole tree is
-checked (classes, names and types of fields) before the first constructor runs.
+This table and the reader decide which classes a file may name, never the file: a name that is not in the table belongs
+to a module, and that module is imported only if the reader trusts it by name. The whole tree is checked (classes, names
+and types of fields) before the first constructor runs.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """URDF -> types.Robot; the only module that uses Pinocchio.
 
-Pinocchio reads the tree, merges what does not move and locks what shall not; `urdf` adds what Pinocchio does not keep:
-axes, limits as they are written, `<dynamics>` and mimic tags.
+Pinocchio reads the tree, merges fixed joints and locks others; `urdf` adds what Pinocchio does not keep: axes, limits
+as written, `<dynamics>` and mimic tags.
 """
 # pyright: reportAttributeAccessIssue=false
 

@@ -2,8 +2,8 @@
 extended_model.json. No pickle.
 
 A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects
-(models, adaptations) are stored by name and fields; `registry` says which names there are. Whoever wrote a file,
-reading it runs no code but the package's own and that of modules which the reader trusts by name.
+(models, adaptations) are stored by name and fields; `registry` has the names. Reading a file runs no code except the
+package's own and that of modules which the reader trusts by name.
 """
 
 import json

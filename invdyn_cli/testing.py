@@ -1,8 +1,8 @@
 """Checks whether an implementation keeps its contract: `check_model`, `check_adapter` and `check_source`, for third
 parties too.
 
-Each takes an object and something to try it on, returns nothing, and raises AssertionError with a sentence that says
-which rule of `interfaces` is broken and what was seen. They fit the model twice: give them little data and few epochs.
+Each takes an object and data to test it on, returns nothing, and raises AssertionError with a sentence that says which
+rule of `interfaces` is violated and what was found. They fit the model twice: give them little data and few epochs.
 """
 
 import json

@@ -1,9 +1,8 @@
 """Training of many small networks at once: minibatches and epochs in one `lax.scan`, `vmap` over networks of one shape.
 
-A group is a stack of nets of one shape, each with its own target column, its own learning rate and its own seed; the
-whole of its training is one compiled program, which serves all learning rates. Groups of different shapes know nothing
-of each other and run side by side, a thread each: padding them to a common shape, or one scan over all, costs about
-twice the time on a CPU.
+A group is a stack of networks of one shape, each with its own target column, learning rate and seed; its training is
+one compiled program, which serves all learning rates. Groups of different shapes run in parallel, one thread each:
+padding them to a common shape, or one scan over all, takes about twice the time on a CPU.
 """
 
 import os

@@ -142,11 +142,7 @@ class Dataset:
 class Splits:
     """The data of a source: sets for training, validation (None: no set) and test. `tests` holds at least "test";
     others are scored and stored likewise ("test_clean": clean inputs for noisy ones). `description` says what was made
-    or read, for the record.
-
-    `tests` holds at least "test"; others are judged and stored likewise ("test_clean": clean inputs for noisy ones).
-    `description` says what was made or read, for the record.
-    """
+    or read, for the record."""
 
     train: Dataset
     validation: Dataset | None

@@ -1,8 +1,8 @@
 """adaptation=local_error_model: a model, a local regression of its recent error, and an offset that follows the error.
 
-Meier, Kappler, Ratliff and Schaal 2016, "Towards robust online inverse dynamics learning" (IROS): an offset that steps
-down the gradient of the squared error takes up any change at once, and a local regression of the error takes the load
-off it. The regression is a Gaussian process on a window of samples that drifts along (Meier and Schaal 2016, "Drifting
+Meier, Kappler, Ratliff and Schaal 2016, "Towards robust online inverse dynamics learning" (IROS): an offset that
+follows the gradient of the squared error reacts to any change at once, and a local regression of the error then
+replaces it. The regression is a Gaussian process on a moving window of samples (Meier and Schaal 2016, "Drifting
 Gaussian processes with varying neighborhood sizes for online model learning").
 """
 
@@ -22,8 +22,8 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 class LocalErrorModel(AbstractAdapter):
     """tau = model + k(x, window) coefficients + offset; the model stays as it was fitted.
 
-    k is a squared exponential over the standardised state. Away from the states of the window the regression says
-    nothing, and model and offset are left.
+    k is a squared exponential over the standardised state. Far from the states of the window the regression is zero,
+    and only model and offset remain.
 
     Attributes:
         window: [samples] number of samples that the regression holds; the cost of an update grows with the third power.

@@ -1,8 +1,8 @@
 """adaptation=memory_learning_rate: networks continue to learn, with learned learning rates (Meier et al. 2018).
 
 Meier, Kappler and Schaal 2018, "Online learning of a memory for learning rates" (ICRA). The rate of a weight is a
-function of its gradient, held by radial basis functions; where two gradients in turn have the same sign, the rate that
-was used between them was too small, and where the sign changed, too large.
+function of its gradient, stored by radial basis functions. If two successive gradients have the same sign, the rate
+between them was too small; if the sign changed, it was too large.
 """
 
 from dataclasses import dataclass

@@ -1,11 +1,11 @@
 """adaptation=payload: detects a load that comes and goes in the residual of a rigid-body model, estimates its mass, and
 predicts with it.
 
-The torque is linear in the ten inertial parameters phi of a body on the last link, tau = model(q, qd, qdd) + Y phi. So
-all that a stretch says of a load is in two sums over its samples, L = sum Y'WY and b = sum Y'W r, r being what the
-model of the unloaded arm leaves over; phi has the log-likelihood b'phi - phi'L phi / 2 over no load. W counts what a
-sample is worth: less where a joint is near rest and friction may hold anything, and as many times less as residuals
-look alike from sample to sample. Three questions are asked of every sample:
+The torque is linear in the ten inertial parameters phi of a body on the last link, tau = model(q, qd, qdd) + Y phi. All
+information of a stretch about a load is therefore in two sums over its samples, L = sum Y'WY and b = sum Y'W r, where r
+is the residual of the unloaded arm's model; the log-likelihood ratio of phi to no load is b'phi - phi'L phi / 2. W
+weights samples: less where a joint is near rest, because its friction is then indeterminate, and less by the
+correlation time of the residuals. Each sample answers three questions:
 
 - Has a load come? Beyond a threshold some load explains the last stretch better than none (likelihood ratio; Willsky
   and Jones 1976), or the one that was put down last does (cumulative sum; Page 1954).
@@ -13,8 +13,8 @@ look alike from sample to sample. Three questions are asked of every sample:
 - Has it gone, or is it another one? A cumulative sum of none against it; the likelihood ratio of any other against it.
   What is left of a load on its way out is another one, until it is fainter than what motions without a load show.
 
-The threshold is a multiple of what motions without a load reach. What friction does that no function of the motion
-says is a disturbance beside: an observer follows it (Ohnishi 1996), so that predictions do not wait for a verdict.
+The threshold is a multiple of the largest evidence in motions without a load. Friction that no function of the motion
+can describe is a disturbance: an observer tracks it (Ohnishi 1996), so that predictions do not wait for a decision.
 """
 
 from collections.abc import Sequence

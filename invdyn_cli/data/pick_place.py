@@ -1,8 +1,9 @@
 """data=pick_place: the paper's real data, replaced by the simulated arm, which picks and places without and with an
 object.
 
-Repetitions without the object are learned from, as many with it are judged and adapted to (paper, section V-A.3, Table
-II). The arm has friction, springs in its gears and ripple; the object comes and goes as a grasp does.
+Repetitions without the object are training data; as many with it are test data, also for adaptation (paper, section
+V-A.3, Table II). The arm has friction, springs in its gears and ripple; the object's weight appears and disappears
+gradually, as in a grasp.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
 """data=plant: recordings of a simulated arm that replaces the real one, with hidden effects; they are treated as a real
 log.
 
-The arm is MuJoCo's (`invdyn_cli.simulation`); from its log on everything is as with measured data.
+The arm is simulated by MuJoCo (`invdyn_cli.simulation`); its log is then treated like a measured one.
 """
 
 from collections.abc import Mapping, Sequence

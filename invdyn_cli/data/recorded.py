@@ -31,8 +31,8 @@ there."""
 class RealLog(AbstractSource):
     """Trajectories of one or several logs of one robot, in any format that `formats` reads.
 
-    `selection` says how trajectories are named and split; with several logs they are called "<file stem>/<name>" too.
-    With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
+    `selection` says how trajectories are named and split; with several logs they are also called "<file stem>/<name>".
+    With logged derivatives and without filter, lag and rate the clock is not used, and samples are unchanged.
 
     Attributes:
         path: the log, or a list of logs of one robot.

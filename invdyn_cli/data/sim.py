@@ -5,7 +5,8 @@ differentiating positions, torques from inverse dynamics on those; 250 samples a
 the paper's 8 x 4,500. Noise: the positions are truncated after the fifth decimal and differentiated anew, while the
 torques stay those of the unmodified positions.
 
-Amplitudes, phases, the joints' frequencies and the filter's weights are not in the paper: `PLANS` fixes two readings.
+The paper does not give amplitudes, phases, the joints' frequencies and the filter's weights: `PLANS` fixes two
+interpretations.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Causes that a design is to tell apart: what each adds to the torque along a motion, and the columns by which it would
 imitate another.
 
-Sizes are those that were given or estimated; where there are none, those of `sizes`.
+Sizes are given or estimated; otherwise those of `sizes`.
 """
 
 from collections.abc import Mapping, Sequence

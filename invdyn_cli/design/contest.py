@@ -3,8 +3,8 @@ a rival can make of it (Atkinson and Fedorov 1975: T-optimal designs for discrim
 
     D^2 = min over the rival's parameters, and those of nuisances, of sum (true - rival - nuisances)^2 / noise variance
 
-in standard errors, noise's autocorrelation counted, everything behind the low-pass of the diagnosis. Scenes are judged
-by their Gram matrices, which add up: hundreds of candidates cost little.
+in standard errors, with the autocorrelation of the noise, after the low-pass filter of the diagnosis. Scenes are scored
+by their Gram matrices, which add up, so that hundreds of candidates are cheap.
 """
 
 from collections.abc import Mapping, Sequence

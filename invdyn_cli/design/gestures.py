@@ -1,9 +1,9 @@
 """The motions that a design chooses from: gestures that begin and end at rest in one posture, and how they are joined.
 
-A gesture is about two seconds long, so that many fit into a recording and every block of it shows something. Its kinds
-are what tells causes apart: multisines (Swevers et al. 1997) for bodies, sweeps at constant speeds for friction,
-reversals of milliradians for bristles and play, slow and fast, where a joint bears no load and where it bears much,
-small swings for what is between, chirps for what comes late or yields.
+A gesture is about two seconds long, so that many fit into a recording and every block of it contains information. Its
+kinds distinguish causes: multisines (Swevers et al. 1997) for bodies; sweeps at constant speeds for friction; reversals
+of milliradians, slow and fast, with and without load, for bristles and play; small swings for what is between; chirps
+for delays and compliance.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """A reference trajectory that tells rivals apart: gestures are chosen from many at random by what they add to the
 smallest distance between any true cause and its rival, then varied while that helps.
 
-The distance is that of `contest`, its gestures come from `gestures`. What is chosen fills a round, which is
-played two or three times, so that the part of a log that chooses shows what the part that judges does.
+The distance is that of `contest`, the gestures come from `gestures`. The chosen gestures fill a round, which is played
+two or three times, so that training and held-out data contain the same motion.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """The checks of a log: whether it is sound, what can be corrected, and what it excites.
 
-Checks are asked in turn, and each sees the log as those before it have corrected it: torques are judged when the clock
-and the units are right.
+Checks run one after the other, each on the log as corrected by those before it: torques are checked when the clock and
+the units are right.
 """
 
 from collections.abc import Callable, Sequence
@@ -65,7 +65,7 @@ FAULT = "a fault of invdyn, not of the log"
 def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS) -> Examination:
     """What there is to say of a log; without a robot, what can be told without one.
 
-    `usable` is true where nothing that fails remains after correction, and the corrected log can be computed with.
+    `usable` is true if no failure remains after correction, and the corrected log can be computed with.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.

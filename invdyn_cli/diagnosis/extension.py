@@ -1,6 +1,6 @@
 """The better simulation: the findings as an MJCF and a URDF, and their replay in MuJoCo beside the log.
 
-Effects and simulation do not know each other: an effect says in plain numbers what a file holds of it.
+Effects and simulation do not import each other: an effect describes in plain numbers what a file contains of it.
 """
 
 from collections.abc import Sequence
@@ -65,8 +65,9 @@ def _bare(robot: Robot) -> Robot:
 def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     """The robot's URDF with other inertials, damping and friction, and what it does not hold.
 
-    Damping and friction are those that were found, whatever the file said before. A moving link's change stands on its
-    own <inertial>, also where the robot's row is the sum of several links that are fixed to each other.
+    Damping and friction are those that were found, and replace those of the file. The change of a moving link is
+    written into its own <inertial>, even if the robot's row is the sum of several links that are fixed to each
+    other.
     """
     robot, said = model.robot, []
     heavier = _changed(robot, [x for x in model.acting if not x.effect.passing])

@@ -1,7 +1,7 @@
 """What the user already knows: declared causes are used as given, or allowed for, and not found again.
 
-A reference, an earlier log of the same robot, is knowledge too: whatever both logs show alike is allowed for, and only
-what the new one shows beyond it is looked for.
+A reference, an earlier log of the same robot, is also knowledge: effects that both logs show alike are allowed for, and
+only changes are searched.
 """
 
 from collections.abc import Mapping, Sequence

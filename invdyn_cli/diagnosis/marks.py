@@ -62,7 +62,7 @@ def located(log: Log, robot: Robot | None, *, correct: bool = True) -> tuple[Log
     """The log as corrected, what the doctor says of it, and a mark for every finding that has a place in it; nothing is
     corrected where `correct` is False.
 
-    `rows` of the corrected trajectories says where their rows stood in the log as recorded.
+    `rows` of the corrected trajectories gives the numbers of their rows in the log as recorded.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.

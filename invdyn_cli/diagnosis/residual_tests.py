@@ -1,7 +1,7 @@
 """Tests of every joint's residual: whether it depends on speed, angle, load, time and so on.
 
-A test is a handful of columns of the motion. Where a residual goes with them, every stretch of the log says so with the
-same sign (`statistics.coherence`); stretches are longer than noise remembers.
+A test is a few columns of the motion. If a residual depends on them, every stretch of the log shows it with the same
+sign (`statistics.coherence`); stretches are longer than the correlation time of the noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,6 +1,6 @@
 """Friction: torques that depend on a joint's own motion.
 
-Sizes are those of the logged side. sign(qd) comes with the state: whoever makes it decides how it crosses zero.
+Sizes refer to the logged torque. sign(qd) is part of the state, which defines how it crosses zero.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Gear: play and elasticity, which let the link move relative to the motor.
 
-The motor's angle is logged; the link follows it with a deflection, and the motor feels the inverse dynamics of the
-link's motion. Load is the torque that would keep the link on the motor's motion.
+The motor's angle is logged; the link's angle is that plus a deflection, and the motor carries the inverse dynamics of
+the link's motion. Load is the torque that would keep the link on the motor's motion.
 """
 
 from collections.abc import Sequence

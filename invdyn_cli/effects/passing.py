@@ -82,10 +82,7 @@ class TorqueGainChange(AbstractChannelEffect):
 @dataclass(frozen=True)
 class ExternalContact(AbstractForceEffect):
     """A force on the arm from outside, constant in the base frame, at the origin of a joint's frame. If the axes of
-    several joints meet there, the force is the same for all their frames: the outermost joint is named.
-
-    Joints whose axes meet there feel the same whichever of their frames it acts on: the outermost of them is named.
-    """
+    several joints meet there, the force is the same for all their frames: the outermost joint is named."""
 
     name = "external_contact"
     title = "external contact"

@@ -1,6 +1,6 @@
 """The column map: which columns of a file are which channels of a log, in which units and signs, and how that is known.
 
-A map may be partial: what it does not say `guess.complete` guesses or asks for. `log_from` applies a complete one.
+A map may be partial: `guess.complete` guesses missing entries or asks for them. `log_from` applies a complete one.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Completes a column map: what the user did not say is guessed from the format, the names and the values of columns.
 
-A guess is made only where one reading is left. Where several are left, an optional channel is left out with a note,
-and a necessary one is asked for: all questions of a file stand in one line.
+A guess is made only if a single reading remains. If several remain, an optional channel is left out with a note, and a
+necessary one is asked for: all questions of a file are in one line.
 """
 
 from collections.abc import Callable

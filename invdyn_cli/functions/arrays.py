@@ -56,7 +56,7 @@ def from_arrays(
 ) -> Log:
     """A log of one recording.
 
-    Values are taken as they are, NaN and repeated times too: `check` describes such defects.
+    Values are not changed, not even NaN and repeated times: `check` describes such defects.
 
     Args:
         q, tau: (T, n) positions [rad; m] and torques [N m; N, or A].

@@ -1,6 +1,7 @@
 """From the base parameters of a regression to physically consistent links: inertials (n, 10) that predict the same.
 
-A log determines a few combinations of the inertials; all others are free, and bodies are chosen there.
+A log determines a few combinations of the inertials; the others are free, and are chosen so that bodies are
+consistent.
 """
 
 from collections.abc import Sequence

@@ -42,7 +42,7 @@ class LinkMotion(NamedTuple):
 def inverse_dynamics(robot: Robot, inertial: Array, q: Array, qd: Array, qdd: Array) -> Array:
     """Torques tau (n, *batch) [N m; N] of the motion q, qd, qdd (n, *batch) with the inertials (n, 10).
 
-    `robot` gives kinematics and gravity; the inertials are an argument of their own because they are what is learned.
+    `robot` gives kinematics and gravity; the inertials are a separate argument because they are learned.
     """
     links = link_motions(robot, q, qd, qdd)
     omega, alpha, a = _in_link_frames(links)

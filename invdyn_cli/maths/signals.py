@@ -62,8 +62,8 @@ def lowpass(
     """x at `rate` [Hz] through a Butterworth low-pass along `axis`, forth and back: no phase, -6 dB at `cutoff` [Hz];
     forth alone where `causal`, from a past at the first sample.
 
-    It is linear: what is filtered alike stays in proportion. The ends are point-reflected over `settling` samples
-    (`scipy.signal.sosfiltfilt`, which would find the filter's state at rest anew each time).
+    It is linear: signals that are filtered alike stay in proportion. The ends are point-reflected over `settling`
+    samples (`scipy.signal.sosfiltfilt`, which would compute the filter's state at rest each time).
 
     Raises:
         ValueError: as `settling` does, or with no more than `settling` samples.
@@ -100,8 +100,8 @@ def resample(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A uniform clock (S,) [s] at `rate` [Hz] from t[0] to t[-1], and x (S, ...) on it by splines of `degree` 1 or 3.
 
-    t (T,) [s] increases, x is (T, ...). What already ticks so, within a share `tolerance` of a period, comes back
-    untouched.
+    t (T,) [s] increases, x is (T, ...). A clock that is already uniform within a share `tolerance` of a period is
+    returned unchanged.
     """
     ticks = t[0] + np.arange(int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1) / rate
     if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= tolerance):

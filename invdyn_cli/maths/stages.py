@@ -69,7 +69,7 @@ def scores(judged: Prediction) -> dict[str, Any]:
     """Over all blocks and by stage: `mean`; `peak`, the highest block of all repetitions; `line_peak`, the highest of
     the median over repetitions; by stage `samples_below` each of `LEVELS`, as `until_below` has it.
 
-    What holds a prediction that is not finite has no score: infinity, and None for `samples_below`."""
+    A set with a prediction that is not finite has infinite errors, and None for `samples_below`."""
     found = {name: _judged(x) for name, x in errors(judged).items() if x.shape[1]}
     if not found:
         return {}

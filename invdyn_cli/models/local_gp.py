@@ -4,8 +4,8 @@
 nearest centre by w = exp(-d² / 2), d being the distance in length scales, and begins a region of its own where no
 centre has w above `nearness`. A prediction is the mean of the nearest regions' processes, weighted by w.
 
-Here a sample joins all the `nearest` regions, those that predict it, and not the nearest alone: a process that is asked
-beside its samples extrapolates, which spoils the mean where torques have little noise.
+Here a sample joins all the `nearest` regions that predict it, not only the nearest one: a process that is evaluated
+beside its samples extrapolates, which makes the mean worse where torques have little noise.
 """
 
 from dataclasses import dataclass

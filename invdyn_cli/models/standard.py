@@ -24,9 +24,9 @@ TERMS = ("offset", "coulomb", "viscous", "armature")
 class Standard(AbstractModel):
     """The URDF's links with errors of some percent, and friction, an offset and a rotor on every joint.
 
-    Least squares with a prior about the URDF: where the motion says little it stays as it is, so that little data
-    suffice and what was learned from one motion holds on another. `share` is learned by leaving motions out where the
-    training data hold several that differ, else by the evidence.
+    Least squares with a prior around the URDF: parameters that the motion does not determine stay as in the URDF, so
+    that few data suffice and the model is valid for other motions. `share` is chosen by leaving motions out if the
+    training data contain several different ones, otherwise by the evidence.
 
     Attributes:
         share: [-] standard deviation of the URDF's inertial parameters, as a share of a link's scales; None: learned

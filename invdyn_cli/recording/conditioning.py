@@ -1,8 +1,8 @@
 """From logs to training and test data: they are first cut into blocks, and only then resampled, filtered and
 differentiated.
 
-Blocks come first so that a zero-phase filter, which looks ahead, carries nothing from what is tested into what is
-learned. Positions, logged derivatives and torques pass through one and the same filter: none leads or lags another.
+Blocks come first so that a zero-phase filter, which uses future samples, carries no test data into the training data.
+Positions, logged derivatives and torques pass through the same filter, so that none leads or lags another.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,7 +35,7 @@ MOST_ORDER = 20
 class Conditioning:
     """How trajectories are split and made ready; sources have its fields among their own (`Conditioning.of`).
 
-    With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
+    With logged derivatives and without filter, lag and rate the clock is not used, and samples are unchanged.
 
     Attributes:
         train, validation, test: selections, or None.

@@ -1,7 +1,7 @@
 """A prepared log: uninterrupted pieces on one clock, with derivatives, and the filter that all columns share.
 
-Pieces are cut by their role (what chooses, what judges, what is compared with) before anything is filtered, so that
-nothing of the one reaches the other.
+Pieces are cut by their role (training, held-out, reference) before anything is filtered, so that no data pass from one
+role to another.
 """
 
 from collections.abc import Mapping, Sequence

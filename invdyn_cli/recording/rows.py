@@ -62,8 +62,8 @@ def median_step(t: np.ndarray) -> float:
 def clock_pieces(t: np.ndarray) -> list[np.ndarray]:
     """Rows of t (T,) [s] that follow each other in time, apart where the clock starts anew for at least RESTART rows.
 
-    Of each piece these are the longest sequence of rows whose stamps increase: a stamp that is far too late costs its
-    own row, and not all rows after it.
+    Of each piece these are the longest sequence of rows with increasing time stamps: a stamp that is far too late costs
+    only its own row, not all rows after it.
     """
     back = np.flatnonzero(np.diff(t) < 0) + 1
     starts = [int(row) for row in back if _starts_anew(t, int(row))]

@@ -1,7 +1,7 @@
 """The data that the checks of a log use: windows of it on a uniform clock, all filtered alike, positions
 differentiated.
 
-Nothing rests on logged derivatives; windows (`rows.windows`) are cut before they are filtered.
+Logged derivatives are not used; windows (`rows.windows`) are cut before they are filtered.
 """
 
 from dataclasses import dataclass

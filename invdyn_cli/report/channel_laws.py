@@ -38,7 +38,8 @@ def over_rate(axes: Axes, exhibit: Exhibit) -> None:
 def misfit_over_shift(axes: Axes, exhibit: Exhibit) -> None:
     """RMS of what is left if the logged torque is shifted by so much: least at the delay.
 
-    It is the model's torque that is shifted, the other way: interpolation smooths noise, and would favour half steps.
+    The model's torque is shifted in the other direction, because interpolation smooths noise and would favour half
+    steps.
     """
     tau, t = exhibit.own(exhibit.signals.tau), exhibit.signals.t
     without = exhibit.own(exhibit.signals.extended) - exhibit.own(exhibit.term)

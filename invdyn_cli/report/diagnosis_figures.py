@@ -1,6 +1,6 @@
 """The figures of a diagnosis: an overview, and one picture for every cause.
 
-Black is what was measured, less what the other effects explain; vermillion is the fitted term that belongs to it.
+Black is the measurement minus the terms of the other effects; vermillion is the fitted term.
 """
 
 from collections.abc import Callable, Sequence

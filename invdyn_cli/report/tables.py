@@ -1,6 +1,6 @@
 """Numbers for readers: the score table of a run, the table and the CSV of a sweep, a value rounded by its error.
 
-Everything here is a pure function of its arguments; the tables are rich objects, and who calls prints them.
+Everything here is a pure function of its arguments; the tables are rich objects, which the caller prints.
 """
 
 import csv

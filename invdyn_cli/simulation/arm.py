@@ -1,9 +1,9 @@
 """types.Robot -> MuJoCo: the same joints, frames, inertials and gravity; no friction, no limits, no contacts. A joint
 whose gear yields is two in series on one axis: the motor's, and behind it the gear's.
 
-The compiler of MuJoCo refuses links that no real body could be (no mass, a broken triangle inequality), which URDFs are
-full of. So it is given placeholders, and the true numbers are set behind it: all that the equations of motion need is a
-positive definite mass matrix. Where even that fails, a joint gets the `LEAST_INERTIA` that is missing, with a word.
+MuJoCo's compiler refuses impossible links (no mass, a violated triangle inequality), which are common in URDFs. It
+therefore gets placeholders, and the true numbers are set afterwards: the equations of motion only need a positive
+definite mass matrix. If even that fails, a joint gets the missing `LEAST_INERTIA`, with a note.
 """
 # pyright: reportAttributeAccessIssue=false
 

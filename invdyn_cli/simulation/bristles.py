@@ -23,8 +23,8 @@ class Bristle:
 class Bent:
     """A bristle in motion: mutable, used for one simulation, not bent at the beginning.
 
-    A wrist on stiff bristles can be faster than the steps of the physics. What is too fast for them gets as much
-    damping, integrated implicitly, as puts that share of the force at the end of the step: stable for any stiffness.
+    A wrist on stiff bristles can be faster than the steps of the physics. Then a part of the force is evaluated at the
+    end of the step, as damping that is integrated implicitly: this is stable for any stiffness.
 
     Args:
         bristle: it.

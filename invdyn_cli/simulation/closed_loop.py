@@ -1,7 +1,7 @@
 """The simulated arm tick by tick, for any controller: measure, then apply a torque that is held until the next tick.
 
-`plant.simulate` closes it with the simulation's own controller, `control.py` of the package with a learned one: the arm
-and its sensors are the same.
+`plant.simulate` uses the simulation's own controller, `control.py` of the package a learned one, with the same arm and
+sensors.
 """
 # pyright: reportAttributeAccessIssue=false
 

@@ -8,10 +8,10 @@ of a shoulder's, though: no feedback of this bandwidth holds it against a fricti
 of. Hence the controller is commissioned on the arm as it is, unless it is told to know the nominal one alone. The log
 is right either way: which torque moved the arm does not depend on who asked for it.
 
-Inertia in the feedback has two exceptions, where a motor moves less at first than in the long run, or more. Behind a
-gear that yields it moves its rotor alone: with the inertia of the whole link in the feedback, and samples of T seconds,
-it would swing. And gains that just hold a light wrist would let go of what it picks up unannounced: the feedback is
-tuned for the arm with its loads. In both cases M in the feedback becomes S M S, M of the laden arm, with
+The inertia in the feedback has two exceptions, where a motor moves less at first than in the long run, or more. Behind
+a compliant gear a motor moves only its rotor: with the inertia of the whole link in the feedback, and samples of T
+seconds, it would oscillate. And gains that just hold a light wrist could not hold an unexpected load: the feedback is
+tuned for the arm with its loads. In both cases M in the feedback becomes S M S, with M of the loaded arm and
 
     S_i = min(1, sqrt(J_i / (4 D w T) / M_ii)),   J_i the least that motor i moves,
 

@@ -1,9 +1,9 @@
 """From the commanded torque to the next state: the channel in between, and the effects that MuJoCo does not integrate
 itself.
 
-A tick is so many steps of constant command. Where an effect changes from step to step, torques, friction and damping
-are set before each step; else MuJoCo takes all steps of a tick at once. Arrays (n,) are of the motors unless they are
-said to be of the links.
+A tick is a number of steps with constant command. If an effect changes from step to step, torques, friction and damping
+are set before each step; otherwise MuJoCo takes all steps of a tick at once. Arrays (n,) belong to the motors unless
+they are said to belong to the links.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -22,9 +22,10 @@ from invdyn_cli.simulation.hidden import Build
 class Drive:
     """One arm in motion: mutable, used for one simulation.
 
-    MuJoCo steps by semi-implicit Euler: torques push, and then the arm moves on with the new velocity. A tick therefore
-    begins half a step before `qpos`, in the middle of that way: half of the way, the push, the other half. Read so, the
-    steps are of second order, `qvel` is the velocity of that instant, and a torque acts from when it is logged.
+    MuJoCo uses semi-implicit Euler steps: torques change the velocity, and then the arm moves with the new velocity. A
+    tick therefore begins half a step before `qpos`, in the middle of that motion: half of the motion, the torques, the
+    other half. In this way the steps are of second order, `qvel` is the velocity at that time, and a torque acts from
+    the time at which it is logged.
     """
 
     def __init__(self, arm: Arm, build: Build, substeps: int, *, sense: bool = False) -> None:

@@ -21,8 +21,8 @@ STEP = 1e-3
 class Segment:
     """A measured stretch without gaps on an even clock: t (T,) [s], the others (T, n) [rad, rad/s, N m; m, m/s, N].
 
-    `held`: a torque acts from its t until the next one, as a controller gives it out; else it acts at its t, and in
-    straight lines between.
+    `held`: a torque acts from its t until the next one, as a controller applies it; otherwise torques are linear
+    between samples.
     """
 
     name: str

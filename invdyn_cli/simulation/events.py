@@ -1,6 +1,7 @@
 """Events in a recording: a drive that becomes weaker, a load that is picked up, a contact.
 
-The controller knows nothing of it. Times are those of the log; each step of the physics is within a window or not.
+The controller does not know of them. Times are those of the log; each step of the physics is inside a window or
+outside.
 """
 # pyright: reportAttributeAccessIssue=false
 

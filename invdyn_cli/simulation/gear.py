@@ -1,8 +1,8 @@
 """Joints with a compliant gear: motor and link turn on one axis, with play or a spring between them.
 
-The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's is the
-link's angle less the motor's, and carries the link: MuJoCo's joint limits stop it at either end of the play, or teeth
-that yield push it back; MuJoCo's spring pulls it back.
+The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's degree
+of freedom is the link's angle minus the motor's, and carries the link. At the ends of the play MuJoCo's joint limits
+stop it, or compliant teeth push it back; MuJoCo's spring pulls it back.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -99,9 +99,9 @@ def loaded(arm: Arm, gears: Sequence[Gear], data: Any) -> None:
 class Stops:
     """The ends of all plays: mutable, used for one simulation.
 
-    MuJoCo stops a joint when it is beyond its limit, by then up to a step's way. So before each step the limit is
-    moved to where the joint is, if it would pass the end within the step, with the damping that takes it just there.
-    Teeth that yield push by their own force.
+    MuJoCo stops a joint only when it is beyond its limit, by up to the motion of one step. Therefore, if the joint
+    would pass the end within the next step, the limit is moved to its present position, with the damping that takes it
+    exactly to the end. Compliant teeth push with their own force.
 
     Raises:
         UsageError: if teeth are too stiff for the steps of the physics.

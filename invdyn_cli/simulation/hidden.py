@@ -1,8 +1,8 @@
 """The effects that can be hidden in the arm, by name, with the parameters and signs of docs/plant.md.
 
-Logged torque = nominal torque + the effect's term: the joint receives what is logged less the term. `assemble` turns
-effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies, gears),
-and into the few laws and events that it does not have, which `drive` puts into every step.
+Logged torque = nominal torque + the effect's term: the joint receives the logged torque minus the term. `assemble`
+turns effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies,
+gears), and into the few laws and events that it does not have, which `drive` applies in every step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -75,8 +75,8 @@ KINDS = {
 class Hidden:
     """One effect that is hidden in the arm.
 
-    `custom` stands for whatever the catalogue lacks, from Python only: its `force(t, q, qd)` gives the term [N m; N] at
-    t [s], of the joint's own true angle and velocity, or of all joints' (n,) where `joint` is None.
+    `custom` is any effect that the catalogue lacks, from Python only: its `force(t, q, qd)` gives the term [N m; N] at
+    t [s], for the joint's own true angle and velocity, or for those of all joints (n,) if `joint` is None.
 
     Attributes:
         effect: its name, one of `KINDS`.

@@ -1,9 +1,9 @@
 """A robot with effects as an MJCF file that plain MuJoCo loads, and a sentence for everything that the format cannot
 contain.
 
-There is a motor for every joint, called like it, in the robot's order: `data.ctrl` takes what the log calls torque, and
-`data.qpos` gives what it calls position. In the order of `drive`: ctrl comes late (delay), slow (filterexact), is
-multiplied (gain), limited (forcerange) and less by the offset (bias).
+There is a motor for every joint, with its name, in the robot's order: `data.ctrl` takes what the log calls torque, and
+`data.qpos` gives what it calls position. In the order of `drive`, ctrl is delayed (delay), low-pass filtered
+(filterexact), multiplied (gain), limited (forcerange) and reduced by the offset (bias).
 
 The text is written here and not by `MjSpec.to_xml`, which keeps six digits: a mass matrix would be off by 1e-6.
 """

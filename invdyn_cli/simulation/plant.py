@@ -1,7 +1,7 @@
 """The arm that replaces the real one: a reference, hidden effects and sensors give a trajectory of a log.
 
-What is logged at t is what the controller measured then, and the torque that it asked for from then on, held until the
-next tick (zero-order hold): a torque is on average half a tick younger than its t.
+At t the log has the measurement of the controller, and the torque that it commands from then on, held until the next
+tick (zero-order hold): a torque is on average half a tick later than its t.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,10 +1,9 @@
 """The arm of an MJCF file beside the measured motion: unconstrained under the logged torques for short windows, and
 held by a weak spring for a whole stretch.
 
-Free: every window begins with the measured positions and velocities, and the logged torques move the arm from there on.
-Nothing pulls it back, so that the error at the end tells what the model gets wrong. Held: a spring and a damper, the
-same for every model, pull each joint to the measured motion; a right model needs nothing of it, and stays where the
-robot was.
+Unconstrained: every window begins with the measured positions and velocities, and the logged torques move the arm from
+there. Nothing pulls it back, so that the error at the end shows the error of the model. Held: a spring and a damper,
+the same for every model, pull each joint to the measured motion; with a correct model they exert no torque.
 """
 # pyright: reportAttributeAccessIssue=false
 

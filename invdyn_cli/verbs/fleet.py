@@ -22,7 +22,7 @@ from invdyn_cli.verbs.sweep import STATUS, run_side_by_side
 class Fleet(Callback):
     """Prints the table of all logs when a sweep of diagnoses ends, and writes report.html and fleet.csv.
 
-    Raises SystemExit with the command's exit code 2 where a log was not diagnosed.
+    Raises SystemExit with exit code 2 if a log was not diagnosed.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:

@@ -1,7 +1,7 @@
 """The meaning of every option, without importing what it configures.
 
-The line of an option stands in one place: in the docstring (`Attributes:` or `Args:`) of the object that its config
-node builds (`_target_`), or, if the option builds none, in the comment behind it in the verb's YAML.
+The text of an option is in one place: in the docstring (`Attributes:` or `Args:`) of the object that its config node
+builds (`_target_`) or, if the option builds none, in the comment behind it in the verb's YAML.
 """
 
 import ast

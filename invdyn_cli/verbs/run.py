@@ -61,8 +61,8 @@ def execute(
 ) -> RunRecord:
     """Config -> objects -> experiment -> files in `folder`; prints the result on `console` if there is one.
 
-    `view` is Hydra's view of the job (choices, overrides) where it is not the running one; `prepared` are data and fit,
-    where these are there already.
+    `view` is Hydra's view of the job (choices, overrides) if it is not the running one; `prepared` are data and fit if
+    they exist already.
     """
     console = console or Screen(quiet=True)
     screen.use_compilation_cache()
@@ -126,10 +126,7 @@ def track(tracker: AbstractTracker, record: RunRecord, config: DictConfig, folde
 
 def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Screen) -> Robot | None:
     """The robot of the config; the data supply what it leaves open (path, joints). None if nothing names a robot, or if
-    it is `optional` and the URDF that the data name is not usable, with a message.
-
-    None where nobody knows any, or where it is `optional` and the URDF that the data name cannot be used, with a word.
-    """
+    it is `optional` and the URDF that the data name is not usable, with a message."""
     node = config.robot
     if not isinstance(node, DictConfig) or "path" not in node:
         raise UsageError(f"robot={node}; allowed: {{path: arm.urdf, …}}", advice="robot=urdf robot.path=arm.urdf")

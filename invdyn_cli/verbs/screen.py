@@ -113,7 +113,7 @@ class Clock:
 class Lines:
     """Progress as lines on stderr, for pipes and files: the step, its share, the time; no control characters.
 
-    A thread of its own writes them: a compiled program that reports nothing for minutes is told of, too.
+    A separate thread writes them, so that there are lines even while a compiled program reports nothing for minutes.
     """
 
     def __init__(self) -> None:

@@ -112,7 +112,7 @@ class Summary(Callback):
     """Prints the table of all jobs when a sweep ends, and writes sweep.csv and report.html beside them; whatever
     launcher ran them.
 
-    Raises SystemExit with the command's exit code 2 where a job failed.
+    Raises SystemExit with exit code 2 if a job failed.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:

@@ -105,7 +105,8 @@ class Quantisation(AbstractCheck):
 class Saturation(AbstractCheck):
     """Torques that stay at one extreme value while the arm moves, or at the URDF's effort limit.
 
-    They stay there in a row, or, where noise is larger than what moves, come back to it more often than to any other.
+    They stay there in successive rows or, if the noise is larger than the motion, return to this value more often than
+    to any other.
 
     Attributes:
         run: samples with the very same extreme value, in a row, or times as many as any other value has (ours: noise

@@ -27,9 +27,9 @@ from invdyn_cli.types import Check, Robot
 class Duplicates(AbstractCheck):
     """Time stamps that repeat or run backwards, and rows that repeat the one before while the arm moves.
 
-    A row counts as repeated where q and tau of all joints are the very numbers of the row before, though a joint moves
-    by more than `moving` in the `reach` rows around: two noisy samples of a moving arm do not agree by chance. A
-    clock that starts anew is another trajectory, not a defect of single rows (`rows.clock_pieces`).
+    A row counts as repeated if q and tau of all joints equal those of the row before exactly, although a joint moves by
+    more than `moving` in the `reach` rows around it: two noisy samples of a moving arm do not agree by chance. A clock
+    that restarts is another trajectory, not a defect of single rows (`rows.clock_pieces`).
 
     Attributes:
         share: of repeated rows that is worth a warning (ours: at 1 % linear interpolation still restores them).

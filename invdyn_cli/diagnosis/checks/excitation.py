@@ -1,7 +1,7 @@
 """What a log excites: ranges, reversals, speeds, loads, the condition of the regressor; and therefore what it cannot
 show.
 
-Effects say what they need of a joint's motion (`AbstractEffect.needs`); the thresholds are fields here.
+Effects declare what they need of a joint's motion (`AbstractEffect.needs`); the thresholds are fields here.
 """
 
 from collections.abc import Iterator, Mapping

@@ -4,12 +4,12 @@ unit.
     s tau_i = u (m_j + Y_j dphi + g m_j + d dm_j/dt)
               + coulomb sign(qd) + viscous qd + armature qdd + stiffness q + offset
 
-m_j is the URDF's torque. Inertial parameters are off by a share of their scales (`maths.standard.link_scales`) and by a
-tool that the URDF lacks, gains by g, time by d, all Gaussian; friction, offset, spring and rotor have flat priors, and
-friction and rotor are positive: the posterior chance of that is part of the likelihood. So neither a spring nor an
-inertia of a placeholder can pass for a sign. Gravity that is taken out is that of a model of its own: errors of the
-inertial parameters show through gravity then, too. A row counts for 1 / autocorrelation time of what is left, or of the
-torque. A column that no rigid body explains is as likely on every joint (`LOST`).
+m_j is the URDF's torque. Inertial parameters are wrong by a share of their scales (`maths.standard.link_scales`) and by
+a tool that the URDF lacks, gains by g, time by d, all Gaussian. Friction, offset, spring and rotor have flat priors;
+friction and rotor are positive, and the posterior probability of this is part of the likelihood, so that neither a
+spring nor a placeholder inertia looks like a change of sign. If gravity was subtracted, it was that of another model,
+so that errors of the inertial parameters then also show in gravity. A row counts as 1 / autocorrelation time of the
+residual, or of the torque. A column that no rigid body explains is equally likely on every joint (`LOST`).
 """
 
 from dataclasses import dataclass, replace

@@ -17,10 +17,10 @@ from invdyn_cli.types import Check, Robot
 class ModelMismatch(AbstractCheck):
     """A log of another robot, a wrong URDF, or a torque that never changes.
 
-    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. Where that is poor
-    on most joints, all inertial parameters are fitted anew (with friction, and rotor inertias) on every other block of
-    the log, and judged on the blocks between: another payload, another hand, wrong inertials then fit; another robot's
-    kinematics do not.
+    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. If it is low on
+    most joints, all inertial parameters (with friction, and rotor inertias) are fitted to every other block of the log
+    and tested on the blocks between. This fit is good with another payload, another hand or wrong inertials, but not
+    with the kinematics of another robot.
 
     Attributes:
         nominal: median share below which the refit is made, and a warning due.

@@ -12,7 +12,8 @@ ZERO, EQUAL, SAME = "zero", "equal on all axes", "the same as another link's"
 def doubtful_inertias(robot: Robot) -> np.ndarray:
     """(n,) bool: bodies whose rotational inertia about the centre of mass is that of no CAD program.
 
-    Fixed links are merged into the body that carries them, so of several placeholders in one body the sum is judged.
+    Fixed links are merged into the body that carries them; if a body contains several placeholders, their sum is
+    judged.
     """
     rows = np.asarray(robot.inertial, float)
     return np.array([kind is not None for kind in kinds_of([about_centre(row) for row in rows], rows[:, 0])])

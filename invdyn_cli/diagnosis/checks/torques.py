@@ -1,7 +1,7 @@
 """The torque columns: how well each follows the nominal model's torque, and whether gravity is in them.
 
-Friction (ramped sign(qd), qd, 1) is taken out of both before they are compared; a joint is judged where its nominal
-torque varies by a fair part of what this arm can ask of it.
+Friction (ramped sign(qd), qd, 1) is removed from both before they are compared. A joint is judged if its nominal torque
+varies by a considerable part of what is possible on this arm.
 """
 
 from collections.abc import Sequence
@@ -66,9 +66,9 @@ def _without_gravity(samples: Samples, robot: Robot) -> tuple[float, float]:
 class GravityRemoved(AbstractCheck):
     """Torques from which gravity is already subtracted, as some drivers' "external" or "feedback" torques.
 
-    The URDF without gravity has to be likelier than with it (`fitness`: with errors in its inertials, and as it
-    stands), and the torque must hardly follow gravity on the joints that it loads. Where neither is likelier, that is
-    said once orders and signs are right.
+    The URDF without gravity must be more likely than with it (`fitness`: with errors in its inertials, and unchanged),
+    and the torque must hardly follow gravity on the joints that it loads. If neither is more likely, this is reported
+    once orders and signs are right.
 
     Attributes:
         slope: median slope of torque on gravity torque that still is none (ours: with gravity in it, a payload or a

@@ -1,8 +1,8 @@
 """Evidence: every candidate cause as columns beside the logged torque, all filtered alike, as Gram matrices of blocks.
 
-Row j of the arm has a table X_j (rows, columns). Column 0 is the logged torque less the nominal one. A candidate is a
-set of columns: fixed ones, which enter with factor one (a delay of 6 ms, tried), and free ones, whose factors are to be
-fitted (its small correction). All that the search asks can be answered from the tables' Gram matrices, by blocks.
+Row j of the arm has a table X_j (rows, columns). Column 0 is the logged torque minus the nominal one. A candidate is a
+set of columns: fixed ones with factor one (a trial delay of 6 ms), and free ones whose factors are fitted (its small
+correction). Everything in the search is computed from the Gram matrices of the tables, by blocks.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,8 @@
 """The common time between torque and motion: a controller holds its command for a sample, a logger reads one channel
 after the other.
 
-Half a sample of it looks like a negative viscous friction on the heaviest joint. It is taken out before anything is
-named, and what is left of a joint beyond it may then be called a delay.
+Half a sample of it looks like a negative viscous friction on the heaviest joint. It is removed before anything is
+named; only a joint's remaining time can then be called a delay.
 """
 
 from dataclasses import replace
@@ -65,8 +65,8 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
 def remove_common_delay(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
     """The recording with the common time between torque and motion taken out, and that time [s].
 
-    It is the weighted median of the joints' own, as long as it stays within MOST samples; otherwise every joint has a
-    delay of its own, and half a sample is taken (none for a sensor behind the gear).
+    It is the weighted median of the joints' own times, if it is within MOST samples; otherwise every joint has its own
+    delay, and half a sample is used (zero for a sensor behind the gear).
     """
     lead, error = offsets(robot, recording)
     weight = 1 / np.maximum(error, 0.02 * recording.period) ** 2 * np.isfinite(error)

@@ -1,7 +1,7 @@
 """The unexplained part: how much of the residual a learner predicts on data that it has not seen.
 
-Stretches of time are learned from and judged in turn, so that both have seen the same postures; a cause that the
-catalogue lacks then shows, while noise does not.
+Training and test stretches alternate in time, so that both contain the same postures; a cause that the catalogue lacks
+then shows, and noise does not.
 """
 
 import jax

@@ -1,9 +1,9 @@
 """The size of the link errors of a worn arm, and the anomalies with which its search begins: both at once.
 
-Links that may be off by anything imitate a payload, a tilt or an encoder offset, and a share that was chosen while the
-anomaly was missing is too large. So each anomaly is tried with every share, and the marginal likelihood decides
-(MacKay 1992): it pays for links by the volume that the log leaves of what was believed of them. The noise is measured
-anew beside each hypothesis: what it leaves on a joint, with its autocorrelation, is what another cause must outdo.
+Links with unlimited errors imitate a payload, a tilt or an encoder offset, and a size of link errors that was chosen
+without the anomaly is too large. Therefore each anomaly is tried with every size, and the marginal likelihood decides
+(MacKay 1992): its price for links is the ratio of prior to posterior volume. The noise is estimated anew for each
+hypothesis, from its residual with its autocorrelation.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,7 @@
 """Effects in time windows: all windows are tried in which another effect would explain the residual.
 
-Sums over rows are kept cumulatively, so that what an effect explains in any window is one small solve. Windows on a
-coarse grid first, then each edge at every row; the exact refinement moves the edges on from there.
+Cumulative sums over rows are stored, so that the explained squares of an effect in any window need one small solve.
+Windows on a coarse grid come first, then each edge at every row; the exact refinement then moves the edges.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

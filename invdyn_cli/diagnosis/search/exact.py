@@ -1,8 +1,8 @@
 """The composed model compared with the record: all parameters of a hypothesis are refined together, with the exact
 formulas of the effects.
 
-Linear columns chose the hypothesis; here a gain scales the friction behind it, a payload changes the load of the gear,
-and nothing is straightened any more. Gauss and Newton's steps with numerical slopes, a few times.
+The hypothesis was chosen with linear columns; here a gain scales the friction behind it, a payload changes the load of
+the gear, and nothing is linearised. A few Gauss-Newton steps with numerical derivatives.
 """
 
 from collections.abc import Sequence

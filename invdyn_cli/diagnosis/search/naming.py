@@ -1,7 +1,7 @@
 """Before a name is given: every rival is fitted in its place, and the unexplained rest must not outweigh it.
 
-A rival does as well if the held-out loss with it in the effect's place is within the noise of that with the effect. The
-noise is that of the difference, block by block, so that what both leave alike does not count (Vuong 1989).
+A rival is equally good if the held-out loss with it in the effect's place is within the noise of that with the effect.
+The noise is that of the difference, block by block, so that errors which both share do not count (Vuong 1989).
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,9 @@
 """Physically consistent bodies: payloads and changed links are moved to consistent inertials, with a note if the data
 disagree.
 
-A log shows a few combinations of a link's ten parameters; the rest is free, and what a fit leaves there is rarely a
-body. The freedom is used first. Where it does not suffice, the misfit rises; by more than chance, it is said.
+A log determines a few combinations of a link's ten parameters; the others are free, and a fit rarely makes a possible
+body of them. First the free ones are changed. If this does not suffice, the misfit increases; if it increases by more
+than chance, a note says so.
 """
 
 from collections.abc import Sequence
@@ -57,9 +58,9 @@ def realisable(
 ) -> tuple[Refined, tuple[str, ...]]:
     """The refined effects with payloads and links that can be, and a sentence for each that the data wanted otherwise.
 
-    A body that can be already stays, and nothing moves where all can. Other effects go with the bodies that move as far
-    as the data tie them. A link that is no body in the URDF already may stay so by as much: what is changed is the
-    nearest body.
+    A body that is already consistent stays, and nothing moves if all are. Other effects change together with the bodies
+    as far as the data couple them. A link that is inconsistent in the URDF may stay so by as much: the change refers to
+    the nearest consistent body.
 
     Args:
         names: of the links, (n,).

@@ -1,8 +1,8 @@
 """Edges of time windows while the arm rests: friction can balance any torque up to its level, and an edge shows only by
 what friction cannot balance.
 
-At rest a joint's torque less that of the links is between the levels of its friction. Before a load comes this holds
-without it, and afterwards with it; where one of them would ask more of the friction than it has, the edge is not there.
+At rest, a joint's torque minus that of the links is between the levels of its friction: before a load appears without
+the load, and afterwards with it. Where this would need more friction than there is, the edge cannot be.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
 """The search: which few causes together explain the residual of the nominal model, scored on blocks that were not
 fitted.
 
-A hypothesis is a set of candidates. Its loss is the weighted square of what is left on held-out blocks, in units of the
-noise's variance and with the residual's autocorrelation counted, plus a price for every effect and every coefficient.
-Forward steps, drops, swaps and merges go on until none of them helps.
+A hypothesis is a set of candidates. Its loss is the weighted sum of squared residuals on held-out blocks, in units of
+the noise variance and with the residual's autocorrelation, plus a price for every effect and every coefficient.
+Additions, drops, exchanges and merges continue until none of them helps.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
