@@ -94,7 +94,7 @@ class Recorded:
     Attributes:
         log: as it was recorded, defects and all, its columns in the robot's order.
         reference: an earlier log that it is compared with, or None.
-        windows: role ("train" chooses, "test" judges) -> stretches; None: shares of time decide.
+        windows: role ("train", or "test": held out) -> stretches; None: shares of time decide.
         notes: what the user should know.
     """
 

@@ -124,7 +124,7 @@ def decode(value: Any, kind: type, trust: Sequence[str] = ()) -> Any:
     """The object of this kind that `encode` stored.
 
     Args:
-        value: plain values from a file of anybody.
+        value: plain values from any file.
         kind: what it has to be.
         trust: modules of the reader's whose dataclasses may be named; each is imported when its first class is.
 

@@ -247,7 +247,8 @@ class Check:
 
     Attributes:
         check: its name (unit_error, gaps, …).
-        severity: "ok", "skipped" (not looked at; `seen` says why), "note", "warn" or "fail" (no physics on this log).
+        severity: "ok", "skipped" (not examined; `seen` says why), "note", "warn" or "fail" (to be corrected before a
+            diagnosis).
         trajectory, joint: where; None for all.
         value: what was measured (a factor, seconds, a permutation, …), None where there is no number.
         threshold: what it was compared with.
@@ -321,7 +322,7 @@ class Finding:
         status: "named", "ambiguous", "not_excited" or "not_observable" (the last two are no claims).
         alternatives: sets of effects, each of which would replace it on this data.
         parameters, gain: by name; by joint.
-        trajectory, window: for what comes and goes.
+        trajectory, window: of an effect in a time window.
         evidence, rejected: numbers that led to it, and (effect, why not) of every rival.
         advice: what to record to be surer.
         group: "standard" for what every arm has beside its URDF, else "anomaly".

@@ -77,11 +77,11 @@ def _refuse_tree(links: Sequence[str], joints: Sequence[ET.Element], path: str |
                 got = f"joint {joint.get('name')!r} of {path} has the {end} {shortened(ends[end])!r}"
                 raise RobotError(f"{got}; allowed: a link of the file")
         if ends["child"] in parent_of:
-            raise RobotError(f"link {ends['child']!r} of {path} hangs on several joints; allowed: one")
+            raise RobotError(f"link {ends['child']!r} of {path} has several parent joints; allowed: one")
         parent_of[ends["child"]] = ends["parent"]
     roots = [name for name in links if name not in parent_of]
     if len(roots) != 1:
-        got = f"{path} has {len(roots)} links that hang on no joint: {listed(roots, most=3)}"
+        got = f"{path} has {len(roots)} links without a parent joint: {listed(roots, most=3)}"
         raise RobotError(f"{got}; allowed: one, the base", advice="a joint for each of the other links")
     reached, ahead = set(roots), list(roots)
     children: dict[str, list[str]] = {}
@@ -92,7 +92,7 @@ def _refuse_tree(links: Sequence[str], joints: Sequence[ET.Element], path: str |
             reached.add(child)
             ahead.append(child)
     if loop := sorted(known - reached):
-        raise RobotError(f"links of {path} hang on each other in a circle: {listed(loop, most=5)}; allowed: a tree")
+        raise RobotError(f"links of {path} form a loop: {listed(loop, most=5)}; allowed: a tree")
 
 
 def _bounded(element: ET.Element, tag: str, keys: Iterable[str], largest: float) -> None:

@@ -8,10 +8,10 @@ weights samples: less where a joint is near rest, because its friction is then i
 correlation time of the residuals. Each sample answers three questions:
 
 - Has a load come? Beyond a threshold some load explains the last stretch better than none (likelihood ratio; Willsky
-  and Jones 1976), or the one that was put down last does (cumulative sum; Page 1954).
+  and Jones 1976), or the last one that was released does (cumulative sum; Page 1954).
 - How much is it? Recursive least squares since it came (Ljung 1999, 11.2), forgetting in proportion to that time.
-- Has it gone, or is it another one? A cumulative sum of none against it; the likelihood ratio of any other against it.
-  What is left of a load on its way out is another one, until it is fainter than what motions without a load show.
+- Is it released, or replaced? A cumulative sum of no load against it; the likelihood ratio of any other against it.
+  A load that disappears gradually counts as another one, until it is smaller than in motions without a load.
 
 The threshold is a multiple of the largest evidence in motions without a load. Friction that no function of the motion
 can describe is a disturbance: an observer tracks it (Ohnishi 1996), so that predictions do not wait for a decision.

@@ -33,7 +33,7 @@ class Rls(AbstractAdapter):
     Attributes:
         forgetting: [-] factor per sample on what was learned before; 1 forgets nothing, 0.999 has a memory of 1,000
             samples.
-        memory: [samples] so many samples the training data count for at the start, all of them at most.
+        memory: [samples] weight of the training data at the start, at most their number.
     """
 
     forgetting: float = 0.999

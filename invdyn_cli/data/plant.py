@@ -28,8 +28,8 @@ class Plant(AbstractSource):
     """Recordings trajectory_1, trajectory_2, … of one simulated arm.
 
     Attributes:
-        effects: hidden effects, a list of {effect: name, joint: name, parameter: value, …} (docs/plant.md); one that
-            comes and goes also has window: [from, to] in seconds, and may have a trajectory. One of your own:
+        effects: hidden effects, a list of {effect: name, joint: name, parameter: value, …} (docs/plant.md); one in a
+            time window also has window: [from, to] in seconds, and may have a trajectory. One of your own:
             {_target_: module.Class, joint: name, …} (docs/own_effects.md).
         reference: reference motion: multisine, pick_place or constant_speed, or such an object with options of its own.
         trajectories: number of recordings, each with its own random motion.

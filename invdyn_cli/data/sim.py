@@ -24,7 +24,7 @@ TASKS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Frequencies [Hz] of the tasks (paper, V-A.1)."""
 
 TESTED = {"interpolation": (0.5, 0.6), "extrapolation": (0.7, 0.8)}
-"""Tasks [Hz] that are judged; all others are learned from (paper, Table II)."""
+"""Tasks [Hz] for the test; all others are learned from (paper, Table II)."""
 
 MULTIPLES = (1.0, 1.3, 0.7, 1.6, 0.9, 1.15, 1.45)
 """Every joint's frequency as a multiple of the task's, from the first joint on and over again. One frequency for all

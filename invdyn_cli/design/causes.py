@@ -1,4 +1,4 @@
-"""Causes that a design is to tell apart: what each adds to the torque along a motion, and the columns by which it would
+"""Causes that a design distinguishes: the torque that each adds along a motion, and the columns by which it would
 imitate another.
 
 Sizes are given or estimated; otherwise those of `sizes`.

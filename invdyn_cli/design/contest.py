@@ -1,5 +1,5 @@
-"""By how much a motion tells causes apart: the distance between what the true one adds to the torque and the best that
-a rival can make of it (Atkinson and Fedorov 1975: T-optimal designs for discrimination).
+"""How well a motion distinguishes causes: the distance between the torque of the true one and the best imitation by a
+rival (Atkinson and Fedorov 1975: T-optimal designs for discrimination).
 
     D^2 = min over the rival's parameters, and those of nuisances, of sum (true - rival - nuisances)^2 / noise variance
 
@@ -53,7 +53,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Contest:
-    """What is to be told apart, and what the columns are judged with.
+    """The causes to distinguish, and how their columns are scored.
 
     Attributes:
         questions: for each the sides between which it is open, every cause with parameters.

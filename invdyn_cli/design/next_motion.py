@@ -42,7 +42,7 @@ class Open:
 
     @property
     def playable(self) -> bool:
-        """Whether there is something to tell apart."""
+        """Whether there are causes to distinguish."""
         return len(self.sides) > 1
 
 

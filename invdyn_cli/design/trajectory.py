@@ -1,5 +1,5 @@
-"""A reference trajectory that tells rivals apart: gestures are chosen from many at random by what they add to the
-smallest distance between any true cause and its rival, then varied while that helps.
+"""A reference trajectory that distinguishes rivals: gestures are chosen from many random ones by what they add to the
+smallest distance between any true cause and its rival, then varied as long as that helps.
 
 The distance is that of `contest`, the gestures come from `gestures`. The chosen gestures fill a round, which is played
 two or three times, so that training and held-out data contain the same motion.
@@ -97,7 +97,7 @@ class Told:
 
 @dataclass(frozen=True)
 class Design:
-    """A trajectory: t (T,) [s], its motion (T, n), what it tells apart, and the room that it was made in."""
+    """A trajectory: t (T,) [s], its motion (T, n), the causes that it distinguishes, and the limits that it keeps."""
 
     robot: Robot
     t: np.ndarray
@@ -125,7 +125,7 @@ def design(
     tries: int = TRIES,
     progress: Progress = silent,
 ) -> Design:
-    """The trajectory of `duration` [s] that best tells apart the sides of every question.
+    """The trajectory of `duration` [s] that best distinguishes the sides of every question.
 
     Args:
         robot: the nominal model.
@@ -133,7 +133,7 @@ def design(
         rate: [Hz] of the trajectory that is returned.
         noise: standard deviation [N m; N] of the torques behind the low-pass, one number or (n,); None: a share.
         cutoffs: (n,) [Hz] of the low-pass.
-        seed: of what is left to chance.
+        seed: of the random choices.
         known: causes that are allowed for beside them.
         tries: variations.
 

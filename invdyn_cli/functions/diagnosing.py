@@ -142,7 +142,7 @@ def diagnose(
         reference: an earlier log of the same robot: only what has changed since is looked for.
         options: causes that are known, the largest number of causes, rates and filters, replay.
         design: whether a motion is designed that distinguishes ambiguous causes.
-        learner: a model that measures what is left unexplained; None: small networks.
+        learner: a model that is fitted to the residual; None: small networks.
         seed: of the learner and the design.
         progress: called with the share that is done and a note.
 

@@ -59,7 +59,8 @@ BLOCK = 128
 compiled."""
 
 CANCELLED = 1e-8
-"""Share of the squares below which sums over products of columns say nothing of what is left: it is summed itself."""
+"""Share of the squares below which sums over products of columns are too inexact for the residual, which is then summed
+itself."""
 
 Block = tuple[Motion, Array, Array]
 """Motion (n, BLOCK), torque alike, and which samples count (BLOCK,)."""

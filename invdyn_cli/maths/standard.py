@@ -30,7 +30,8 @@ OPEN = 5.0
 strong."""
 
 WIDE = 3.0
-"""Standard deviations of a coefficient that is not inertial: so many times what explains all that is left."""
+"""Prior standard deviation of a coefficient that is not inertial, as a multiple of the size that explains the whole
+residual."""
 
 LIGHTEST, SHORTEST = 0.1, 0.05
 """[kg], [m] Least mass of a link and least distance of its centre from which the scales of their errors are
@@ -185,8 +186,8 @@ def evidence(total: Sums, prior: Prior, times: Array, share: float) -> float:
 
 
 def _left_out(motions: Sequence[Sums], prior: Prior, times: np.ndarray, share: float) -> float:
-    """Mean square of what is left of motions that were not learned from, each joint's beside what a fit of all at the
-    usual share leaves of it."""
+    """Mean square of the residual on motions that were not learned from, relative for each joint to that of a fit of
+    all motions at the usual share."""
     usual = _posterior(_total(motions), prior, times, USUAL)[1]
     squares = np.zeros(len(times))
     for k, one in enumerate(motions):

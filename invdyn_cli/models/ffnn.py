@@ -220,7 +220,7 @@ def _part(progress: Progress, first: int, some: int, every: int) -> Progress:
 
 
 def _per_joint(given, common: JointNet) -> tuple[tuple[int, JointNet], ...]:
-    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, the unsaid taken from `common`."""
+    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, completed from `common`."""
     names = [f.name for f in fields(JointNet)]
     if not isinstance(given, Mapping | tuple | list):
         raise UsageError(f"model.joints={given}; allowed: {{joint number: {{{', '.join(names)}}}}}")

@@ -32,9 +32,9 @@ class Gip(AbstractModel):
 
     Attributes:
         friction: whether terms linear in every joint's velocity and its sign are added.
-        exact: [samples] up to so many are inferred from exactly; the cost grows with the third power.
+        exact: [samples] largest number for exact inference; its cost grows with the third power.
         inducing: number of inducing inputs beyond, evenly from the training samples.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 

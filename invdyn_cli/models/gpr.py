@@ -26,9 +26,9 @@ class Gpr(AbstractModel):
     Rasmussen and Williams 2006; the posterior of Titsias 2009). `variance` gives the predictive variance.
 
     Attributes:
-        exact: [samples] up to so many are inferred from exactly; the cost grows with the third power.
+        exact: [samples] largest number for exact inference; its cost grows with the third power.
         inducing: number of inducing inputs beyond, evenly from the training samples.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 

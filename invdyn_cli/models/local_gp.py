@@ -35,7 +35,7 @@ class LocalGp(AbstractModel):
         regions: most regions of a joint.
         capacity: [samples] most samples of a region; the cost of an update grows with the third power.
         nearest: number of regions that a sample joins, and that a prediction is made of.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 

@@ -57,7 +57,7 @@ class Preparation:
 @dataclass(frozen=True)
 class Piece:
     """An uninterrupted stretch on the working clock: t (T,) [s] from the start of its trajectory, the others (n, T)
-    [rad, N m; m, N]; `motion_noise` is the speed [rad/s] that the noise of the positions feigns, (n,)."""
+    [rad, N m; m, N]; `motion_noise` is the speed [rad/s] that the noise of the positions causes, (n,)."""
 
     trajectory: str
     role: str
@@ -160,7 +160,8 @@ def prepare(
     Args:
         log: torques in N m, no defects.
         inertia: (n,) typical inertia that each joint carries [kg m^2]: it turns noise of positions into torque.
-        windows: role -> stretches; None: the first `train_share` of every trajectory chooses, the rest judges.
+        windows: role -> stretches; None: the first `train_share` of every trajectory is training data,
+            the rest is held out.
 
     Raises:
         LogError: if no piece is long enough.

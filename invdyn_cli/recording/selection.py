@@ -94,7 +94,8 @@ def complete(
     train_share: float,
     validation_share: float,
 ) -> dict[str, list[Block]]:
-    """The blocks of all SETS: those asked for, the others (None) from the trajectories that nobody named.
+    """The blocks of all SETS: the selected ones, and for sets without a selection (None) the trajectories that no
+    selection names.
 
     With neither train nor test, each of these gives its first `train_share` in time to learn from and the rest to test
     on; with one of the two, the other takes them whole. Validation is the last `validation_share` in time of each block

@@ -21,7 +21,7 @@ from invdyn_cli.types import Check, Examination, Robot
 CAPTIONS = {
     "clock": "Steps of the clock as logged. Spikes are gaps; a wide band is jitter.",
     "q": "Positions over time, with the commanded ones where they are logged. Of long logs the lowest and "
-    "the highest value of every stretch are drawn, so that no spike is lost. What stands above a panel holds of "
+    "the highest value of every stretch are drawn, so that no spike is lost. A note above a panel applies to "
     "the whole channel.",
     "qd": "Velocities over time.",
     "qdd": "Accelerations over time.",
@@ -29,11 +29,11 @@ CAPTIONS = {
     "model": "Left: measured torque and that of the URDF's rigid bodies, without friction, over time. Right: one over "
     "the other, row by row. Points along the grey line agree; another slope is a unit, a sign or a gain, a cloud "
     "without a slope a wrong column; two parallel bands are friction.",
-    "excitation": "Where the motion has been: velocity over position. What a joint never did, this log cannot show.",
+    "excitation": "Velocity over position. This log cannot show what a joint never did.",
 }
 CHANNELS = (
-    "Every channel as logged, as corrected where that differs, with what is wrong marked where it is. What stands "
-    "beside a title in colour holds of the whole channel."
+    "Every channel as logged and, where that differs, as corrected, with its defects marked. A coloured note beside "
+    "a title applies to the whole channel."
 )
 MODEL = "Measured torque, as corrected and filtered, and that of the URDF's rigid bodies, without friction."
 TITLES = {"clock": "Clock", "q": "Positions", "qd": "Velocities", "qdd": "Accelerations", "tau": "Torques"}

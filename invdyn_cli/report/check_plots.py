@@ -22,7 +22,7 @@ COLOURS = {"outliers": "vermillion", "not_finite": "purple", "duplicates": "sky"
 MODEL_NOTE = (
     "Blue: measured torque over that of the URDF's rigid bodies. Points along the grey line agree; "
     "another slope is a unit, a sign or a gain, a cloud without a slope a wrong column; two parallel bands are "
-    "friction. Green: velocity over position. What a joint never did, this log cannot show."
+    "friction. Green: velocity over position. This log cannot show what a joint never did."
 )
 
 

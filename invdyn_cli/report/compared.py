@@ -52,7 +52,7 @@ class Compared:
 
     @property
     def judged(self) -> str:
-        """The set that it is judged on: as adapted, where it adapts."""
+        """The set on which it is scored: during adaptation, if it adapts."""
         return "test_adapted" if "test_adapted" in self.metrics else "test"
 
     def score(self, kind: str) -> float:

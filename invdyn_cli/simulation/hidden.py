@@ -84,8 +84,8 @@ class Hidden:
             that moves the link.
         parameters: by name, in the units of docs/plant.md. payload: also `radius` [m] of the sphere that it is (0.02).
             link_inertia_error: `mass` [kg] and `com` (3,) [m, in the joint's frame] are what is added to the nominal
-            ones, `inertia` [-] is the relative change of the inertia about the centre of mass. What comes and goes
-            has a `window` (2,) [s], and a `trajectory` if it is not in all.
+            ones, `inertia` [-] is the relative change of the inertia about the centre of mass. An effect in
+            a time window has `window` (2,) [s], and `trajectory` if it is not in all.
     """
 
     effect: str
@@ -109,11 +109,11 @@ class Build:
         levels: (joint, law(qd, load) -> dry friction [N m]), load: torque [N m] that the joint transmits.
         drags: (joint, law(t, qd) -> damping [N m s/rad]).
         forces: (joint, law(t, q, qd) -> term [N m]), known to a commissioned controller.
-        customs: likewise, (None: all joints at once), known to nobody.
+        customs: likewise, (None: all joints at once), unknown to any controller.
         bristles: friction that is a spring before it slides.
         couplings: drives that turn with two joints.
         gears: play and springs between motor and link, one on a joint at most.
-        events: what comes and goes, known to nobody.
+        events: effects in time windows, unknown to any controller.
     """
 
     inertial: np.ndarray

@@ -24,8 +24,7 @@ class AbstractReference(abc.ABC):
 
     @abc.abstractmethod
     def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
-        """The motion (T, n) of `duration` [s], T = duration rate, at 0, 1/rate, …; what is left to chance comes from
-        the seed."""
+        """The motion (T, n) of `duration` [s], T = duration rate, at 0, 1/rate, …; random choices by the seed."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Multisine(AbstractReference):
     Attributes:
         amplitude: share of half the joint's range that it swings to either side, at most.
         speed: share of the joint's velocity limit, at most; the stricter of the two decides.
-        harmonics: so many, from the base frequency on.
+        harmonics: their number, from the base frequency on.
         base: [Hz]; the motion repeats after 1/base seconds.
         ramp: [s] of fading in, and out.
     """

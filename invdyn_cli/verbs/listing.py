@@ -19,7 +19,7 @@ CLASS = ("title", "_target_")
 
 
 def places() -> list[Path]:
-    """The folders of experiments; the package's own comes first, so that nobody's folder changes it."""
+    """The folders of experiments; the package's own comes first, so that no other folder changes it."""
     return [config_folder().with_name("experiments"), Path.cwd() / "experiments"]
 
 

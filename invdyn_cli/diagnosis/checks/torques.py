@@ -150,5 +150,5 @@ class GravityRemoved(AbstractCheck):
         """Declare it, where it is certain."""
         if "gravity" in log.compensated or all(one.severity != "fail" for one in found):
             return log, []
-        note = "torques are taken to have gravity compensated, as they follow none"
+        note = "gravity is assumed to be compensated, because the torques do not follow it"
         return replace(log, compensated=(*log.compensated, "gravity")), [note]

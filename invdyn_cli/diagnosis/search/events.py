@@ -72,8 +72,8 @@ class Place:
 
 
 def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str) -> list[Place]:
-    """Every effect that comes and goes, wherever it would be felt; what is felt alike at several joints is taken at the
-    outermost of them."""
+    """Every effect that may act in a time window, on all joints where it is observable; if it is equal on several
+    joints, it is taken on the outermost."""
     made: list[Place] = []
     loud = np.sqrt(np.mean(evidence.tau**2))
     for effect in effects.values():
