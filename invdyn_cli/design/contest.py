@@ -32,7 +32,7 @@ NUISANCES = (TorqueOffset.name, CoulombFriction.name, ViscousFriction.name)
 """Effects that every joint has to some degree, and for which a diagnosis must allow."""
 
 LEAST_SIZE, LARGEST_FACTOR = 0.3, 1e3
-"""Of the largest side's size, what another is taken for at least; and the largest factor for that."""
+"""Least size of a side, as a share of that of the largest side; and the largest factor that is used for this."""
 
 MOST_TRIALS = 9
 """Combinations of a rival's nonlinear parameters that are tried."""

@@ -30,7 +30,7 @@ STRONGEST = 0.8
 """Share of the effort limits that the nominal torque may take: what is hidden needs some as well."""
 
 ACCELERATION = 6.0
-"""[1/s] Times its velocity limit, how fast a joint is accelerated: most reach their highest speed in 0.1 to 0.3 s."""
+"""[1/s] Acceleration of a joint over its velocity limit: most joints reach their highest speed in 0.1 to 0.3 s."""
 
 SLOWEST_SWEEP, SLOWEST_SWING = 0.006, 0.002
 """Lowest speed of a sweep [rad/s; m/s]: below, a joint counts as resting. Smallest swing [rad; m]."""
@@ -46,8 +46,8 @@ HIGHEST_CHIRP = 8.0
 frequencies has what the joint's limits allow."""
 
 LOADED = 0.4, 0.8
-"""Of small gestures, the share that is where a joint bears next to no load; up to the second, that where it bears much;
-the rest is anywhere."""
+"""Share of the small gestures with almost no load on the joint; up to the second number, with a large load; the rest
+anywhere."""
 
 MOVE = 1.875
 """Highest speed of a minimum-jerk move, times its mean speed."""

@@ -51,7 +51,7 @@ ENOUGH = 1.1 * np.log(60.0**2)
 """Worth of a design in which all pairs are sixty standard errors apart: no more is tried."""
 
 CALMER = 8
-"""Times that a design is slowed down, at most, until the nominal torque is within its room."""
+"""Largest number of times that a design is slowed down, until the nominal torque is within its limit."""
 
 FEWEST = 8
 """Gestures within the effort limits that a library must have."""

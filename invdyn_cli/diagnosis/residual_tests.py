@@ -36,7 +36,7 @@ SWING = 0.05
 """Share of a quantity's usual size (its 90 % quantile) that it must exceed on both sides for a change of sign."""
 
 BINS = 24
-"""Of a test's curve."""
+"""Number of bins of a test's curve."""
 
 
 class Basis(NamedTuple):

@@ -51,8 +51,8 @@ EXACT = 1e-16
 """Share of the weighted squares that is rounding: nothing else is needed."""
 
 TOLD, NOTHING = 1e-10, 1e-9
-"""Of the largest eigenvalue of all columns at length 1, above which the data tell a direction; of the longest column,
-below which another is rounding."""
+"""Share of the largest eigenvalue of all columns at length 1, above which the data determine a direction; and share of
+the longest column, below which a column is rounding."""
 
 BLOCK = 128
 """Number of samples that are processed at a time: few enough for the cache, and one shape, so that little is
@@ -223,7 +223,7 @@ def _redrawn(geometry: np.ndarray, draw: np.random.Generator) -> np.ndarray:
 
 
 def _lengths(gram: np.ndarray) -> np.ndarray:
-    """Of all columns; infinite where a column is nothing but rounding."""
+    """Lengths of all columns; infinite if a column is only rounding."""
     length = np.sqrt(np.diag(gram))
     return np.where(length > NOTHING * length.max(), length, np.inf)
 

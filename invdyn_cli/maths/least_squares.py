@@ -22,8 +22,8 @@ STRENGTHS = {"lstsq": np.zeros(1), "tsvd": 10.0 ** np.arange(-15, 0), "ridge": 1
 
 
 ROUNDING = float(np.finfo(float).eps)
-"""Of the largest singular value: nothing is told below. A cut that grows with the columns costs decades without noise:
-what one task excites at that level another excites more."""
+"""Share of the largest singular value, below which directions are dropped. A share that grows with the number of
+columns costs decades without noise: a direction that one task excites at that level, another excites more."""
 
 
 @dataclass(frozen=True)

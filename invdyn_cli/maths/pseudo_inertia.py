@@ -37,10 +37,10 @@ PULL = 1e-3
 that, for every body, is also about all that it costs."""
 
 EXACT = 1e-6
-"""Of the cost, to which it is found where that is more than the pull costs."""
+"""Relative accuracy of the cost, if that is more than the pull costs."""
 
 ROUNDING = 1e-13
-"""Of the largest information, in units of the reference, below which it is that of rounding errors."""
+"""Share of the largest information, in units of the reference, below which information is rounding error."""
 
 STEPS, SHRINK, CLOSE, DAMPED = 50, 0.1, 1e-9, 0.25
 """Newton's steps at most for each weight of the pull, factor from one weight to the next, squared decrement to stop,

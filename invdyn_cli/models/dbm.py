@@ -220,7 +220,7 @@ class Dbm(AbstractModel):
                 yield np.concatenate([columns.reshape(-1, columns.shape[-1]), y], axis=1)
 
     def _weights(self, dataset: Dataset) -> np.ndarray:
-        """Of every joint's rows (n,)."""
+        """Weights (n,) of every joint's rows."""
         alike = self.weighting == "none"
         return np.ones(len(dataset.joints)) if alike else 1 / regression.torque_spread(dataset)
 

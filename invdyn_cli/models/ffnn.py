@@ -15,10 +15,11 @@ from invdyn_cli.maths.scaling import standardisation, standardised
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 MOST_WEIGHTS = 10_000_000
-"""Of a joint's nets behind their inputs: with Adam's two moments 120 MB a joint in float32; Table I's have 10,000."""
+"""Largest number of weights of a joint's networks after their inputs: with Adam's two moments 120 MB a joint in
+float32; those of Table I have 10,000."""
 
 MOST_NUMBERS = 250_000_000
-"""Of the rows of all members, which each member shuffles for itself: 1 GB in float32."""
+"""Largest number of values in the rows of all members, each of which has its own shuffle: 1 GB in float32."""
 
 
 @dataclass(frozen=True)

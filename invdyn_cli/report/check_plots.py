@@ -17,7 +17,7 @@ from invdyn_cli.report.tables import significant
 
 COLOURS = {"outliers": "vermillion", "not_finite": "purple", "duplicates": "sky", "at_rest": "green",
            "saturation": "orange"}  # fmt: skip
-"""Of marks of samples and spans."""
+"""Colours of marks of samples and spans."""
 
 MODEL_NOTE = (
     "Blue: measured torque over that of the URDF's rigid bodies. Points along the grey line agree; "

@@ -65,7 +65,7 @@ class CheckedLog:
 
     @property
     def time_label(self) -> str:
-        """Of the x axis."""
+        """Label of the x axis."""
         several = len(self.log.trajectories) > 1
         return "time, recordings one after another [s]" if several else "time [s]"
 

@@ -111,7 +111,7 @@ class Drive:
         return links
 
     def _of(self, state: np.ndarray, link: bool) -> np.ndarray:
-        """Of positions or velocities (nv,) those of the motors or the links (n,)."""
+        """Positions or velocities (n,) of the motors or the links, from those of all degrees of freedom (nv,)."""
         own = state[self._motor]
         if link and len(self.arm.gear):
             own[self.arm.geared] += state[self.arm.gear]

@@ -111,7 +111,7 @@ class PickPlace(AbstractReference):
 
 
 STAGES = ("approach", "grasp", "place", "retract")
-"""Of a manipulation (paper, section V-A.3)."""
+"""Stages of a manipulation (paper, section V-A.3)."""
 
 POSTURES = {
     "home": (0.0, -0.3, 0.0, 0.3, 0.0, 0.2, 0.0),

@@ -24,7 +24,7 @@ STRETCH = 0.5
 """[s] Length of the stretches that are training and test data in turn."""
 
 LOUDER = 5.0
-"""Times the usual, above which what comes back in time is more than noise."""
+"""Multiple of the RMS that noise and clocks usually leave, above which a recurring residual is more than noise."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 

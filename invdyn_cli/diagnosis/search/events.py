@@ -28,8 +28,8 @@ PRICE = 40.0
 thousand in white noise has 25 (one coefficient) to 50 (ten)."""
 
 SHARE, LARGE = 0.01, 0.2
-"""Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there; and
-before anything else was looked for."""
+"""Share of the squares of the residual that a window must explain, because a slightly wrong model leaves structure; and
+the share for the first search."""
 
 WITHIN = 0.2
 """The same of what is left in the window beyond noise: what comes and goes is there all the time between."""

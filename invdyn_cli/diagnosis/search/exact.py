@@ -44,7 +44,8 @@ RECORDINGS = 3
 """Number of recordings from which on sizes are also compared between them: two do not show the scatter."""
 
 MOTIONS = 40
-"""Of links behind gears that are kept of every piece, so that one gear more or less is not all of them."""
+"""Number of link motions behind gears that are cached for every piece, so that a change of one gear does not empty the
+cache."""
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,11 @@ RELEVANT = 0.002
 nearly as much on an accurate log of a correct model."""
 
 FARTHEST = 1.5
-"""Reaches beyond which a channel's correction of a trial is no longer the straight line that it is taken for."""
+"""Largest change of a channel's parameter, in prior standard deviations, up to which its torque is linear enough."""
 
 CANCELLED = 3.0
-"""Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
-other effects take back: of two that cancel each other, neither is known."""
+"""Largest torque of an effect on a joint, as a multiple of the RMS of the nominal model's residual there: a larger one
+can only be cancelled by other effects, and then neither is known."""
 
 
 @dataclass(frozen=True)

@@ -30,19 +30,19 @@ SURE = 4.0
 other errors."""
 
 LEAST_DIFFERENCE = 10.0
-"""And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
+"""The same in noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
 
 MIN_CLEAR_DIFFERENCE, MAX_OPPOSED_SHARE = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
 
 MEMORY, LAGS = 0.8, 6
-"""Of 1 / cut-off: how long a low-pass remembers noise; and how many times that is looked at: something structured comes
-back within it, if only as its opposite."""
+"""Memory of a low-pass filter's noise in units of 1 / cut-off; and how many times this lag is searched: structure
+returns within it, perhaps with the opposite sign."""
 
 
 LEAST_SHARE = 0.7
-"""Of what an effect explains by more than noise can, below which what is in its place does not do the same, however
-much blocks differ: play may come up in a single one."""
+"""Share of what an effect explains beyond noise that a rival must explain, too, however much blocks differ: play may
+show in a single one."""
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,12 @@ MOVES = 0.05
 """Share of the rows on which a joint must move to be judged: one that is held still shows only its noise."""
 
 RIDGES = np.logspace(-10, 0, 21)
-"""Of the mean square of all columns, to choose from; the least tells those that say the same from none at all."""
+"""Ridge parameters to choose from, as shares of the mean square of all columns; the smallest only separates equal
+columns."""
 
 STRETCHES, PLAINLY = 4, 0.5
-"""Of time, one of which is quiet if something comes or goes; and what share of the noise of all of them is less."""
+"""Number of stretches of time, one of which is quiet if an effect acts for a time; and the share of the whole noise
+below which the noise of a stretch is plainly smaller."""
 
 PEAKS = 3
 PEAK = 20.0

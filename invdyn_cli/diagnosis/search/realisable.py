@@ -23,14 +23,14 @@ CHANCE = 1e-3
 """Probability that a fit of true inertials exceeds the cost from which on a note is written."""
 
 SEEN = 1.0
-"""Times what was known beforehand, above which the data show a combination of parameters."""
+"""Multiple of the prior information above which the data determine a combination of parameters."""
 
 LIGHT = 1e-3
 """Share of the arm's mass below which a link of the URDF is a placeholder without information on the real one."""
 
 FAR = 100.0
-"""Times what chance would cost, above which inertials that no body has are no wrong inertials: the weights of noise may
-be off by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
+"""Multiple of the cost by chance above which inconsistent inertials indicate another effect: the weights of the noise
+may be wrong by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
 
 SURE = 2.0
 """Standard errors by which a mass must be below zero to be reported as negative."""
