@@ -237,7 +237,7 @@ def _behind_gear(
 
 
 def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; kept."""
+    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; cached."""
     if joint in scenes.kept:
         return scenes.kept[joint]
     flat, own = _flat(scenes), (np.arange(robot.dofs) == joint)[:, None]

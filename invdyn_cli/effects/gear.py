@@ -160,8 +160,8 @@ def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: f
 
 
 def _followed(change: np.ndarray, drift: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """States (m, T) of x[t + 1] = change[t] x[t] + drift[t] for change (m, m, T) and drift (m, T) from a start (m,):
-    stretches side by side from zero and from every unit, and then one behind the other."""
+    """States (m, T) of x[t + 1] = change[t] x[t] + drift[t], for change (m, m, T) and drift (m, T), from a start (m,):
+    all stretches are first computed in parallel from zero and from unit states, then joined one after the other."""
     m, samples = drift.shape
     count = -(-samples // STRETCH)
     step = np.zeros((m, m + 1, count * STRETCH))

@@ -43,8 +43,8 @@ ROUNDING = 1e-13
 """Share of the largest information, in units of the reference, below which information is rounding error."""
 
 STEPS, SHRINK, CLOSE, DAMPED = 50, 0.1, 1e-9, 0.25
-"""Newton's steps at most for each weight of the pull, factor from one weight to the next, squared decrement to stop,
-and decrement above which steps are damped."""
+"""Largest number of Newton steps for each weight of the pull, factor from one weight to the next, squared decrement at
+which they stop, and decrement above which steps are damped."""
 
 
 WATER = 1000.0

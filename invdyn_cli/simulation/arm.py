@@ -220,4 +220,4 @@ def _least_inertia_added(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, 
     model.dof_armature[:] += lack
     mujoco.mj_setConst(model, mujoco.MjData(model))
     added = ", ".join(f"{model.joint(i).name} {x:.2g}" for i, x in enumerate(lack) if x)
-    return (f"inertia added where links have too little to be moved [kg m^2; kg]: {added}",)
+    return (f"inertia added to joints whose links have too little [kg m^2; kg]: {added}",)

@@ -93,7 +93,7 @@ class Quantisation(AbstractCheck):
                         value=step,
                         threshold={"channel": "tau", "steps": self.levels},
                         seen=f"tau comes in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
-                        meaning="what is smaller than a step cannot be told from rounding",
+                        meaning="what is smaller than a step cannot be distinguished from rounding",
                         advice="a logger that keeps more digits, or motion that asks more torque of this joint",
                         source="own choice: rounding is then above 1 % of the range",
                     )
