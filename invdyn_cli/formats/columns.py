@@ -40,7 +40,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """What a file's columns mean, and what a log says beside them. Empty values are not said.
+    """What a file's columns mean, and the attributes of its log. Empty values are not given.
 
     Attributes:
         channels: by the log's name: "t", "q", "tau", "qd", "qdd", "q_ref", "q_link".

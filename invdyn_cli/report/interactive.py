@@ -109,7 +109,7 @@ class Timeline:
     Attributes:
         t: (T,) [s], of each recording its own.
         names: (row at which it begins, its name) of every recording, in their order.
-        label: what time it is.
+        label: of the time axis.
         stages: (row, name) of what begins within a recording.
     """
 

@@ -111,8 +111,8 @@ def _fitted(x: np.ndarray, y: np.ndarray, independent: float) -> tuple[np.ndarra
 
 
 def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
-    """The noise of the chosen rows (R,) bool when something may have come or gone meanwhile: of every joint, that of
-    the quietest stretch of time, if it is plainly less than that of all of them; the residual is that of all."""
+    """The noise of the chosen rows (R,) bool if an effect may act for a time: for each joint that of the quietest
+    stretch of time, if it is plainly smaller than that of all stretches; the residual is that of all."""
     quietest = measure(evidence, rows)
     for own in np.array_split(np.flatnonzero(rows), STRETCHES):
         stretch = np.zeros_like(rows)
