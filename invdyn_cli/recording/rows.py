@@ -159,11 +159,10 @@ def runs(flags: np.ndarray) -> np.ndarray:
 def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0) -> bool:
     """Whether rows follow each other as in a motion; single poses and shuffled rows do not.
 
-    A joint's second differences are small beside its first ones where it is sampled well; where rows have nothing to do
-    with each other, their RMS is sqrt(3) times as large (the variance of white noise's differences: 6 beside 2). Judged
-    on joints that move more than `moved` [rad]: one of them has to be below `roughness`. A step across a gap is no
-    difference of neighbours: gaps do not count.
-    """
+    A joint's second differences are small compared with its first ones if it is sampled well. If rows are unrelated,
+    the RMS of the second is sqrt(3) times that of the first (the variances of the differences of white noise are 6 and
+    2). Judged are joints that move more than `moved` [rad]: for one of them the ratio must be below `roughness`.
+    Differences across gaps are left out."""
     rows = np.flatnonzero(usable_rows(raw))[:20_000]
     if len(rows) < 4:
         return False

@@ -33,9 +33,9 @@ MOVED = 0.02
 """[rad; m] RMS of q about its mean below which a joint is not used."""
 
 PEAKS, ALIKE = 6, 4.0
-"""Best lags of the first scan that are looked at closely; and by how much another may leave more of q and still count
-as alike. Of lags alike the one with the same sign of q_ref and q is taken, then the shortest: half a period later a
-sine fits with the opposite sign."""
+"""Number of best lags of the first scan that are examined closely; and by how much another lag may leave more of q
+unexplained and still count as equally good. Of equally good lags the one with the same sign of q_ref and q is taken,
+then the shortest: half a period later a sine fits with the opposite sign."""
 
 COARSE = 25.0
 """[Hz] of the first scan; the second, around its best lag, has every sample."""
@@ -289,7 +289,7 @@ def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Che
         return [], [check.skipped("q_ref is not logged", "q_ref")]
     fits = following(log)
     if not fits:
-        return [], [check.skipped("no joint moves beside q_ref", "q_ref")]
+        return [], [check.skipped("no joint with q_ref moves", "q_ref")]
     skipped = [check.skipped(_unlike(one), "q_ref", one.trajectory) for one in fits if one.explained < EXPLAINED]
     return [one for one in fits if one.explained >= EXPLAINED], skipped
 

@@ -20,7 +20,8 @@ def doubtful_inertias(robot: Robot) -> np.ndarray:
 
 
 def kinds_of(inertias: Sequence[np.ndarray], masses: Sequence[float] | np.ndarray) -> list[str | None]:
-    """ZERO, EQUAL or SAME, or None for what a body may have, of inertias (3, 3) about centres of mass [kg m^2]."""
+    """For inertias (3, 3) about centres of mass [kg m^2]: ZERO, EQUAL or SAME for a placeholder, None for a possible
+    body."""
     moments = [np.linalg.eigvalsh((x + x.T) / 2) for x in inertias]
     return [_kind(k, moments, float(mass)) for k, mass in enumerate(masses)]
 
