@@ -162,7 +162,8 @@ def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0
     A joint's second differences are small compared with its first ones if it is sampled well. If rows are unrelated,
     the RMS of the second is sqrt(3) times that of the first (the variances of the differences of white noise are 6 and
     2). Judged are joints that move more than `moved` [rad]: for one of them the ratio must be below `roughness`.
-    Differences across gaps are left out."""
+    Differences across gaps are left out.
+    """
     rows = np.flatnonzero(usable_rows(raw))[:20_000]
     if len(rows) < 4:
         return False
