@@ -16,8 +16,8 @@ class ErrorModel(AbstractAdapter):
 
     Attributes:
         learner: model that learns the residual of the main model.
-        adapted: whether the learner goes on learning; otherwise it stays as pretrained.
-        incremental: how the learner goes on learning, see adaptation=incremental and memory_learning_rate.
+        adapted: whether the learner continues to learn; otherwise it stays as pretrained.
+        incremental: how the learner continues to learn, see adaptation=incremental and memory_learning_rate.
     """
 
     learner: AbstractModel
