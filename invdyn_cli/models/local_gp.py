@@ -32,8 +32,8 @@ class LocalGp(AbstractModel):
 
     Attributes:
         nearness: [-] weight below which a sample begins a region of its own, while there are fewer than `regions`.
-        regions: most regions of a joint.
-        capacity: [samples] most samples of a region; the cost of an update grows with the third power.
+        regions: largest number of regions of a joint.
+        capacity: [samples] largest number of samples of a region; the cost of an update grows with the third power.
         nearest: number of regions that a sample joins, and that a prediction is made of.
         hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.

@@ -34,8 +34,8 @@ class Preparation:
     Attributes:
         rate: [Hz] working sampling rate; slower logs keep their own. Columns are computed at this rate and only then
             filtered, so that a reversal is placed within 2 ms.
-        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; chosen is the highest at which the noise of the
-            twice differentiated positions is small compared with that of the torque (SMALL, NEGLIGIBLE).
+        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; chosen is the highest at which the
+            noise of the twice differentiated positions is small compared with that of the torque (SMALL, NEGLIGIBLE).
         smoothing: [-] bandwidth of the motion signals, as a multiple of that of the columns.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms.
         max_gap: [s] a longer step splits a trajectory.
