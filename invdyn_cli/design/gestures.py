@@ -27,7 +27,7 @@ FASTEST = 0.6
 """Share of the velocity limits."""
 
 STRONGEST = 0.8
-"""Share of the effort limits that the nominal torque may take: what is hidden needs some as well."""
+"""Share of the effort limits that the nominal torque may take: hidden effects need the rest."""
 
 ACCELERATION = 6.0
 """[1/s] Acceleration of a joint over its velocity limit: most joints reach their highest speed in 0.1 to 0.3 s."""

@@ -227,7 +227,7 @@ def _robot(record: RunRecord) -> str:
 
 
 def _figures(record: RunRecord, figures: Sequence[Path]) -> str:
-    """The PNG files; plots that zoom stand for the torques and the residual over velocity."""
+    """The PNG files; plots that zoom replace those of the torques and of the residual over velocity."""
     drawn = {x.stem: x for x in figures if x.suffix == ".png"}
     live = run_plots(record, CAPTIONS["residual_velocity"]) if "torques" in drawn else ""
     return "".join(
