@@ -1,9 +1,9 @@
-"""By how much the links of a worn arm are off, and the anomalies that its search begins with: both at once.
+"""The size of the link errors of a worn arm, and the anomalies with which its search begins: both at once.
 
-Links that may be off by anything imitate a payload, a tilt or an encoder offset, and a share that was chosen while the
-anomaly was missing is too large. So each anomaly is tried with every share, and the marginal likelihood decides
-(MacKay 1992): it pays for links by the volume that the log leaves of what was believed of them. The noise is measured
-anew beside each hypothesis: what it leaves on a joint, with its autocorrelation, is what another cause must outdo.
+Links with unlimited errors imitate a payload, a tilt or an encoder offset, and a size of link errors that was chosen
+without the anomaly is too large. Therefore each anomaly is tried with every size, and the marginal likelihood decides
+(MacKay 1992): its price for links is the ratio of prior to posterior volume. The noise is estimated anew for each
+hypothesis, from its residual with its autocorrelation.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,11 +19,11 @@ from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.steps import free_beside
 
 SMALLER = (1.0, 0.3, 0.1, 0.03)
-"""Of the share by which links are off beside no anomaly, what is tried beside one."""
+"""Sizes of link errors that are tried with an anomaly, as shares of the size without any anomaly."""
 
 
 SHORTLIST = 6
-"""Trials whose evidence is computed; the others gain less while the noise stays as it is."""
+"""Number of trials whose evidence is computed; the others gain less at the present noise."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def believed(
 def _more(
     evidence: Evidence, rows: np.ndarray, base: Belief, always: Hypothesis, pool: Sequence[Candidate], most: int
 ) -> Iterator[Hypothesis]:
-    """What was found with one of a few trials beside it, those that gain most at its noise and are physics."""
+    """The hypothesis with one of a few trials added: those that gain most at its noise and are physically possible."""
     if len(base.found) >= most:
         return
     scorer = HypothesisScorer(evidence, rows, base.noise.weights, base.noise.deviation, (*always, base.links), True)
@@ -119,8 +119,7 @@ def _more(
 
 
 def volume(scorer: HypothesisScorer, hypothesis: Hypothesis) -> float:
-    """Logarithm of the volume of coefficients beforehand, less that of those that the log allows; doubled, as losses
-    are."""
+    """Logarithm of the prior volume of coefficients minus that of the posterior; doubled, as losses are."""
     if not hypothesis:
         return 0.0
     scale = 1 / np.sqrt(np.concatenate([c.precision for c in hypothesis]))
