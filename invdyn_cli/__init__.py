@@ -1,6 +1,6 @@
 """invdyn: learn, adapt, compare and diagnose inverse dynamics models tau = f(q, qd, qdd); docs/python.md shows the use.
 
-Importing the package costs nothing: what is offered here is loaded when it is first asked for.
+Importing the package loads nothing heavy: each name is loaded when it is first used.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""A motion in chunks of few shapes: what is compiled once works on any length."""
+"""A motion in chunks of few shapes, so that a compiled function works for any length."""
 
 from collections.abc import Callable
 
@@ -24,6 +24,6 @@ def in_chunks(function: Callable[[Motion], Array], motion: Motion, most: int = C
 
 
 def padded(motion: Motion, size: int) -> Motion:
-    """A motion of at most `size` samples, its last one repeated until there are so many."""
+    """A motion of at most `size` samples, padded to `size` with its last sample."""
     missing = size - len(motion)
     return jax.tree.map(lambda x: np.pad(x, ((0, missing), (0, 0)), mode="edge"), motion) if missing else motion

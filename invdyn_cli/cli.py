@@ -54,7 +54,7 @@ internal error of invdyn; 130 after Ctrl-C.
 
 
 def entry() -> None:
-    """The installed command: `main` on sys.argv, and an end without a crash whatever became of stdout."""
+    """The installed command: `main` on sys.argv; it ends without a crash even if stdout is closed."""
     interruption.watch()
     code = 0
     if not sys.warnoptions:

@@ -2,9 +2,9 @@
 
     tau = tau_FF(q_d, qd_d, qdd_d) + Kp e + Kd ed,   e = q_d - q                      (paper, equations 2 to 4)
 
-The arm of data=pick_place does its task with feedback of several stiffnesses, without and with the object; the
-feedforward is nothing, the model as it was learned without the object, or the model adapting as it goes. Velocities are
-difference quotients of the measured angles behind a first-order low-pass. No files, no config, no printing.
+The arm of data=pick_place does its task with feedback of several gains, without and with the object. The feedforward is
+zero, the model learned without the object, or the adapting model. Velocities are difference quotients of the measured
+angles after a first-order low-pass filter. No files, no config, no printing.
 """
 
 import itertools
@@ -33,7 +33,7 @@ KIND_WORDS = {ALONE: "feedback alone", LEARNED: "not adapted", ADAPTED: "adapted
 """What tables and figures call them."""
 
 LOOK_EVERY = 50
-"""Ticks between two looks at whether the arm is still under control."""
+"""Ticks between two checks of whether the arm is still under control."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +111,13 @@ class Case:
 
     @property
     def share(self) -> float:
-        """Feedback's torque over the whole one, RMS each, mean over joints."""
+        """Feedback torque over total torque, RMS each, mean over joints."""
         return float(np.mean(self.feedback / self.torque))
 
 
 @dataclass(frozen=True)
 class ControlRecord:
-    """All runs of a sweep, and what they were made with; spread (n,) [N m] of the torques in what was learned from."""
+    """All runs of a sweep and their settings; spread (n,) [N m] is the standard deviation of the training torques."""
 
     joints: tuple[str, ...]
     spread: np.ndarray
@@ -204,7 +204,7 @@ def run(
 
 
 class Table:
-    """A feedforward that was known before: tau (T, n)."""
+    """A feedforward that was computed in advance: tau (T, n)."""
 
     def __init__(self, tau: np.ndarray) -> None:
         self._tau = tau
@@ -215,7 +215,7 @@ class Table:
 
 
 class Learner:
-    """A feedforward that learns from angles and torques until now; mutable, alive for one run.
+    """A feedforward that learns from the angles and torques so far. It is mutable and used for one run.
 
     Args:
         ticking: the model and its adapter, tick by tick.
@@ -269,7 +269,7 @@ def _measured(
     sweep: Sweep,
     what: tuple[bool, str, int],
 ) -> Case:
-    """The task in closed loop, from where the arm is held on."""
+    """The task in closed loop, from the posture in which the arm is held."""
     stiffness = gain * spread
     damping, follow = stiffness * sweep.damping_time, 1 - np.exp(-2 * np.pi * sweep.velocity_cutoff / RATE)
     goal, goal_qd = np.asarray(desired.q), np.asarray(desired.qd)

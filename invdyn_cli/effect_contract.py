@@ -11,7 +11,7 @@ from invdyn_cli.types import Array, EffectText, Motion, Robot
 
 
 class Parameter(NamedTuple):
-    """A parameter of an effect: its unit, and the bounds outside of which it is no physics."""
+    """A parameter of an effect: its unit, and the bounds outside of which it is physically impossible."""
 
     unit: str
     lower: float = -np.inf
@@ -27,16 +27,16 @@ class AbstractEffect(abc.ABC):
     motion, on the bodies, in the gear, as a force from outside, on a joint's torque, on the channel (logged ->
     delivered); each has its class below.
 
-    Its formula appears twice: linear for the search (`basis`, and `read` back into parameters), which tries the
-    nonlinear parameters that `shapes` lists, and as it stands (`term` and the like) for the extended model. Array
-    functions come from the arrays themselves (`x.__array_namespace__()`): numpy or jax alike.
+    Its formula appears twice: in linear form for the search (`basis`, and `read` back into parameters), which tries the
+    nonlinear parameters that `shapes` lists, and exactly (`term` and the like) for the extended model. Array functions
+    come from the arrays themselves (`x.__array_namespace__()`): numpy or jax alike.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     """Its name in a sentence."""
     meaning: ClassVar[str] = ""
-    """What it is, in a sentence for someone who never met it."""
+    """What it is, in one sentence for a reader who does not know it."""
     equation: ClassVar[str]
     reference: ClassVar[str]
     parameters: ClassVar[Mapping[str, Parameter]]
@@ -47,78 +47,81 @@ class AbstractEffect(abc.ABC):
     position_sides: ClassVar[tuple[str, ...]] = ("link", "motor", "unknown")
     """Position sides on which it shows."""
     chosen: ClassVar[tuple[str, ...]] = ()
-    """Parameters that are one of a few values, as gears have them: tried, never refined, and without an interval."""
+    """Parameters that take only a few values, as the ratios of gears do: they are tried, not refined, and have no
+    interval."""
     passing: ClassVar[bool] = False
-    """Whether it comes and goes: it acts in a window of time, which is found with it."""
+    """Whether it acts in a time window only; the window is then estimated with it."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Sets of effects that theory allows to stand for it on some logs."""
+    """Sets of effects that can, in theory, explain the same logs."""
     contains: ClassVar[tuple[str, ...]] = ()
-    """Effects that are special cases of it: the simpler one is named unless the data ask for more."""
+    """Effects that are special cases of it: the simpler one is named unless the data require more."""
     contains_as_limit: ClassVar[bool] = False
-    """Whether it is what it contains only in a limit, so that both may act on one joint."""
+    """Whether it equals what it contains only in a limit, so that both may act on one joint."""
     advice: ClassVar[str] = ""
-    """What to record to tell it from its confounders."""
+    """What to record to distinguish it from its confounders."""
     panels: ClassVar[tuple[str, ...]] = ()
     """What its picture shows, names of `report.diagnosis_figures.PANELS`; () for the residual over time."""
     loaded: ClassVar[bool] = False
-    """Whether its columns hang on the torque that the joint transmits."""
+    """Whether its columns depend on the torque that the joint transmits."""
     group: ClassVar[str] = "anomaly"
-    """"standard" for what every arm has beside its URDF, "anomaly" for what only some have."""
+    """"standard" for what every arm has in addition to its URDF, "anomaly" for what only some arms have."""
     jumps: ClassVar[bool] = False
-    """Whether its torque jumps where the joint turns back."""
+    """Whether its torque jumps where the joint reverses."""
     load: ClassVar[bool] = False
     """Whether it is a body that the last link carries."""
     turns_gravity: ClassVar[bool] = False
-    """Whether it moves gravity and no inertials: nothing of it shows where nothing falls."""
+    """Whether it changes the direction of gravity and no inertials: without gravity it has no effect."""
     reaches_others: ClassVar[bool] = False
-    """Whether other joints feel it than the one it acts on (and the one that shares its gear)."""
+    """Whether it also acts on other joints than its own (and the one that shares its gear)."""
     is_local: ClassVar[bool] = True
-    """Whether it must be worth something on its own joint; if not, on the arm as a whole."""
+    """Whether it must improve the prediction on its own joint; if not, on the arm as a whole."""
     yields: ClassVar[bool] = False
-    """Whether a link moves against its motor by it, the more the more it carries."""
+    """Whether it lets a link move relative to its motor, in proportion to the load."""
     stays_near: ClassVar[bool] = False
-    """Whether its columns are true near the parameters of their trial only."""
+    """Whether its columns are valid only near the parameters of their trial."""
     coupled: ClassVar[bool] = False
-    """Whether it is of a gear that its joint shares with the joint before it (`JointState.driver`)."""
+    """Whether it belongs to a gear that its joint shares with the joint before it (`JointState.driver`)."""
     invertible: ClassVar[bool] = True
-    """Of a channel: whether what was logged follows from what reached the joint; if not, models are compared with the
-    latter."""
+    """Of a channel: whether the logged torque follows from the delivered one; if not, models are compared with the
+    delivered torque."""
     factor: ClassVar[str] = ""
-    """Of a channel that only multiplies what was logged: the parameter that does."""
+    """Of a channel that only multiplies the logged torque: the name of the factor."""
     late_by: ClassVar[str] = ""
-    """The parameter [s] by which what it delivers comes late: effects that have one differ to second order only."""
+    """Name of the parameter [s] by which the delivered torque is late; effects with one differ from each other only to
+    second order."""
     of_joint: ClassVar[bool] = True
-    """Whether it acts on a joint, or its link; if not, on the whole arm."""
+    """Whether it acts on a joint or its link; if not, on the whole arm."""
     needs: ClassVar[tuple[str, ...]] = ()
     """What a joint's motion must have to show it, names of `diagnosis.checks.excitation.NEEDS`."""
     sum_of: ClassVar[Mapping[str, Mapping[str, float]]] = {}
-    """Of an effect that is the sum of others whatever the motion: each one's name, and how much its parameter adds to
-    each parameter here."""
+    """Of an effect that is always the sum of others: their names, and how much the parameter of each adds to each
+    parameter here."""
     scanned: ClassVar[tuple[Parameters, ...]] = ()
-    """Of an effect whose nonlinear parameters are scanned for in a log: those that a design of motions tries."""
+    """Of an effect whose nonlinear parameters are scanned in a log: the values that a design of motions tries."""
     shows: ClassVar[tuple[str, ...]] = ()
-    """Tests of the residual (`types.ResidualTest.against`) in which it shows first where a model lacks it."""
+    """Tests of the residual (`types.ResidualTest.against`) in which it appears first if a model lacks it."""
 
     def is_ordinary(self, shape: Parameters) -> bool:
-        """Whether its columns at these nonlinear parameters help to measure the noise: of many trials, some; none whose
-        columns hold the log's noise themselves."""
+        """Whether its columns at these nonlinear parameters are used to estimate the noise: only a few of many trials,
+        and none whose columns contain the noise of the log."""
         return True
 
     def travel(self, parameters: Parameters) -> float:
-        """Motion of its joint [rad; m] within which it differs from what it contains as a limit; inf: at any motion."""
+        """Motion of its joint [rad; m] beyond which it equals the effect that it contains as a limit; inf: it always
+        differs."""
         return float("inf")
 
     def is_plain(self, parameters: Parameters, state: JointState) -> bool:
-        """Whether an effect of these parameters can be told, on this motion of its joint, from what only looks like
-        it."""
+        """Whether an effect with these parameters can be distinguished, on this motion of its joint, from effects that
+        look similar."""
         return True
 
     def typical(self, usual: UsualJoint) -> dict[str, Any] | None:
-        """Parameters of an ordinary size on a joint like this; None where no size is ordinary."""
+        """Parameters of a typical size on a joint like this; None if there is no typical size."""
         return None
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        """What of it the file of a simulator holds, beside other inertials and another gravity."""
+        """What the file of a simulator contains of it, besides changed inertials and gravity."""
         return SimulatorTerms(lost=NO_TIME if self.passing else NO_PLACE)
 
     @property
@@ -134,26 +137,26 @@ class AbstractEffect(abc.ABC):
         """Parameters from the coefficients of its columns, which were made for a trial's parameters."""
 
     def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float] | None:
-        """The coefficients that `found` makes these parameters from, where the torque is linear in them; None where it
-        is not."""
+        """The coefficients from which `found` makes these parameters, if the torque is linear in them; otherwise
+        None."""
         return None
 
     def precision(self, robot: Robot, joint: int | None, count: int) -> np.ndarray:
-        """(count,) what is known of its columns' coefficients beforehand: 1 / scale^2."""
+        """(count,) prior precision 1 / scale^2 of its columns' coefficients."""
         return np.zeros(count)
 
     @property
     def changes_inertials(self) -> bool:
-        """Whether it is another body in the place of a link, or on it."""
+        """Whether it changes the body of a link, or adds a body to it."""
         return False
 
     @property
     def bends(self) -> bool:
-        """Whether its torque is far from a straight line of its size."""
+        """Whether its torque is far from linear in its size."""
         return False
 
     def refuse(self, parameters: Parameters) -> str:
-        """Why these values are no physics, "" if they are."""
+        """Why these values are physically impossible, "" if they are possible."""
         for name, bound in self.parameters.items():
             value = np.asarray(parameters[name])
             if value.dtype.kind in "fi" and (np.any(value < bound.lower) or np.any(value > bound.upper)):
@@ -164,32 +167,32 @@ class AbstractEffect(abc.ABC):
 
 
 class AbstractTorqueEffect(AbstractEffect):
-    """An effect that adds to one joint's torque; a coupled one, `share_on_driver` times as much to the torque of the
-    joint before it in the chain as well, which drives the same gear."""
+    """An effect that adds a torque to one joint. A coupled effect also adds `share_on_driver` times this torque to the
+    joint before it in the chain, which drives the same gear."""
 
     point = "torque"
 
     @abc.abstractmethod
     def term(self, parameters: Parameters, state: JointState) -> Array:
-        """What it adds to the logged torque [N m; N], shape of the state's arrays."""
+        """The torque that it adds to the logged one [N m; N], in the shape of the state's arrays."""
 
     nonlinear: ClassVar[tuple[str, ...]] = ()
-    """Parameters that no linear combination of columns can make up for."""
+    """Parameters that no linear combination of columns can replace."""
 
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         """Values of the nonlinear parameters to try on this motion."""
         return ({},)
 
     def jump(self, columns: Sequence[Array]) -> Array:
-        """Of an effect that jumps, the part of its columns that does."""
+        """Of an effect that jumps, the part of its columns that jumps."""
         return columns[0]
 
     def share_on_driver(self, parameters: Parameters) -> float:
-        """Of a coupled effect: what share of its term acts on the joint before its own."""
+        """Of a coupled effect: the share of its term that acts on the joint before its own."""
         return 0.0
 
     def shape_of(self, parameters: Parameters) -> Parameters:
-        """The nonlinear ones of these parameters, as `shapes` has them."""
+        """The nonlinear parameters among these, as `shapes` has them."""
         return {name: parameters[name] for name in self.nonlinear}
 
     @abc.abstractmethod
@@ -217,15 +220,15 @@ class AbstractChannelEffect(AbstractEffect):
 
     @abc.abstractmethod
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        """Parameters to try on a logged torque tau (T,) at `rate` [Hz]; each gets a free small correction."""
+        """Trial parameters for a logged torque tau (T,) at `rate` [Hz]; each gets a small linear correction."""
 
     @abc.abstractmethod
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        """What reaches the joint of a logged torque (T,) at `rate` [Hz]."""
+        """The torque (T,) that reaches the joint if this torque (T,) is logged, at `rate` [Hz]."""
 
     @abc.abstractmethod
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        """What is logged where tau (T, …) at `rate` [Hz] reaches the joint."""
+        """The torque that is logged if tau (T, …) reaches the joint, at `rate` [Hz]."""
 
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
@@ -236,7 +239,7 @@ class AbstractChannelEffect(AbstractEffect):
 
 
 class AbstractBodyEffect(AbstractEffect):
-    """An effect on masses or gravity: another robot; of a joint, on the inertials of its link."""
+    """An effect on masses or gravity: it changes the robot; an effect of a joint changes the inertials of its link."""
 
     point = "body"
     reaches_others = True
@@ -248,8 +251,8 @@ class AbstractBodyEffect(AbstractEffect):
 
     @abc.abstractmethod
     def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
-        """Directions in which it moves inertials (n, 10) and gravity (3,), and how far at most; the torque is linear
-        in both, so that each gives a column."""
+        """Directions in which it changes inertials (n, 10) and gravity (3,), and the scale of each; the torque is
+        linear in both, so that each direction gives a column."""
 
     @abc.abstractmethod
     def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
@@ -257,7 +260,7 @@ class AbstractBodyEffect(AbstractEffect):
 
     @abc.abstractmethod
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
-        """The coefficients that `read` makes these parameters from: coordinates without singular points."""
+        """The coefficients from which `read` makes these parameters: coordinates without singular points."""
 
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
@@ -290,7 +293,7 @@ class AbstractMotionEffect(AbstractEffect):
 
     @abc.abstractmethod
     def true(self, parameters: Parameters, motion: Motion, joint: int) -> Motion:
-        """The true motion of a logged one, (n, *batch) arrays."""
+        """The true motion for a logged one, (n, *batch) arrays."""
 
     @property
     def bends(self) -> bool:
@@ -314,11 +317,11 @@ class AbstractGearEffect(AbstractEffect):
 
     @abc.abstractmethod
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
-        """Parameters to try on these loads and inertias (T,); each gets a free small correction."""
+        """Trial parameters for these loads and inertias (T,); each gets a small linear correction."""
 
     @abc.abstractmethod
     def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
-        """The link's angle less the motor's (T,) [rad; m], and its second derivative.
+        """The angle of the link minus that of the motor (T,) [rad; m], and its second derivative.
 
         Args:
             load: (T,) torque [N m; N] that would keep the link on the motor's motion.
@@ -327,7 +330,7 @@ class AbstractGearEffect(AbstractEffect):
         """
 
     def compliance(self, parameters: Parameters) -> float:
-        """The one number that the deflection grows with, nearly in proportion."""
+        """The one number to which the deflection is nearly proportional."""
         (value,) = parameters.values()
         return value
 
@@ -349,11 +352,11 @@ class AbstractForceEffect(AbstractEffect):
     reaches_others = True
     is_local = False
     scale: ClassVar[float]
-    """What a coefficient hardly exceeds: what a log does not show of a force stays near zero."""
+    """Scale of a coefficient: coefficients that a log does not determine stay near zero."""
 
     @abc.abstractmethod
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
-        """(k, n, T) torques that hold the arm against unit forces, of a motion (n, T)."""
+        """(k, n, T) joint torques that balance unit forces, for a motion (n, T)."""
 
     @abc.abstractmethod
     def read(self, coefficients: Sequence[float]) -> dict[str, Any]:
@@ -361,7 +364,7 @@ class AbstractForceEffect(AbstractEffect):
 
     @abc.abstractmethod
     def coefficients(self, parameters: Parameters) -> list[float]:
-        """The coefficients that `read` makes these parameters from."""
+        """The coefficients from which `read` makes these parameters."""
 
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
@@ -376,5 +379,5 @@ class AbstractForceEffect(AbstractEffect):
 
 
 def _corrected(effect: AbstractEffect, corrections: Sequence[float], trial: Parameters) -> dict[str, float]:
-    """A trial's parameters, each with the correction that its column found."""
+    """The parameters of a trial, each with the correction from its column."""
     return {name: float(trial.get(name, 0.0) + x) for name, x in zip(effect.parameters, corrections, strict=True)}

@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 LONGEST = 700
-"""Characters of what a message says was got, and of what it advises: names in it may come from anybody's file."""
+"""Largest number of characters of the input and of the advice in a message: names may come from any file."""
 
 
 class InvdynError(Exception):
-    """A failure of use: one line `got` (and what is allowed), and a hint what to `advice` the user to try."""
+    """A wrong use: one line `got` (and what is allowed), and `advice`, a hint what to try."""
 
     def __init__(self, got: str, *, advice: str = "") -> None:
         super().__init__(got)
@@ -49,13 +49,14 @@ def _rebuild(kind: type[InvdynError], got: str, advice: str) -> InvdynError:
 
 
 def shortened(text: object, most: int = 80) -> str:
-    """A text of anybody's as a message may hold it: what cannot be printed as "?", the end cut to `most` characters."""
+    """A text from a file as a message may contain it: unprintable characters become "?", and it is cut to `most`
+    characters."""
     shown = "".join("?" if unicodedata.category(c).startswith("C") else c for c in str(text)[: most + 1])
     return shown if len(shown) <= most else shown[: most - 1] + "…"
 
 
 def listed(names: Iterable[str], *, most: int = 12) -> str:
-    """The names with commas, the long tail counted: what an error offers as allowed."""
+    """The names, separated by commas; of a long list only the first, and the number of the others."""
     names = list(names)
     shown = ", ".join(names[:most]) if names else "(none)"
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

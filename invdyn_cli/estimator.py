@@ -22,7 +22,7 @@ except ImportError as error:
     raise UsageError(got, advice='pip install "invdyn[sklearn]"') from error
 
 NESTED = "model__"
-"""Before the name of a hyperparameter of the model, as in GridSearchCV: model__threshold."""
+"""Prefix of the hyperparameters of the model, as in GridSearchCV: model__threshold."""
 
 
 class InverseDynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):

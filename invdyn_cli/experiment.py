@@ -17,13 +17,13 @@ from invdyn_cli.maths import metrics
 from invdyn_cli.types import Dataset, Fit, Prediction, PyTree, Robot, RunRecord, Score, Splits
 
 Stage = Callable[[str], Progress]
-"""Opens a stage of the work by its name and gives what to report its progress to."""
+"""Opens a stage of the work with this name, and returns the function that reports its progress."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What is there before an experiment begins: its data and the fit of its model, and its share of the time [s] that
-    both have taken."""
+    """What exists before an experiment begins: its data, the fit of its model, and its share of the time [s] for
+    both."""
 
     splits: Splits
     fit: Fit
@@ -41,7 +41,7 @@ def run(
     stage: Stage = lambda name: silent,
     prepared: Prepared | None = None,
 ) -> RunRecord:
-    """Make or read the data, learn, and judge on every set.
+    """Make or read the data, learn, and score every set.
 
     Args:
         robot: None where the kinematics are unknown; then only sources and models that need none will do.
@@ -125,14 +125,15 @@ def run(
 
 
 def _known(model: AbstractModel, fit: Fit) -> AbstractModel:
-    """The model, equal to itself in all but that its `fit` is known."""
+    """The same model, except that its `fit` returns the known result."""
     known = copy.copy(model)
     object.__setattr__(known, "fit", lambda dataset, key, **options: fit)
     return known
 
 
 def predict(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
-    """Torques (samples, n) over all trajectories, each on its own: a model's memory ends with a recording."""
+    """Torques (samples, n) over all trajectories, each computed by itself: the memory of a model ends with a
+    recording."""
     return np.concatenate([model.predict(fit, x.motion) for x in data.trajectories])
 
 
@@ -153,7 +154,8 @@ def follow(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def follow_blocks(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, blocks: PyTree) -> PyTree:
-    """The state after a motion and its torques in blocks (blocks, block, n), and torques said and trace of each."""
+    """The state after a motion and its torques in blocks (blocks, block, n), and predictions and trace of each
+    block."""
 
     def block(state: PyTree, part: tuple) -> tuple[PyTree, tuple]:
         said = jax.vmap(lambda one: adaptation.predict(model, state, one))(part[0])
@@ -178,7 +180,7 @@ def _samples(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, s
 def update_times(
     adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset, most: int = 200
 ) -> np.ndarray:
-    """How long it takes [s] to learn from a block, called from Python, block by block of the data, `most` at most."""
+    """Time [s] to learn from a block, called from Python, for each of at most `most` blocks of the data."""
     size = adaptation.block
     learn = jax.jit(partial(adaptation.learn, model))
     state, motion, tau = adaptation.init(model, fit), data.motion, data.tau
@@ -192,7 +194,8 @@ def update_times(
 
 
 def diverged(adaptation: AbstractAdapter, data: Dataset, learned: np.ndarray, followed: np.ndarray) -> tuple[str, ...]:
-    """A sentence, where followed torques (samples, n) are not finite though they were as learned, or none."""
+    """A sentence if the predictions (samples, n) during adaptation are not finite although those before it were, or
+    none."""
     finite = np.all(np.isfinite(followed), axis=1)
     lost = ~finite & np.all(np.isfinite(learned), axis=1)
     if not lost.any():
@@ -216,7 +219,7 @@ def score(data: Dataset, prediction: np.ndarray) -> Score:
 
 
 def digest(splits: Splits) -> str:
-    """Sixteen hex digits that change with any number in the data."""
+    """Sixteen hex digits that depend on every number in the data."""
     hashed = hashlib.sha256()
     for data in (splits.train, splits.validation, *splits.tests.values()):
         for x in data.trajectories if data else ():

@@ -1,4 +1,4 @@
-"""Whether plain values suit the annotations of the dataclass that is to take them: of configs, and of run files."""
+"""Checks whether plain values of configs and run files match the annotations of the dataclass that receives them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
@@ -47,7 +47,7 @@ def suits(value: Any, hint: Any, is_a: Callable[[Any, type], bool] | None = None
 
 
 def in_words(hint: Any) -> str:
-    """An annotation as a user would say it."""
+    """An annotation in words for a message."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Literal:
         return listed(map(str, inner))

@@ -1,8 +1,8 @@
-"""Every file that the package writes goes through `write_file`: it is whole, or it is not there.
+"""All files of the package are written by `write_file`: completely, or not at all.
 
-The content goes into a file that has no name yet (where the system knows such files), is flushed to the disk and takes
-its name last. A process that is killed leaves nothing behind; where files need a name from the start, the part that it
-leaves is removed by the next process that writes into that folder.
+The content is written into a file without a name (if the system supports this), flushed to the disk, and named last. A
+killed process leaves nothing behind; where files need a name from the start, the next process that writes into this
+folder removes the incomplete file.
 """
 
 import itertools
@@ -37,7 +37,7 @@ def write_file(path: str | Path, content: bytes | str) -> Path:
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove the parts that processes of this machine left in a folder when they were killed."""
+    """Remove the incomplete files that killed processes of this machine left in a folder."""
     for part in folder.glob(f".invdyn-{_HOST}-*.part"):
         owner = part.name.removeprefix(f".invdyn-{_HOST}-").partition("-")[0]
         if owner.isdigit() and not _is_alive(int(owner)):

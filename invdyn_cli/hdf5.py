@@ -1,8 +1,8 @@
-"""HDF5 files of anybody, read in a process of their own and written whole: the only door to h5py.
+"""HDF5 files from anyone, read in a separate process and written completely; no other file of the package uses h5py
+except `hdf5_reader`.
 
-A file from a stranger may be built to crash libhdf5 or to keep it busy for ever. `hdf5_reader` opens it in a process
-beside this one, which is ended when it takes too long; what reaches outside of the file or is larger than allowed is
-refused before any of it is read.
+A malicious file may crash libhdf5 or keep it busy for ever. `hdf5_reader` opens it in a separate process, which is
+ended after a time limit. Links to other files and data above the size limit are refused before anything is read.
 """
 
 import atexit
@@ -26,12 +26,12 @@ LIMIT = 2e9
 """[bytes] What may be read of one file, unless its reader says otherwise: an hour of eight joints at 1 kHz."""
 
 PATIENCE, SLOWEST = 8.0, 20e6
-"""[s] and [bytes/s]: a file may take so long, and so much longer the larger it is."""
+"""Time limit [s] for reading a file, and slowest rate [bytes/s], by which a larger file gets more time."""
 
 SCRIPT = Path(__file__).with_name("hdf5_reader.py")
 
 SQUEEZED = 512
-"""Values from which an array is compressed."""
+"""Number of values from which an array is compressed."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class _Reader:
         self._owner = 0
 
     def ask(self, request: Mapping[str, Any], path: Path, raises: type[InvdynError]) -> list[dict[str, Any]]:
-        """All answers to a request about a file, which is closed again."""
+        """All answers to a request about a file; the file is closed afterwards."""
         patience = PATIENCE + (path.stat().st_size if path.is_file() else 0) / SLOWEST
         process = self._running()
         assert process.stdin and process.stdout
@@ -202,7 +202,7 @@ class _Reader:
         return self._process
 
     def close(self) -> None:
-        """End the process, if it is this one's own."""
+        """End the process, if it belongs to this one."""
         if self._process is not None and self._owner == os.getpid():
             self._process.kill()
             self._process.communicate()

@@ -21,10 +21,10 @@ import h5py
 import numpy as np
 
 MOST_NODES, DEEPEST = 50_000, 32
-"""Groups and datasets of a file, and how deep they lie: an hour of a run has some hundreds, five deep."""
+"""Largest number of groups and datasets of a file, and largest depth: an hour of a run has some hundreds, five deep."""
 
 LONGEST_ATTRIBUTE = 65_536
-"""[bytes] What one attribute may hold; libhdf5's own limit unless a file is told otherwise."""
+"""[bytes] Largest size of one attribute; libhdf5's own limit unless the writer of the file changes it."""
 
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
 """Filters that come with h5py; others are libraries that libhdf5 would load."""
@@ -33,7 +33,7 @@ MOST_SQUEEZED, SLACK = 1_100, 1 << 20
 """How many bytes a stored one may stand for (deflate's own limit is 1,032), beside so many for whatever is small."""
 
 MEMORY = 1 << 30
-"""[bytes] Beside what a request may read: what this process may hold."""
+"""[bytes] Memory that this process may use in addition to what a request may read."""
 
 
 class Refused(Exception):

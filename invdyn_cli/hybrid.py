@@ -1,4 +1,4 @@
-"""model=hybrid, and what adaptation=error_model makes of a model: a model and a learner for what it leaves over.
+"""model=hybrid, also used by adaptation=error_model: a model, and a learner of its residual.
 
 They are fitted one after the other on the same data:
 
@@ -33,7 +33,7 @@ class Hybrid(AbstractModel):
 
     @property
     def by_joint(self) -> bool:  # type: ignore[override]
-        """Whether the base is: its linear parameters are the hybrid's."""
+        """Whether the base is by joint: its linear parameters are those of the hybrid."""
         return self.base.by_joint
 
     @property
@@ -53,7 +53,7 @@ class Hybrid(AbstractModel):
     def fit(
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
     ) -> Fit:
-        """Fit the base, then the learner on what it leaves; details are the base's, history the learner's."""
+        """Fit the base, then the learner to its residual; details are the base's, history the learner's."""
         base_key, learner_key = jax.random.split(key)
         base = self.base.fit(dataset, base_key, validation=validation)
         left = self._residual(base, dataset)
@@ -79,7 +79,7 @@ class Hybrid(AbstractModel):
         return self.learner.weights(params["learner"])
 
     def with_weights(self, params: PyTree, weights: PyTree) -> PyTree:
-        """The learner with other weights on the same base."""
+        """The learner with other weights, on the same base."""
         return {**params, "learner": self.learner.with_weights(params["learner"], weights)}
 
     def linear(self, params: PyTree) -> PyTree:

@@ -1,5 +1,5 @@
-"""The contracts: who has read them can add a model, an adaptation or a data source as one file and one YAML. That of
-effects is in `effect_contract`, and can be imported from here as well.
+"""The contracts. After reading them you can add a model, an adaptation or a data source as one file and one YAML. The
+contract of effects is in `effect_contract`, and can be imported from here as well.
 
 Rules for all of them: a class is either abstract or final, a frozen dataclass whose fields are its hyperparameters
 (plain values, or other objects of this kind); what is learned lives in a nested dict of arrays; state is passed in and
@@ -51,7 +51,7 @@ __all__ = [
 ]
 
 Progress = Callable[[float, str], None]
-"""Called with the share that is done, 0 to 1, and a short note (a loss, say)."""
+"""Called with the share that is done, 0 to 1, and a short note (for example a loss)."""
 
 
 def silent(done: float, note: str) -> None:
@@ -66,7 +66,7 @@ class AbstractModel(abc.ABC):
     by_joint: bool = False
     """Whether row j of each `linear` parameter changes the torque of joint j alone."""
     has_memory: bool = False
-    """Whether `predict` goes along a recording; `apply` is then the torque of its first sample."""
+    """Whether `predict` uses the past of a recording; `apply` is then the torque of its first sample."""
 
     @abc.abstractmethod
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
@@ -80,10 +80,10 @@ class AbstractModel(abc.ABC):
     def fit(
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
     ) -> Fit:
-        """Learn from a dataset; `validation` is watched, never learned from."""
+        """Learn from a dataset; `validation` is only evaluated, never learned from."""
 
     def alike(self) -> Hashable | None:
-        """What models have in common that can be fitted in one program (`fit_together`), whatever their other
+        """A key that is equal for models that can be fitted in one program (`fit_together`), whatever their other
         hyperparameters are; None for a model that is fitted alone."""
         return None
 
@@ -96,7 +96,8 @@ class AbstractModel(abc.ABC):
         validation: Dataset | None = None,
         progress: Progress = silent,
     ) -> list[Fit]:
-        """The fits of models that are all `alike`, each with its key: those that `fit` gives, to rounding."""
+        """The fits of models that are all `alike`, each with its own key; equal to those of `fit`, except for
+        rounding."""
         raise NotImplementedError
 
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
@@ -104,11 +105,11 @@ class AbstractModel(abc.ABC):
         return in_chunks(lambda chunk: _apply_all(self, fit.params, chunk, fit.robot), motion, self.chunk(motion))
 
     def chunk(self, motion: Motion) -> int:
-        """Samples that `predict` takes at a time: fewer where one takes much memory."""
+        """Number of samples that `predict` computes at a time: fewer if one needs much memory."""
         return CHUNK
 
     def weights(self, params: PyTree) -> PyTree:
-        """The part that steps down a gradient may move while the robot works; UsageError where there is none."""
+        """The parameters that gradient descent may change while the robot works; UsageError if there are none."""
         got = f"{type(self).__name__} has no weights that can be adapted"
         raise UsageError(got, advice="a model with weights: ffnn, ffnn_deep, lagrangian_net")
 
@@ -117,11 +118,11 @@ class AbstractModel(abc.ABC):
         raise NotImplementedError
 
     def linear(self, params: PyTree) -> PyTree:
-        """The part of the parameters in which the torque is linear, or nearly so; UsageError where there is none."""
+        """The parameters in which the torque is linear, or nearly linear; UsageError if there are none."""
         raise UsageError(f"{type(self).__name__} has no linear parameters", advice="pest, standard, extended or rff")
 
     def with_linear(self, params: PyTree, linear: PyTree) -> PyTree:
-        """The parameters with others in the place of the linear ones."""
+        """The parameters with the linear ones replaced."""
         return {**params, **linear}
 
     def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
@@ -134,24 +135,24 @@ class AbstractModel(abc.ABC):
 
 
 class AbstractAdapter(abc.ABC):
-    """A way to learn a model, and to go on learning while the robot works.
+    """A way to learn a model, and to continue learning while the robot works.
 
     `fit` is the pretraining; then predict comes before learn: `predict(state, …)`, `update(state, …)`, both pure, so
     that they run in `lax.scan` over a log and sample by sample in a control loop.
     """
 
     adapts: bool = True
-    """Whether `update` changes anything; then the test set is also judged as it is adapted to ("test_adapted")."""
+    """Whether `update` changes anything; then the test set is also scored during adaptation ("test_adapted")."""
     if_diverged: str = ""
-    """What may help where its torques are no numbers any more: the end of a sentence."""
+    """Advice for the case that its torques are no longer finite: the end of a sentence."""
 
     @property
     def block(self) -> int:
-        """Samples that are learned from at once: in between, predictions come from one and the same state."""
+        """Number of samples that are learned from at once; predictions between two updates use the same state."""
         return 1
 
     def extended(self, model: AbstractModel) -> AbstractModel:
-        """The model that is learned in place of `model`: with what this way of adapting adds to it."""
+        """The model that is fitted instead of `model`: with the parts that this adaptation adds."""
         return model
 
     @abc.abstractmethod
@@ -172,18 +173,19 @@ class AbstractAdapter(abc.ABC):
 
     @abc.abstractmethod
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of ONE sample with what is known so far."""
+        """Torque (n,) of ONE sample with the current state."""
 
     @abc.abstractmethod
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The state after ONE more measured sample."""
 
     def trace(self, state: PyTree) -> dict[str, Array]:
-        """What it knows by now that is worth a curve, a few numbers by name; NaN for what it does not know."""
+        """A few numbers by name that are worth a curve; NaN for unknown ones."""
         return {}
 
     def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The state after a whole block of samples (block, n): what as many calls of `update` give, or faster."""
+        """The state after a whole block of samples (block, n): the result of as many calls of `update`, or a faster
+        equivalent."""
 
         def step(state: PyTree, sample: tuple[Motion, Array]) -> tuple[PyTree, None]:
             return self.update(model, state, *sample), None
@@ -192,7 +194,7 @@ class AbstractAdapter(abc.ABC):
 
 
 class AbstractSource(abc.ABC):
-    """Where data come from: it makes or reads them, and says what is learned from and what is judged."""
+    """A source of data: it makes or reads them, and divides them into training, validation and test data."""
 
     needs_robot: bool = True
     """Whether data can only be made with a robot's kinematics."""
@@ -200,7 +202,7 @@ class AbstractSource(abc.ABC):
     """Whether there is a log as it was recorded, for `invdyn check` and `invdyn diagnose`."""
 
     def header(self) -> Header | None:
-        """What the data know about their robot; None for data that any robot can make."""
+        """What the data say about their robot; None for data that can be made with any robot."""
         return None
 
     @abc.abstractmethod
@@ -208,13 +210,13 @@ class AbstractSource(abc.ABC):
         """The data, split. Raises LogError for a log that cannot be used as asked."""
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
-        """The log as recorded, columns in the robot's order; asked for where `has_log`. Raises LogError as `load`."""
+        """The log as recorded, with its columns in the robot's order; called if `has_log`. Raises LogError as
+        `load`."""
         raise NotImplementedError(f"{type(self).__name__} has no log")
 
 
 class AbstractHiddenEffect(abc.ABC):
-    """Something of one's own that a simulated arm (`data=plant`) has beside its URDF. Its fields are `joint` and its
-    sizes. It knows nothing of the effects that a diagnosis looks for: what finds it has formulas of its own."""
+    """An effect of your own in the simulated arm (`data=plant`), in addition to its URDF."""
 
     name: ClassVar[str]
     """What the log's truth calls it."""
@@ -223,18 +225,17 @@ class AbstractHiddenEffect(abc.ABC):
 
     @abc.abstractmethod
     def force(self, t: float, q: Any, qd: Any) -> Any:
-        """What the logged torque holds beyond what moves the arm [N m; N], at t [s] of the log: of the joint's own true
-        angle [rad; m] and speed, or (n,) of all joints' (n,)."""
+        """The part of the logged torque that does not move the arm [N m; N], at t [s] of the log: for the joint's own
+        true angle [rad; m] and speed, or (n,) for those of all joints (n,)."""
 
 
 class AbstractCheck(abc.ABC):
-    """One thing that the doctor looks at in a log; its fields are thresholds, each with its source beside it. Checks
-    are asked in turn, each on the log as those before have corrected it."""
+    """One check of a log; its fields are thresholds, each with its source beside it."""
 
     name: ClassVar[str] = ""
-    """What its lines in check.json are called."""
+    """Its name in check.json."""
     again: bool = False
-    """Whether it is asked a second time, and says only what it finds then."""
+    """Whether it runs a second time, and then reports only its new findings."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -243,14 +244,15 @@ class AbstractCheck(abc.ABC):
 
     @abc.abstractmethod
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """What was seen in a log; without a robot, what needs none. What could not be looked at is `skipped`."""
+        """The findings in a log; without a robot, those of checks that need none. Parts that could not be examined are
+        `skipped`."""
 
     def skipped(self, why: str, channel: str | None = None, trajectory: str | None = None) -> Check:
-        """The line that says that this check, or its part about a channel, was not made, and why."""
+        """The entry that says that this check, or its part for a channel, was not made, and why."""
         return Check(self.name, "skipped", trajectory, threshold={"channel": channel} if channel else None, seen=why)
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """The log with its own findings corrected where that is certain, and a sentence for each correction."""
+        """The log with its own findings corrected if the correction is certain, and a sentence for each correction."""
         return log, []
 
 

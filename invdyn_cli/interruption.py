@@ -1,10 +1,10 @@
-"""How the process ends when it is not let finish: by Ctrl-C, or because nobody reads its output any more.
+"""How the process ends if it cannot finish: by Ctrl-C, or because nobody reads its output any more.
 
 Ctrl-C stops it within GRACE seconds, wherever it is: in Python, in compiled code, in an import.
 
-Python hands Ctrl-C to its main thread, and only between two instructions: a compiled program of minutes delays it, and
-an import may lose it. So a thread of our own sees the signal too, and ends the process when the main thread has not.
-Files are written whole or not at all (`files`), so nothing is lost by that.
+Python handles Ctrl-C in its main thread, and only between two instructions: a compiled program of minutes delays it,
+and an import may lose it. Therefore a thread of ours receives the signal, too, and ends the process if the main thread
+has not done so. Files are written completely or not at all (`files`), so that nothing is damaged.
 """
 
 import os
@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 GRACE = 1.5
-"""[s] that the main thread has to put things in order."""
+"""[s] Time that the main thread has to finish."""
 
 STOPPED = 130
 """Exit code of a process that Ctrl-C stopped: 128 + SIGINT, as shells have it."""
@@ -27,7 +27,7 @@ _asked = threading.Event()
 
 
 def watch() -> None:
-    """See to it that Ctrl-C ends this process; where the shell told it to ignore Ctrl-C (nohup, &), it goes on so."""
+    """Make Ctrl-C end this process; if the shell made it ignore Ctrl-C (nohup, &), it continues to ignore it."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
         return
     signal.signal(signal.SIGINT, _interrupt)
@@ -39,17 +39,17 @@ def watch() -> None:
 
 
 def ignore() -> None:
-    """What is done is done: from here on Ctrl-C does nothing."""
+    """From here on Ctrl-C does nothing, because the work is done."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def was_asked() -> bool:
-    """Whether Ctrl-C was pressed: whatever else a command ended in, it was that."""
+    """Whether Ctrl-C was pressed; then it is the reason for the end of the command, whatever else was raised."""
     return _asked.is_set()
 
 
 def end() -> None:
-    """Say that the process was stopped, and end it now: threads of XLA do not survive Python's own way to end."""
+    """Say that the process was stopped, and end it immediately: threads of XLA do not survive Python's own shutdown."""
     _telling.acquire()  # for good: who comes second waits until the process is gone
     with suppress(OSError, ValueError, AttributeError):
         sys.stdout.flush()
@@ -73,7 +73,8 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def _report_others(report: Callable[..., object]) -> None:
-    """Say nothing of a Ctrl-C that came where nothing can be raised (in a callback of the garbage collector's)."""
+    """Suppress the message of a Ctrl-C at a point where nothing can be raised (in a callback of the garbage
+    collector)."""
 
     def hook(unraisable: "sys.UnraisableHookArgs") -> None:
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""One joint as effects see it: its state over time, what it usually does, and what a simulator's file holds of it."""
+"""One joint as effects see it: its state over time, its usual values, and the terms of a simulator's file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,5 @@
-"""A log as it was recorded, and what a diagnosis takes of it: plain objects; `logfile` reads and writes them."""
+"""A log as it was recorded, and the parts of it that a diagnosis uses: plain objects; `logfile` reads and writes
+them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ Window = tuple[str, float, float]
 
 @dataclass(frozen=True)
 class RawTrajectory:
-    """One trajectory as logged, torques at their own t, nothing shifted, filtered or resampled.
+    """One trajectory as logged: torques belong to their own t, and nothing is shifted, filtered or resampled.
 
     Attributes:
         name: its name in the log.
@@ -56,9 +57,9 @@ class RawTrajectory:
 class Log:
     """A recording of one robot with n joints: the attributes of the log format (docs/logs.md), and its trajectories.
 
-    `urdf` is a path that can be opened from here ("": none); `rate` [Hz] is nominal; `drive_gain` (n,) [N m/A] turns
-    torques in "A" into "N m" (None: not known); `compensated` names effects that the torque already has taken out;
-    `history` says what was corrected in it, a sentence each.
+    `urdf` is a path that can be opened from here ("": none); `rate` [Hz] is nominal; `drive_gain` (n,) [N m/A] converts
+    torques in "A" to "N m" (None: unknown); `compensated` names effects that are already subtracted from the torque;
+    `history` lists corrections, one sentence each.
     """
 
     robot: str
@@ -93,7 +94,7 @@ class Recorded:
     Attributes:
         log: as it was recorded, defects and all, its columns in the robot's order.
         reference: an earlier log that it is compared with, or None.
-        windows: role ("train" chooses, "test" judges) -> stretches; None: shares of time decide.
+        windows: role ("train", or "test": held out) -> stretches; None: shares of time decide.
         notes: what the user should know.
     """
 

@@ -21,10 +21,10 @@ from invdyn_cli.log import CHANNELS, POSITION_SIDES, TORQUE_SIDES, TORQUE_UNITS,
 FORMAT, VERSION = "invdyn-log", 1
 CONVERT = "invdyn convert for csv, parquet, npz, mat and bags; docs/logs.md shows how a log is written"
 HISTORY = " | "
-"""Between the sentences of a log's history."""
+"""Separator between the sentences of a log's history."""
 
 LONGEST_NAME, LONGEST_TEXT = 200, 10_000
-"""Characters of a name and of a note; what is longer is cut."""
+"""Largest number of characters of a name and of a note; longer ones are cut."""
 
 
 def read_log(
@@ -70,7 +70,7 @@ def trajectory_names(path: str | Path) -> tuple[str, ...]:
 
 
 def write_log(log: Log, path: str | Path) -> None:
-    """Write a log, defects and all, whole or not at all.
+    """Write a log with its defects, completely or not at all.
 
     Raises:
         LogError: if the file cannot be written, or the names of its trajectories cannot stand in one.
@@ -95,7 +95,7 @@ def write_log(log: Log, path: str | Path) -> None:
 
 
 def refuse_defects(log: Log, where: str = "the log") -> None:
-    """Raise a LogError on the first thing in a log that cannot be computed with; `where` names the log in it."""
+    """Raise a LogError for the first defect of a log that makes it unusable; `where` names the log in the message."""
     _refuse_header(log, where)
     for trajectory in log.trajectories:
         _refuse_shapes(len(log.joints), vars(trajectory), f"{where}: trajectory {trajectory.name!r}")
@@ -194,7 +194,8 @@ def _opened(path: Path) -> tuple[Group, dict[str, Group]]:
 
 
 def _is_hdf5(path: Path) -> bool:
-    """Whether the signature stands where it may: at 0, 512, 1024, 2048, … bytes. An unreadable file may be one."""
+    """Whether the HDF5 signature is at one of the allowed places: 0, 512, 1024, 2048, … bytes. An unreadable file may
+    be an HDF5 file."""
     try:
         with path.open("rb") as file:
             size, place = path.stat().st_size, 0
@@ -299,7 +300,7 @@ def _numbers(what: str, stored: Stored) -> np.ndarray:
 
 
 def _number(what: str, stored: Stored | None, missing: float) -> float:
-    """The first value of an attribute, or what stands for none."""
+    """The first value of an attribute, or a default."""
     if stored is None or not stored.values:
         return missing
     return float(_numbers(what, stored).reshape(-1)[0])

@@ -1,7 +1,7 @@
-"""A model that adapts inside a control loop: sample by sample, with nothing that looks ahead.
+"""A model that adapts inside a control loop, sample by sample; nothing uses future samples.
 
-Each tick takes what was measured, passes it through the causal filter of `data.causal`, learns from it, and gives the
-torque of the motion that is wanted next: one compiled call, whose time is the whole cost.
+Each tick filters the measurement with the causal filter of `data.causal`, learns from it, and returns the torque of the
+next desired motion, in one compiled call.
 """
 
 from collections.abc import Callable
@@ -40,9 +40,9 @@ def online(
     cutoff: float | None = 10.0,
     order: int = 4,
 ) -> Online:
-    """Make the loop's functions for an adapter and the (extended) model that it fitted.
+    """Make the functions of the loop for an adapter and the (extended) model that it fitted.
 
-    The state has "adapter", what the adapter knows; "motion", the filtered state of the arm, and "said", the torque
+    The state has "adapter", the state of the adapter; "motion", the filtered state of the arm; and "said", the torque
     that was predicted for it before it was learned from.
 
     Args:

@@ -1,8 +1,8 @@
 """Models and adaptations <-> plain values: {"class": a name, "fields": {...}}, members likewise.
 
-Which classes a file may name is decided by this table and by who reads the file, never by the file: a name that is not
-in the table belongs to a module, and that module is imported only if the reader trusts it by name. A whole tree is
-checked (classes, names and types of fields) before the first constructor runs.
+This table and the reader decide which classes a file may name, never the file: a name that is not in the table belongs
+to a module, and that module is imported only if the reader trusts it by name. The whole tree is checked (classes, names
+and types of fields) before the first constructor runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +59,7 @@ CLASSES: Mapping[str, type] = {
     "memory_learning_rate": MemoryLearningRate,
     "local_error_model": LocalErrorModel,
 }
-"""Names in files. A class may move or change its name; what stands here stays."""
+"""Names in files. A class may move or be renamed; these names stay."""
 
 MODELS: Mapping[str, type[AbstractModel]] = {k: v for k, v in CLASSES.items() if issubclass(v, AbstractModel)}
 """The models among them."""
@@ -82,7 +82,7 @@ _PATHS: Mapping[str, type] = {
 
 @dataclass(frozen=True)
 class _Planned:
-    """An object that is not built yet."""
+    """Stands for an object that is not built yet."""
 
     kind: type
     fields: Mapping[str, Any]
@@ -124,7 +124,7 @@ def decode(value: Any, kind: type, trust: Sequence[str] = ()) -> Any:
     """The object of this kind that `encode` stored.
 
     Args:
-        value: plain values from a file of anybody.
+        value: plain values from any file.
         kind: what it has to be.
         trust: modules of the reader's whose dataclasses may be named; each is imported when its first class is.
 

@@ -1,7 +1,7 @@
-"""URDF -> types.Robot; the only door to pinocchio.
+"""URDF -> types.Robot; the only module that uses Pinocchio.
 
-Pinocchio reads the tree, merges what does not move and locks what shall not; `urdf` adds what Pinocchio does not keep:
-axes, limits as they are written, `<dynamics>` and mimic tags.
+Pinocchio reads the tree, merges fixed joints and locks others; `urdf` adds what Pinocchio does not keep: axes, limits
+as written, `<dynamics>` and mimic tags.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -24,10 +24,10 @@ DOWN = (0.0, 0.0, -9.81)
 """Gravity of an upright base [m/s^2]."""
 
 GRIPPER = re.compile("finger|gripper|knuckle|jaw", re.IGNORECASE)
-"""Joints so named are taken for a gripper's, unless `joints` or `tip` says which joints move."""
+"""Joints with these names are assumed to belong to a gripper, unless `joints` or `tip` says which joints move."""
 
 FINGER_JOINTS = 2
-"""Branches behind a longer arm with at most so many moving joints each are taken for fingers."""
+"""Branches behind a longer arm with at most this number of moving joints are assumed to be fingers."""
 
 
 def load_urdf(
@@ -117,7 +117,7 @@ def load_urdf(
 
 
 def _inertias(robot: Robot, path: str | Path | None) -> dict[str, float]:
-    """Of each joint all that it moves at zero angles, about its axis [kg m^2; kg].
+    """For each joint, the inertia of everything that it moves at zero angles, about its axis [kg m^2; kg].
 
     Raises:
         RobotError: if a number of the robot is not finite.
@@ -177,7 +177,7 @@ def _model(root: ET.Element, path: str | Path | None) -> tuple[pin.Model, list[s
 def _moving(
     model: pin.Model, tags: Mapping[str, ET.Element], joints: Sequence[str] | None, tip: str | None
 ) -> tuple[list[int], str]:
-    """The joints that shall move, in the order of columns, and why the others are locked."""
+    """The joints that move, in the order of columns, and why the others are locked."""
     if joints is not None and tip is not None:
         raise RobotError("both robot.joints and robot.tip are given; allowed: one of them")
     if joints is not None:
@@ -248,7 +248,7 @@ def _children(model: pin.Model, free: set[int], joint: int) -> list[int]:
 
 
 def _locked(model: pin.Model, tags: Mapping[str, ET.Element], moving: list[int]) -> tuple[pin.Model, list[str]]:
-    """The model with all joints locked that do not move, and words on where they are locked."""
+    """The model with all other joints locked, and sentences that say where they are locked."""
     ids = [i for i in range(1, model.njoints) if i not in moving]
     q, words = pin.neutral(model), []
     for i in ids:

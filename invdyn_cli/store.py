@@ -2,8 +2,8 @@
 extended_model.json. No pickle.
 
 A tree of mappings becomes HDF5 groups, arrays and numbers become datasets, strings become string datasets. Objects
-(models, adaptations) are stored by name and fields; `registry` says which names there are. Whoever wrote a file,
-reading it runs no code but the package's own and that of modules which the reader trusts by name.
+(models, adaptations) are stored by name and fields; `registry` has the names. Reading a file runs no code except the
+package's own and that of modules which the reader trusts by name.
 """
 
 import json
@@ -31,11 +31,11 @@ METRICS_SCHEMA = "invdyn-metrics/1"
 CHECK_SCHEMA = "invdyn-check/1"
 DIAGNOSIS_SCHEMA = "invdyn-diagnosis/1"
 RUN, METRICS = "run.h5", "metrics.json"
-"""What the two files of a run are called; metrics.json is written last: where it is, the run is complete."""
+"""Names of the two files of a run. metrics.json is written last, so that a run with it is complete."""
 
 
 def write_run(record: RunRecord, path: Path) -> None:
-    """Write run.h5, whole or not at all."""
+    """Write run.h5, completely or not at all."""
     tree = {
         "choices": json.dumps(dict(record.choices)),
         "model": json.dumps(encode(record.model)),
@@ -179,7 +179,7 @@ def _record(tree: dict[str, Any], trust: Sequence[str]) -> RunRecord:
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model with what it has learned: three lines from run.h5 to torques."""
+    """A model with its learned parameters: three lines of code from run.h5 to torques."""
 
     model: AbstractModel
     fit: Fit
@@ -219,7 +219,7 @@ def load_model(path: str | Path, trust: Sequence[str] = ()) -> FittedModel | Ext
 
 
 def metrics(record: RunRecord) -> dict[str, Any]:
-    """What metrics.json holds; `members` lists the scores of each seed where a fit has several."""
+    """The contents of metrics.json; `members` lists the scores of each seed if a fit has several."""
     out = {
         "schema": METRICS_SCHEMA,
         **{name: record.choices.get(name) for name in ("model", "data", "adaptation", "seed")},
@@ -304,8 +304,8 @@ def examination_as_dict(examination: Examination) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """A tree that JSON can hold: arrays and tuples as lists, numpy's numbers as Python's, NaN and infinity as None,
-    what is none of these as text."""
+    """A tree as JSON values: arrays and tuples become lists, numpy's numbers become Python's, NaN and infinity None,
+    other objects text."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

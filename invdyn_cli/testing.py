@@ -1,7 +1,8 @@
-"""Does an implementation keep its contract? `check_model`, `check_adapter` and `check_source`, for third parties too.
+"""Checks whether an implementation keeps its contract: `check_model`, `check_adapter` and `check_source`, for third
+parties too.
 
-Each takes an object and something to try it on, returns nothing, and raises AssertionError with a sentence that says
-which rule of `interfaces` is broken and what was seen. They fit the model twice: give them little data and few epochs.
+Each takes an object and data to test it on, returns nothing, and raises AssertionError with a sentence that says which
+rule of `interfaces` is violated and what was found. They fit the model twice: give them little data and few epochs.
 """
 
 import json
@@ -31,7 +32,7 @@ SLOPE = 0.02
 near 1e-4 and crosses some kinks of ReLU; a missing or doubled term is larger."""
 
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
-"""Steps of the finite differences, in units of each number's own size; the best one counts."""
+"""Steps of the finite differences, in units of the size of each number; the best one counts."""
 
 
 def check_model(model: AbstractModel, dataset: Dataset, *, key: jax.Array | None = None) -> None:
@@ -230,7 +231,7 @@ def _all(model: AbstractModel, params: PyTree, samples: Motion, robot: Robot | N
 def _apply(
     what: str, model: AbstractModel, params: PyTree, samples: Motion, robot: Robot | None, torque: float
 ) -> np.ndarray:
-    """Torques (S, n) of the samples by vmap, once they are as they should be."""
+    """Torques (S, n) of the samples by vmap, after their shape and values were checked."""
     shape = samples.q.shape
     jitted = _one(model, params, _row(samples, 0), robot)
     _claim(jitted.shape == shape[1:], f"{what} gives {jitted.shape} for one sample; allowed: {shape[1:]}")
@@ -251,7 +252,8 @@ def _pure(what: str, model: AbstractModel, fit: Fit, one: Motion, mapped: np.nda
 
 
 def _gradients(who: str, model: AbstractModel, fit: Fit, samples: Motion) -> None:
-    """Finite everywhere, at rest too; along a random direction equal to finite differences where nothing has a kink."""
+    """Checks that gradients are finite everywhere, also at rest, and along a random direction equal to finite
+    differences, except at kinks."""
     rng = np.random.default_rng(0)
     leaves, tree = jax.tree.flatten(fit.params)
     real = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating)]
@@ -342,7 +344,7 @@ def _rows(data: Dataset) -> Iterator[bytes]:
 
 
 def _samples(motion: Motion, count: int) -> Motion:
-    """So many samples, evenly from all over the motion."""
+    """That many samples, evenly spread over the motion."""
     rows = np.linspace(0, len(motion) - 1, count).astype(int)
     return Motion(motion.q[rows], motion.qd[rows], motion.qdd[rows])
 

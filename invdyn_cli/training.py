@@ -1,9 +1,8 @@
-"""Training of many small nets at once: minibatches and epochs in one `lax.scan`, `vmap` over nets of one shape.
+"""Training of many small networks at once: minibatches and epochs in one `lax.scan`, `vmap` over networks of one shape.
 
-A group is a stack of nets of one shape, each with its own target column, its own learning rate and its own seed; the
-whole of its training is one compiled program, which serves all learning rates. Groups of different shapes know nothing
-of each other and run side by side, a thread each: padding them to a common shape, or one scan over all, costs about
-twice the time on a CPU.
+A group is a stack of networks of one shape, each with its own target column, learning rate and seed; its training is
+one compiled program, which serves all learning rates. Groups of different shapes run in parallel, one thread each:
+padding them to a common shape, or one scan over all, takes about twice the time on a CPU.
 """
 
 import os
@@ -46,8 +45,8 @@ class Group:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and in which bites: `epochs` over all rows, minibatches of `batch_size` rows (an incomplete last one
-    waits for the next epoch's shuffle)."""
+    """Length and batches of the training: `epochs` over all rows, minibatches of `batch_size` rows (an incomplete last
+    one waits for the next epoch's shuffle)."""
 
     epochs: int = 100
     batch_size: int = 32
@@ -109,7 +108,7 @@ def train(
 
 
 class _Watch:
-    """Collects the groups' shares and losses, and reports their means."""
+    """Collects the shares and losses of the groups, and reports their means."""
 
     def __init__(self, groups: int, progress: Progress) -> None:
         self.shares, self.losses, self.progress = [0.0] * groups, [np.zeros(0)] * groups, progress

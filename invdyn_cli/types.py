@@ -1,5 +1,4 @@
-"""The nouns: Robot, Motion, Trajectory, Dataset, Splits, Fit, Score, RunRecord, Check, Finding, Diagnosis. Frozen,
-without behaviour of their own.
+"""The data types: Robot, Motion, Trajectory, Dataset, Splits, Fit, Score, RunRecord, Check, Finding, Diagnosis.
 
 Arrays are numpy or jax arrays, float64 unless a net needs float32; time comes first (T, n), joints in the robot's
 order.
@@ -141,11 +140,9 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Splits:
-    """What a data source gives: sets to learn from, to watch while learning (None: nothing) and to be judged on.
-
-    `tests` holds at least "test"; others are judged and stored likewise ("test_clean": clean inputs for noisy ones).
-    `description` says what was made or read, for the record.
-    """
+    """The data of a source: sets for training, validation (None: no set) and test. `tests` holds at least "test";
+    others are scored and stored likewise ("test_clean": clean inputs for noisy ones). `description` says what was made
+    or read, for the record."""
 
     train: Dataset
     validation: Dataset | None
@@ -155,7 +152,7 @@ class Splits:
 
 @dataclass(frozen=True)
 class Header:
-    """What data brings along about its robot: joint names in column order, and the URDF's path ("" for none)."""
+    """What data say about their robot: joint names in column order, and the URDF's path ("" for none)."""
 
     robot: str
     joints: tuple[str, ...]
@@ -164,7 +161,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Fit:
-    """What learning gives.
+    """The result of learning.
 
     Attributes:
         params: nested dict of arrays, all that `apply` needs beside the robot.
@@ -210,7 +207,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A judged set: what was measured and what the model said, trajectory by trajectory in the order of `data`."""
+    """A scored set: measurement and prediction, trajectory by trajectory in the order of `data`."""
 
     data: Dataset
     tau: np.ndarray
@@ -246,11 +243,12 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at in a log, a line of check.json.
+    """One check of a log, an entry of check.json.
 
     Attributes:
         check: its name (unit_error, gaps, …).
-        severity: "ok", "skipped" (not looked at; `seen` says why), "note", "warn" or "fail" (no physics on this log).
+        severity: "ok", "skipped" (not examined; `seen` says why), "note", "warn" or "fail" (to be corrected before a
+            diagnosis).
         trajectory, joint: where; None for all.
         value: what was measured (a factor, seconds, a permutation, …), None where there is no number.
         threshold: what it was compared with.
@@ -271,9 +269,9 @@ class Check:
 
 @dataclass(frozen=True)
 class Examination:
-    """What the doctor says of a log: whether physics may start on it, every check, per joint what it excites, and what
-    correcting it changes: {"check": name, "done": sentence} in order. `as_recorded`: nothing was to be corrected, and a
-    log that fails a check is not usable."""
+    """The result of the checks of a log: whether it can be diagnosed, every check, the excitation of each joint, and
+    the corrections: {"check": name, "done": sentence} in order. `as_recorded`: nothing was to be corrected, and a log
+    that fails a check is not usable."""
 
     usable: bool
     checks: tuple[Check, ...]
@@ -304,7 +302,7 @@ class Gain:
 
 
 class EffectText(NamedTuple):
-    """How a report speaks of an effect: `equation` has the names of `parameters` in it, and `adds` says whether it is a
+    """How a report describes an effect: `equation` contains the names of `parameters`, and `adds` says whether it is a
     torque that is added to the nominal one; `panels` as in `AbstractEffect`."""
 
     title: str
@@ -317,14 +315,14 @@ class EffectText(NamedTuple):
 
 @dataclass(frozen=True)
 class Finding:
-    """One cause, as a line of diagnosis.json.
+    """One cause, an entry of diagnosis.json.
 
     Attributes:
         effect, joint: its name, as in the library of effects, and the joint it acts on, None for the whole arm.
         status: "named", "ambiguous", "not_excited" or "not_observable" (the last two are no claims).
         alternatives: sets of effects, each of which would replace it on this data.
         parameters, gain: by name; by joint.
-        trajectory, window: for what comes and goes.
+        trajectory, window: of an effect in a time window.
         evidence, rejected: numbers that led to it, and (effect, why not) of every rival.
         advice: what to record to be surer.
         group: "standard" for what every arm has beside its URDF, else "anomaly".
@@ -348,7 +346,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Signals:
-    """What the pictures of a diagnosis are drawn from, rows of all trajectories one below the other, filtered alike.
+    """The data of a diagnosis' pictures: rows of all trajectories one below the other, filtered alike.
 
     Attributes:
         trajectory: (R,) name of each row's trajectory.
@@ -377,7 +375,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class ResidualTest:
-    """Whether what the extended model leaves of a joint's torque goes with something.
+    """Whether the extended model's residual of a joint depends on a quantity.
 
     Attributes:
         joint: whose torque.
@@ -408,7 +406,7 @@ class ResidualTest:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a simulation gets wrong, as diagnosis.json has it, and what its pictures need.
+    """What a simulation gets wrong, as in diagnosis.json, with the data for its pictures.
 
     Attributes:
         verdict: "explained", "partly_explained", "nothing_found" or "log_unusable".

@@ -1,4 +1,4 @@
-"""What stands in anybody's file becomes the package's nouns here, after its types and shapes were checked.
+"""Values from any file become the package's data types here, after their types and shapes were checked.
 
 Every function raises a ValueError with a sentence for what does not fit, or what it is told to raise.
 """
@@ -14,7 +14,7 @@ from invdyn_cli.errors import InvdynError, shortened
 from invdyn_cli.types import Dataset, Fit, Motion, Prediction, Robot, Score, Trajectory
 
 LARGEST = 100_000_000
-"""[bytes] of a text file that is read whole: a diagnosis of a hundred joints has a hundredth of it."""
+"""[bytes] Largest text file that is read: a diagnosis of a hundred joints has a hundredth of it."""
 
 
 def parsed(text: str, what: str, raises: type[InvdynError], advice: str = "") -> Any:
@@ -102,7 +102,7 @@ def score(tree: Mapping[str, Any], joints: tuple[str, ...]) -> Score:
 
 
 def prediction(tree: Mapping[str, Any], joints: tuple[str, ...], learned_on: Robot | None) -> Prediction:
-    """A judged set: rows of all its trajectories one below the other, and how many each has."""
+    """A scored set: rows of all its trajectories one below the other, and the number of rows of each."""
     labels = names(tree["trajectories"], "trajectories")
     lengths = [int(x) for x in array(tree["lengths"], "lengths", (len(labels),))]
     rows = len(np.atleast_1d(tree["t"]))

@@ -1,4 +1,4 @@
-"""A URDF's text and tags: what stands in the file, before Pinocchio makes a model of it. Meshes are never opened."""
+"""A URDF's text and tags, before Pinocchio makes a model of it. Meshes are never opened."""
 
 import math
 import os
@@ -24,7 +24,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 
 LARGEST_FILE = 20_000_000
-"""[bytes] of a URDF; the largest that are published have one."""
+"""[bytes] Largest size of a URDF; the largest published ones have one megabyte."""
 
 
 def read(path: str | Path | None) -> str:
@@ -64,7 +64,7 @@ def _expanded(file: Path) -> str:
 
 
 def parse(text: str, path: str | Path | None) -> ET.Element:
-    """The tree of links and joints without shapes, if it is a URDF with known joint types and masses that can be."""
+    """The tree of links and joints without shapes, if the file is a URDF with known joint types and possible masses."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # text that may multiply when it is read
         raise RobotError(f"{path} declares a DOCTYPE or an ENTITY; allowed: plain XML", advice="the URDF without them")
     try:
@@ -155,7 +155,7 @@ def moving_links(text: str, joints: Sequence[str]) -> list[str]:
 
 
 def without(text: str, joints: Sequence[str]) -> str:
-    """A URDF's text without these joints and all links and joints behind them; as it is where there are none."""
+    """A URDF's text without these joints and all links and joints behind them; unchanged if there are none."""
     if not joints:
         return text
     root = ET.fromstring(text)

@@ -1,4 +1,4 @@
-"""Whether a URDF of anybody describes a robot: names, tree, numbers. What is odd but can be computed with is told."""
+"""Whether a URDF from any source describes a robot: names, tree, numbers. Unusual but usable values are reported."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,25 +10,27 @@ from invdyn_cli.errors import RobotError, listed, shortened
 from invdyn_cli.urdf import MOVING, number, triple
 
 MOST_JOINTS, MOST_ELEMENTS = 100, 2000
-"""Moving joints, and joints of all kinds: loading 100 takes a quarter of a second, and grows with their cube."""
+"""Largest number of moving joints, and of joints of all kinds: loading 100 takes a quarter of a second, and the time
+grows with the third power."""
 
 LONGEST_NAME = 200
 """Characters of a name."""
 
 LARGEST = {"mass": 1e6, "origin": 1e4, "inertia": 1e9, "limit": 1e9, "dynamics": 1e9}
-"""[kg], [m; rad], [kg m^2], [SI], [SI]: a hundred times what the largest machines have; their products stay finite."""
+"""[kg], [m; rad], [kg m^2], [SI], [SI] Largest values: a hundred times those of the largest machines; their products
+stay finite."""
 
 SHORTEST_AXIS, LONGEST_AXIS = 1e-6, 1e6
-"""Length of an axis, which should be 1: what is shorter has no direction that rounding did not make."""
+"""Least length of an axis, which should be 1: the direction of a shorter one is rounding."""
 
 ROUNDED = 0.01
-"""Share of an inertia by which rounded digits may break its laws."""
+"""Share of an inertia by which rounded digits may violate the laws of inertias."""
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def refuse(root: ET.Element, path: str | Path | None) -> None:
-    """Raise a RobotError for names, a tree or numbers that cannot be a robot's."""
+    """Raise a RobotError for names, a tree or numbers that no robot can have."""
     links, joints = root.findall("link"), root.findall("joint")
     moving = [x for x in joints if x.get("type") in MOVING]
     for what, count, most in (
@@ -75,11 +77,11 @@ def _refuse_tree(links: Sequence[str], joints: Sequence[ET.Element], path: str |
                 got = f"joint {joint.get('name')!r} of {path} has the {end} {shortened(ends[end])!r}"
                 raise RobotError(f"{got}; allowed: a link of the file")
         if ends["child"] in parent_of:
-            raise RobotError(f"link {ends['child']!r} of {path} hangs on several joints; allowed: one")
+            raise RobotError(f"link {ends['child']!r} of {path} has several parent joints; allowed: one")
         parent_of[ends["child"]] = ends["parent"]
     roots = [name for name in links if name not in parent_of]
     if len(roots) != 1:
-        got = f"{path} has {len(roots)} links that hang on no joint: {listed(roots, most=3)}"
+        got = f"{path} has {len(roots)} links without a parent joint: {listed(roots, most=3)}"
         raise RobotError(f"{got}; allowed: one, the base", advice="a joint for each of the other links")
     reached, ahead = set(roots), list(roots)
     children: dict[str, list[str]] = {}
@@ -90,7 +92,7 @@ def _refuse_tree(links: Sequence[str], joints: Sequence[ET.Element], path: str |
             reached.add(child)
             ahead.append(child)
     if loop := sorted(known - reached):
-        raise RobotError(f"links of {path} hang on each other in a circle: {listed(loop, most=5)}; allowed: a tree")
+        raise RobotError(f"links of {path} form a loop: {listed(loop, most=5)}; allowed: a tree")
 
 
 def _bounded(element: ET.Element, tag: str, keys: Iterable[str], largest: float) -> None:
@@ -117,8 +119,8 @@ def _refuse_axis(joint: ET.Element) -> None:
 
 
 def doubts(root: ET.Element) -> list[str]:
-    """A sentence for what can be computed with but is no body's: inertias that are not positive definite or break the
-    triangle inequality (the largest principal moment is at most the sum of the others)."""
+    """A sentence about inertias that can be computed with but belong to no body: those that are not positive definite
+    or violate the triangle inequality (the largest principal moment is at most the sum of the others)."""
     impossible = []
     for link in root.findall("link"):
         if link.find("inertial") is None:
@@ -136,7 +138,8 @@ def doubts(root: ET.Element) -> list[str]:
 
 
 def inertialess(inertias: Mapping[str, float]) -> list[str]:
-    """A sentence for joints [name -> kg m^2; kg about the axis, all that they move] that move nothing."""
+    """A sentence about joints [name -> kg m^2; kg about the axis, of everything that they move] that move almost no
+    inertia."""
     without = [name for name, inertia in inertias.items() if not inertia > 0]
     return [f"{listed(without, most=5)} moves no inertia: its <inertial> is missing or zero"] if without else []
 

@@ -282,7 +282,7 @@ BALL = '<joint name="hip" type="ball"><parent link="base"/><child link="l1"/></j
 REFUSED = {
     "not XML": ("<robot name='x'><link", {}, "is not XML"),
     "other format": ("<mujoco/>", {}, "<mujoco> at its root; allowed: <robot>"),
-    "two roots": (urdf(BASE, link("other")), {}, "2 links that hang on no joint: base, other"),
+    "two roots": (urdf(BASE, link("other")), {}, "2 links without a parent joint: base, other"),
     "nothing moves": (urdf(BASE), {}, "no moving joint"),
     "ball": (urdf(BASE, link("l1"), BALL), {}, r"hip \(ball\); allowed: revolute"),
     "planar": (urdf(BASE, link("l1"), joint("deck", "planar", "base", "l1")), {}, r"deck \(planar\)"),
@@ -322,12 +322,12 @@ REFUSED = {
     "a circle": (
         urdf(BASE, link("a"), link("b"), joint("j1", "revolute", "b", "a"), joint("j2", "revolute", "a", "b")),
         {},
-        "in a circle: a, b",
+        "form a loop: a, b",
     ),
     "two parents": (
         urdf(BASE, link("a"), joint("j1", "revolute", "base", "a"), joint("j2", "revolute", "base", "a")),
         {},
-        "hangs on several joints",
+        "has several parent joints",
     ),
     "no such link": (urdf(BASE, joint("j1", "revolute", "base", "a")), {}, "has the child 'a'"),
     "no name": (urdf(BASE, link(""), joint("j1", "revolute", "base", "")), {}, "1 to 200 characters"),

@@ -1,4 +1,4 @@
-"""adaptation=batch: learn once, then stay as you are (paper, section V-B)."""
+"""adaptation=batch: learn once, then change nothing (paper, section V-B)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""adaptation=error_model: nets on what a model leaves over, pretrained, then adapted or frozen (paper, IV-B)."""
+"""adaptation=error_model: networks on the residual of a model, pretrained, then adapted or frozen (paper, IV-B)."""
 
 from dataclasses import dataclass, field
 
@@ -12,12 +12,12 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 @dataclass(frozen=True)
 class ErrorModel(AbstractAdapter):
-    """tau = model + learner, equations 9 and 10: the model is learned once, the learner goes on.
+    """tau = model + learner, equations 9 and 10: the model is fitted once, the learner continues to learn.
 
     Attributes:
         learner: model that learns the residual of the main model.
-        adapted: whether the learner goes on learning; otherwise it stays as pretrained.
-        incremental: how the learner goes on learning, see adaptation=incremental and memory_learning_rate.
+        adapted: whether the learner continues to learn; otherwise it stays as pretrained.
+        incremental: how the learner continues to learn, see adaptation=incremental and memory_learning_rate.
     """
 
     learner: AbstractModel
@@ -28,16 +28,16 @@ class ErrorModel(AbstractAdapter):
 
     @property
     def adapts(self) -> bool:  # type: ignore[override]
-        """Whether the learner goes on."""
+        """Whether the learner continues to learn."""
         return self.adapted
 
     @property
     def block(self) -> int:
-        """The rate at which the learner goes on."""
+        """The update interval of the learner [samples]."""
         return self.incremental.block
 
     def extended(self, model: AbstractModel) -> AbstractModel:
-        """The model and the learner on what it leaves."""
+        """The model, and the learner on its residual."""
         return Hybrid(model, self.learner)
 
     def fit(
@@ -53,7 +53,7 @@ class ErrorModel(AbstractAdapter):
         return self.incremental.fit(model, dataset, key, validation=validation, progress=progress)
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """As `incremental`'s."""
+        """The same as that of `incremental`."""
         return self.incremental.init(model, fit)
 
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
@@ -61,9 +61,9 @@ class ErrorModel(AbstractAdapter):
         return self.incremental.predict(model, state, motion)
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The learner one sample further."""
+        """The state after the learner has learned from one sample."""
         return self.incremental.update(model, state, motion, tau) if self.adapted else state
 
     def learn(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The learner one block further."""
+        """The state after the learner has learned from one block."""
         return self.incremental.learn(model, state, motion, tau) if self.adapted else state

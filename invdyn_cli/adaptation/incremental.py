@@ -1,4 +1,4 @@
-"""adaptation=incremental: nets go on learning while the robot works, from the last so many samples (paper, IV-A)."""
+"""adaptation=incremental: networks continue to learn while the robot works, from the last samples (paper, IV-A)."""
 
 import abc
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ SCALE = "torque_scale"
 
 
 class AbstractDescent(AbstractAdapter):
-    """Steps down the gradient of the squared error in the model's weights, on blocks of new samples alone.
+    """Gradient descent on the squared error in the model's weights, on blocks of new samples only.
 
     Attributes:
         rate, batch_size, epochs, learning_rate, seed: as in `Incremental`.
@@ -39,11 +39,11 @@ class AbstractDescent(AbstractAdapter):
 
     @abc.abstractmethod
     def memory(self, weights: PyTree) -> PyTree:
-        """What the steps remember, before the first of them."""
+        """The memory of the steps before the first step."""
 
     @abc.abstractmethod
     def step(self, weights: PyTree, memory: PyTree, slopes: PyTree, rate: Array) -> tuple[PyTree, PyTree]:
-        """Weights and memory after a step along the slopes of the weights; `rate` is the learning rate."""
+        """Weights and memory after a step along the gradient of the weights; `rate` is the learning rate."""
 
     @property
     def block(self) -> int:
@@ -65,8 +65,8 @@ class AbstractDescent(AbstractAdapter):
         return replace(fit, details={**fit.details, SCALE: torque_spread(dataset)})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """Parameters, robot, torque scale, learning rate, the steps' memory, the samples (rate, n) that wait to be
-        learned from, how many these are, and how often was learned."""
+        """Parameters, robot, torque scale, learning rate, the memory of the steps, the samples (rate, n) that wait to
+        be learned from, their number, and the number of updates so far."""
         empty = jnp.zeros((self.rate, len(fit.joints)))
         return {
             "params": jax.tree.map(jnp.asarray, fit.params),
@@ -81,11 +81,11 @@ class AbstractDescent(AbstractAdapter):
         }
 
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of one sample, as of the last time that was learned."""
+        """Torque (n,) of one sample, with the weights of the last update."""
         return model.apply(state["params"], motion, state["robot"])
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """Let the sample wait; when there are `rate` of them, learn."""
+        """Store the sample; learn as soon as `rate` samples are stored."""
         at = state["waiting"]
         kept = jax.tree.map(lambda rows, row: rows.at[at].set(row), state["motion"], motion)
         state = {**state, "motion": kept, "tau": state["tau"].at[at].set(tau), "waiting": at + 1}
@@ -123,7 +123,7 @@ class AbstractDescent(AbstractAdapter):
 
 @dataclass(frozen=True)
 class Incremental(AbstractDescent):
-    """The delta rule (Widrow and Hoff 1960): steps down the gradient of the squared error, on new samples alone.
+    """The delta rule (Widrow and Hoff 1960): gradient descent on the squared error, on new samples only.
 
     Attributes:
         rate: [samples] number of new samples that are learned from at once and then discarded (lambda in the paper).

@@ -1,8 +1,8 @@
-"""adaptation=local_error_model: a model, what it leaves on the way just gone, and an offset that follows the error.
+"""adaptation=local_error_model: a model, a local regression of its recent error, and an offset that follows the error.
 
-Meier, Kappler, Ratliff and Schaal 2016, "Towards robust online inverse dynamics learning" (IROS): an offset that steps
-down the gradient of the squared error takes up any change at once, and a local regression of the error takes the load
-off it. The regression is a Gaussian process on a window of samples that drifts along (Meier and Schaal 2016, "Drifting
+Meier, Kappler, Ratliff and Schaal 2016, "Towards robust online inverse dynamics learning" (IROS): an offset that
+follows the gradient of the squared error reacts to any change at once, and a local regression of the error then
+replaces it. The regression is a Gaussian process on a moving window of samples (Meier and Schaal 2016, "Drifting
 Gaussian processes with varying neighborhood sizes for online model learning").
 """
 
@@ -22,12 +22,12 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 class LocalErrorModel(AbstractAdapter):
     """tau = model + k(x, window) coefficients + offset; the model stays as it was fitted.
 
-    k is a squared exponential over the standardised state. Away from the states of the window the regression says
-    nothing, and model and offset are left.
+    k is a squared exponential over the standardised state. Far from the states of the window the regression is zero,
+    and only model and offset remain.
 
     Attributes:
         window: [samples] number of samples that the regression holds; the cost of an update grows with the third power.
-        interval: [samples] every so many samples one enters the window, and the oldest leaves.
+        interval: [samples] after this number of samples one enters the window, and the oldest leaves.
         width: [-] width of the kernel in units of the training data's spread times the root of the number of inputs.
         noise: [-] standard deviation of the noise as a share of that of the error to be learned.
         offset_rate: [-] share of the error that a sample corrects in the offset; 0 for no offset.
@@ -67,7 +67,8 @@ class LocalErrorModel(AbstractAdapter):
         return replace(fit, details={**fit.details, **known})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """Parameters, robot, standardisation, an empty window, its coefficients, the offset, samples that came."""
+        """Parameters, robot, standardisation, an empty window, its coefficients, the offset, the number of samples so
+        far."""
         n = len(fit.joints)
         scale = jnp.asarray(fit.details["local_scale"]) * self.width * jnp.sqrt(3 * n)
         return {
@@ -88,7 +89,7 @@ class LocalErrorModel(AbstractAdapter):
         return model.apply(state["params"], motion, state["robot"]) + local + state["offset"]
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The offset steps; every `interval`-th sample enters the window."""
+        """Update the offset; every `interval`-th sample also enters the window."""
         x = self._input(state, motion)
         error = tau - model.apply(state["params"], motion, state["robot"])
         local = _kernel(x[None], state["inputs"])[0] @ state["coefficients"]
@@ -105,7 +106,7 @@ class LocalErrorModel(AbstractAdapter):
         return (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - state["mean"]) / state["scale"]
 
     def _entered(self, state: PyTree, x: Array, error: Array) -> PyTree:
-        """The window with a sample in the place of the oldest, and its coefficients."""
+        """The window in which a sample replaces the oldest one, and its coefficients."""
         number = state["samples"] // self.interval
         inputs = state["inputs"].at[number % self.window].set(x)
         errors = state["errors"].at[number % self.window].set(error)

@@ -1,8 +1,8 @@
-"""adaptation=memory_learning_rate: nets go on learning, with learning rates that are learned (Meier et al. 2018).
+"""adaptation=memory_learning_rate: networks continue to learn, with learned learning rates (Meier et al. 2018).
 
 Meier, Kappler and Schaal 2018, "Online learning of a memory for learning rates" (ICRA). The rate of a weight is a
-function of its gradient, held by radial basis functions; where two gradients in turn have the same sign, the rate that
-was used between them was too small, and where the sign changed, too large.
+function of its gradient, stored by radial basis functions. If two successive gradients have the same sign, the rate
+between them was too small; if the sign changed, it was too large.
 """
 
 from dataclasses import dataclass
@@ -68,7 +68,7 @@ class MemoryLearningRate(AbstractDescent):
         return jax.tree.map(lambda w: {"rates": jnp.zeros(self.centres), "slope": jnp.zeros(w.shape, w.dtype)}, weights)
 
     def step(self, weights: PyTree, memory: PyTree, slopes: PyTree, rate: Array) -> tuple[PyTree, PyTree]:
-        """The memory learns from the last step, then the weights from the memory."""
+        """The memory learns from the last step; then the weights change at the rates of the memory."""
         structure = jax.tree.structure(weights)
         parts = zip(
             structure.flatten_up_to(weights), structure.flatten_up_to(memory), jax.tree.leaves(slopes), strict=True
@@ -89,8 +89,8 @@ class MemoryLearningRate(AbstractDescent):
         return weights - (rate * own * slope).astype(weights.dtype), {"rates": rates, "slope": slope}
 
     def _activity(self, slope: Array) -> Array:
-        """Activity (…, centres) of the basis functions, as wide as they are apart; gradients beyond the first or last
-        centre count as there."""
+        """Activity (…, centres) of the basis functions, whose width is their distance. Gradients beyond the first or
+        last centre count as being at it."""
         centres = jnp.linspace(SMALLEST, LARGEST, self.centres, dtype=slope.dtype)
         place = jnp.clip(jnp.log10(jnp.abs(slope) + 1e-30), SMALLEST, LARGEST)
         return jnp.exp(-0.5 * ((place[..., None] - centres) / (centres[1] - centres[0])) ** 2)

@@ -1,4 +1,4 @@
-"""adaptation=online: a model that learns from single samples by itself goes on doing so while the robot works."""
+"""adaptation=online: a model that has its own update for single samples continues to use it while the robot works."""
 
 from dataclasses import dataclass
 
@@ -37,5 +37,5 @@ class OnlineUpdate(AbstractAdapter):
         return model.apply(state["params"], motion, state["robot"])
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The parameters one sample further."""
+        """The parameters after one more sample."""
         return {**state, "params": model.learned_from(state["params"], motion, tau, state["robot"])}

@@ -1,19 +1,20 @@
-"""adaptation=payload: a load that comes and goes, found in what a rigid-body model leaves over, weighed, used.
+"""adaptation=payload: detects a load that comes and goes in the residual of a rigid-body model, estimates its mass, and
+predicts with it.
 
-The torque is linear in the ten inertial parameters phi of a body on the last link, tau = model(q, qd, qdd) + Y phi. So
-all that a stretch says of a load is in two sums over its samples, L = sum Y'WY and b = sum Y'W r, r being what the
-model of the unloaded arm leaves over; phi has the log-likelihood b'phi - phi'L phi / 2 over no load. W counts what a
-sample is worth: less where a joint is near rest and friction may hold anything, and as many times less as residuals
-look alike from sample to sample. Three questions are asked of every sample:
+The torque is linear in the ten inertial parameters phi of a body on the last link, tau = model(q, qd, qdd) + Y phi. All
+information of a stretch about a load is therefore in two sums over its samples, L = sum Y'WY and b = sum Y'W r, where r
+is the residual of the unloaded arm's model; the log-likelihood ratio of phi to no load is b'phi - phi'L phi / 2. W
+weights samples: less where a joint is near rest, because its friction is then indeterminate, and less by the
+correlation time of the residuals. Each sample answers three questions:
 
 - Has a load come? Beyond a threshold some load explains the last stretch better than none (likelihood ratio; Willsky
-  and Jones 1976), or the one that was put down last does (cumulative sum; Page 1954).
+  and Jones 1976), or the last one that was released does (cumulative sum; Page 1954).
 - How much is it? Recursive least squares since it came (Ljung 1999, 11.2), forgetting in proportion to that time.
-- Has it gone, or is it another one? A cumulative sum of none against it; the likelihood ratio of any other against it.
-  What is left of a load on its way out is another one, until it is fainter than what motions without a load show.
+- Is it released, or replaced? A cumulative sum of no load against it; the likelihood ratio of any other against it.
+  A load that disappears gradually counts as another one, until it is smaller than in motions without a load.
 
-The threshold is a multiple of what motions without a load reach. What friction does that no function of the motion
-says is a disturbance beside: an observer follows it (Ohnishi 1996), so that predictions do not wait for a verdict.
+The threshold is a multiple of the largest evidence in motions without a load. Friction that no function of the motion
+can describe is a disturbance: an observer tracks it (Ohnishi 1996), so that predictions do not wait for a decision.
 """
 
 from collections.abc import Sequence
@@ -33,15 +34,15 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot, Traject
 PARAMETERS = len(rigid_body.PARAMETERS)
 
 MOVING = 0.02
-"""A joint counts as moving where friction hides less than this share of what it hides at rest."""
+"""A joint counts as moving at speeds at which friction hides less than this share of what it hides at rest."""
 
 STATES = 64
-"""So many states of a motion are asked what friction a joint has."""
+"""Number of states of a motion from which the friction of a joint is computed."""
 
 
 @dataclass(frozen=True)
 class Payload(AbstractAdapter):
-    """A bank of three: no load, the load as estimated, the last load that was put down.
+    """Three hypotheses: no load, the estimated load, and the last load that was released.
 
     Attributes:
         mass: [kg] mass of a heavy load, roughly.
@@ -122,7 +123,7 @@ class Payload(AbstractAdapter):
         return replace(fit, robot=dataset.robot, details={**details, "load_threshold": threshold})
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
-        """No load, and nothing seen yet."""
+        """No load, and no sample seen yet."""
         nothing = {"L": jnp.zeros((PARAMETERS, PARAMETERS)), "b": jnp.zeros(PARAMETERS)}
         return {
             "params": jax.tree.map(jnp.asarray, fit.params),
@@ -136,12 +137,12 @@ class Payload(AbstractAdapter):
         }
 
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of one sample, with the load that is believed in and the disturbance that was there."""
+        """Torque (n,) of one sample, with the load that is currently assumed and the last disturbance."""
         said = model.apply(state["params"], motion, state["robot"])
         return said + columns(state["robot"], motion) @ _believed(state) + state["disturbance"]
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """One sample further."""
+        """The state after one more sample."""
         left = tau - model.apply(state["params"], motion, state["robot"])
         y = columns(state["robot"], motion)
         turned = self._weighed(state, motion, left, y)
@@ -171,7 +172,7 @@ class Payload(AbstractAdapter):
         }
 
     def _weighed(self, state: PyTree, motion: Motion, left: Array, y: Array) -> PyTree:
-        """The state with what a sample says of loads."""
+        """The state with the evidence of one sample for and against loads."""
         prior, threshold, loaded = self._prior(), state["threshold"], state["loaded"]
         share = 1 / (1 + state["hidden"] ** 2 * _resting(motion.qd, self.rest_speed) / state["variance"])
         w = share / (state["variance"] * state["samples"])
@@ -216,7 +217,7 @@ class Payload(AbstractAdapter):
         }
 
     def _prior(self) -> Array:
-        """(10, 10) what is known of a load's parameters before: inverse variances on the diagonal."""
+        """(10, 10) prior on the parameters of a load: inverse variances on the diagonal."""
         squares = [1.0, *[self.size**2] * 3, *[self.size**4 / 4] * 6]
         return jnp.diag(1 / (self.mass**2 * jnp.array(squares)))
 
@@ -233,7 +234,8 @@ class Payload(AbstractAdapter):
         return spread**2, times
 
     def _hidden(self, model: AbstractModel, fit: Fit, motion: Motion) -> np.ndarray:
-        """(n,) friction: half the difference of the torques of slow motion forth and back in states of this motion."""
+        """(n,) friction: half the difference between the torques of slow motion in both directions, in states of this
+        motion."""
         rows, n = np.linspace(0, len(motion) - 1, STATES).astype(int), len(fit.joints)
         q = np.repeat(np.asarray(motion.q)[rows], n, axis=0)
         qd = self.rest_speed * np.tile(np.eye(n), (STATES, 1))
@@ -253,10 +255,10 @@ class Payload(AbstractAdapter):
 
 
 FOLDS = 4
-"""Fits, each without some of what was learned, where nothing else is there to be watched."""
+"""Number of fits, each without a part of the training data, where there are no recordings for validation."""
 
 WATCHED = ("variance", "samples", "hidden", "threshold")
-"""What a fit says about motions without a load, behind "load_"."""
+"""Prefix of those details of a fit that concern motions without a load."""
 
 
 @jax.jit
@@ -271,13 +273,13 @@ def columns(robot: Robot, motion: Motion) -> Array:
 
 
 def _apart(validation: Dataset, dataset: Dataset) -> bool:
-    """Whether no recording is in both, not even in parts (name[t0:t1])."""
+    """Whether the two sets have no recording in common, not even parts of one (name[t0:t1])."""
     watched, learned = ({x.name.split("[")[0] for x in data.trajectories} for data in (validation, dataset))
     return watched.isdisjoint(learned)
 
 
 def _left_out(model: AbstractModel, dataset: Dataset, key: jax.Array) -> list[tuple[Fit, Trajectory]]:
-    """Every recording with a fit that did not see it; of few recordings, every part of each."""
+    """Every recording with a fit that did not see it; if there are few recordings, every part of each."""
     parts = [part for x in dataset.trajectories for part in _cut(x, -(-FOLDS // len(dataset.trajectories)))]
     every, found = np.arange(len(parts)), []
     for out in np.array_split(every, FOLDS):
@@ -288,7 +290,7 @@ def _left_out(model: AbstractModel, dataset: Dataset, key: jax.Array) -> list[tu
 
 
 def _cut(x: Trajectory, count: int) -> list[Trajectory]:
-    """A recording in so many parts in time."""
+    """A recording divided in time into that many parts."""
     edges = np.linspace(0, len(x.t), count + 1).astype(int).tolist()
     return [x[a:b] for a, b in pairwise(edges) if b > a]
 
@@ -298,12 +300,12 @@ def _believed(state: PyTree) -> Array:
 
 
 def _turned(before: PyTree, after: PyTree) -> Array:
-    """Whether one load took the place of another, or of none."""
+    """Whether one load replaced another, or was picked up or released."""
     return (before["loaded"] != after["loaded"]) | (after["since"] == 0)
 
 
 def _resting(qd: Array, speed: float) -> Array:
-    """Share of what friction hides at rest that it still hides at a speed."""
+    """The friction that is indeterminate at a speed, as a share of that at rest."""
     return jnp.exp(-((qd / speed) ** 2))
 
 
@@ -312,12 +314,12 @@ def _solved(sums: PyTree, prior: Array) -> Array:
 
 
 def _gain(sums: PyTree, phi: Array) -> Array:
-    """Log-likelihood [nats] of a load over that of none."""
+    """Log-likelihood ratio [nats] of a load against no load."""
     return sums["b"] @ phi - phi @ sums["L"] @ phi / 2
 
 
 def _faded(sums: PyTree, share: Array | float, here: PyTree) -> PyTree:
-    """Sums of which a share is forgotten, and what is new."""
+    """Sums after a share of them is forgotten and a new term is added."""
     return jax.tree.map(lambda old, new: (1 - share) * old + new, sums, here)
 
 

@@ -20,10 +20,10 @@ from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 LEAST_NOISE = 1e-3
-"""Of a joint's torque: a residual on the training data that is smaller counts as that large (data without noise)."""
+"""Share of a joint's torque: smaller residuals on the training data count as that large (data without noise)."""
 
 UNSEEN = 1e-9
-"""Of the largest column: a smaller one is rounding, and its parameter stays."""
+"""Share of the largest column: a smaller column is rounding, and its parameter does not change."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Rls(AbstractAdapter):
     Attributes:
         forgetting: [-] factor per sample on what was learned before; 1 forgets nothing, 0.999 has a memory of 1,000
             samples.
-        memory: [samples] so many samples the training data count for at the start, all of them at most.
+        memory: [samples] weight of the training data at the start, at most their number.
     """
 
     forgetting: float = 0.999
@@ -56,7 +56,7 @@ class Rls(AbstractAdapter):
         validation: Dataset | None = None,
         progress: Progress = silent,
     ) -> Fit:
-        """The model's own fit, then what the training data know of its parameters; UsageError for a model without
+        """Fit the model, then compute what the training data tell about its parameters; UsageError for a model without
         linear parameters.
 
         details: rls_information (blocks, q, q), rls_noise (n,) [N m; N] and rls_samples.
@@ -92,11 +92,11 @@ class Rls(AbstractAdapter):
         }
 
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of one sample, with the parameters as of the last one."""
+        """Torque (n,) of one sample, with the current parameters."""
         return model.apply(state["params"], motion, state["robot"])
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
-        """The parameters one sample further."""
+        """The parameters after one more sample."""
         said, columns = _columns(model, state["params"], motion, state["robot"])
         blocks = len(columns)
         errors = jnp.reshape((tau - said) / state["noise"], (blocks, -1))
@@ -107,7 +107,7 @@ class Rls(AbstractAdapter):
         return {**state, "params": model.with_linear(state["params"], moved), "covariance": covariance}
 
     def trace(self, state: PyTree) -> dict[str, Array]:
-        """certainty: 1 less the covariance's trace, as a share of the prior's: 0 where nothing is known."""
+        """certainty: 1 minus the trace of the covariance as a share of the prior's; 0 where nothing is known."""
         return {"certainty": 1 - _share(state["covariance"], state["scale"]).mean()}
 
     def _block(self, covariance: Array, scale: Array, columns: Array, errors: Array) -> tuple[Array, Array]:
@@ -119,8 +119,8 @@ class Rls(AbstractAdapter):
         return gain @ errors, (covariance + covariance.T) / 2
 
     def _scales(self, squares: Array, ratio: Array) -> Array:
-        """Standard deviations (blocks, q) of the parameters before any data: each alone makes as much torque as the
-        joints have in the training data; 0 for one that makes none."""
+        """Standard deviations (blocks, q) of the parameters before any data: each parameter alone makes as much torque
+        as the joints have in the training data; 0 for a parameter that makes none."""
         size = jnp.sqrt(jnp.diagonal(squares, axis1=1, axis2=2))
         torque = jnp.sqrt(jnp.sum(jnp.reshape(ratio**2, (len(squares), -1)), 1))[:, None]
         seen = size > UNSEEN * jnp.max(size)
@@ -128,7 +128,7 @@ class Rls(AbstractAdapter):
 
 
 def _share(covariance: Array, scale: Array) -> Array:
-    """Trace of a covariance in units of the prior's, over the number of parameters that can move."""
+    """Trace of a covariance in units of the prior's, divided by the number of parameters that can change."""
     moves = scale > 0
     variances = jnp.diagonal(covariance, axis1=-2, axis2=-1) / jnp.where(moves, scale, 1.0) ** 2
     return jnp.sum(variances * moves, -1) / jnp.maximum(jnp.sum(moves, -1), 1)

@@ -12,7 +12,7 @@ from invdyn_cli.types import Header, Robot, Splits
 
 @dataclass(frozen=True)
 class HeldLog(AbstractSource):
-    """The trajectories of a log that was read or made before, split and conditioned as `how` says."""
+    """The trajectories of a log that is already in memory, split and conditioned as `how` says."""
 
     log: Log
     how: Conditioning = field(default_factory=Conditioning)

@@ -1,7 +1,9 @@
-"""data=pick_place: the paper's real data, played by the simulated arm: picking and placing without and with an object.
+"""data=pick_place: the paper's real data, replaced by the simulated arm, which picks and places without and with an
+object.
 
-Repetitions without the object are learned from, as many with it are judged and adapted to (paper, section V-A.3, Table
-II). The arm has friction, springs in its gears and ripple; the object comes and goes as a grasp does.
+Repetitions without the object are training data; as many with it are test data, also for adaptation (paper, section
+V-A.3, Table II). The arm has friction, springs in its gears and ripple; the object's weight appears and disappears
+gradually, as in a grasp.
 """
 
 import hashlib
@@ -35,8 +37,8 @@ ARM = {
     "rotor": (3.0, 3.0, 2.0, 2.0, 0.8, 0.4, 0.4),
     "ripple": (0.6, 0.6, 0.3, 0.3, 0.15, 0.1, 0.1),
 }
-"""Joint by joint, base first: friction [N m; N m s/rad] as published for the joints of the UR10e, the elbow's taken
-twice; springs [N m/rad], rotors [kg m^2] and ripple [N m] of the order of strain wave gears of these sizes."""
+"""Per joint, base first: friction [N m; N m s/rad] as published for the joints of the UR10e (that of the elbow used
+twice); springs [N m/rad], rotors [kg m^2] and ripple [N m] typical of strain wave gears of these sizes."""
 
 STATIC, STRIBECK, CYCLES = 1.3, 0.05, 20.0
 """Static over Coulomb friction; its speed [rad/s]; ripple per revolution."""
@@ -123,7 +125,7 @@ class PickPlace(AbstractSource):
         )
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
-        """The whole recording; what is learned from chooses, the repetitions with the object judge."""
+        """The whole recording; repetitions without the object are for training, those with it for the test."""
         assert robot is not None
         log, how = self.log(robot, progress), self._conditioning()
         return Recorded(log, windows=windows(how.asked([x.name for x in log.trajectories]), log, how.train_share))
@@ -154,7 +156,7 @@ class PickPlace(AbstractSource):
         return made
 
     def hidden(self, robot: Robot) -> tuple[Hidden, ...]:
-        """What is in the arm all the time."""
+        """The effects that are always in the arm."""
         size = {name: np.resize(values, robot.dofs) for name, values in ARM.items()}
         out: list[Hidden] = []
         for i, joint in enumerate(robot.joints):
@@ -169,7 +171,8 @@ class PickPlace(AbstractSource):
         return tuple(out)
 
     def task(self, robot: Robot, k: int, *, loaded: bool) -> "Task":
-        """Repetition k, from 0, without the object or with it; none of the log's where k >= repetitions + watched."""
+        """Repetition k, from 0, without the object or with it; from k = repetitions + watched on, repetitions that are
+        not in the log."""
         draw = np.random.default_rng([self.seed, int(loaded), k])
         own, reference = int(draw.integers(2**31)), Manipulation()
         times = reference.times(own)
@@ -229,7 +232,7 @@ class PickPlace(AbstractSource):
 
 @dataclass(frozen=True)
 class Task:
-    """One repetition before it is played: what the arm shall do, and all that is in it.
+    """One repetition before it is simulated: the reference and everything that is hidden in the arm.
 
     Attributes:
         name: the trajectory's.

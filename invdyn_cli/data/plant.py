@@ -1,6 +1,7 @@
-"""data=plant: recordings of a simulated arm that plays the real one, with effects hidden in it, treated as a real log.
+"""data=plant: recordings of a simulated arm that replaces the real one, with hidden effects; they are treated as a real
+log.
 
-The arm is MuJoCo's (`invdyn_cli.simulation`); from its log on everything is as with measured data.
+The arm is simulated by MuJoCo (`invdyn_cli.simulation`); its log is then treated like a measured one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,8 +28,8 @@ class Plant(AbstractSource):
     """Recordings trajectory_1, trajectory_2, … of one simulated arm.
 
     Attributes:
-        effects: hidden effects, a list of {effect: name, joint: name, parameter: value, …} (docs/plant.md); one that
-            comes and goes also has window: [from, to] in seconds, and may have a trajectory. One of your own:
+        effects: hidden effects, a list of {effect: name, joint: name, parameter: value, …} (docs/plant.md); one in a
+            time window also has window: [from, to] in seconds, and may have a trajectory. One of your own:
             {_target_: module.Class, joint: name, …} (docs/own_effects.md).
         reference: reference motion: multisine, pick_place or constant_speed, or such an object with options of its own.
         trajectories: number of recordings, each with its own random motion.
@@ -130,7 +131,7 @@ class Plant(AbstractSource):
         ]
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
-        """The log, played anew; UsageError as `record`."""
+        """The log, simulated anew; UsageError as `record`."""
         assert robot is not None
         log = self.record(robot, progress)
         blocks = asked({name: getattr(self, name) for name in SETS}, [x.name for x in log.trajectories])

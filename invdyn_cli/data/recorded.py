@@ -1,4 +1,5 @@
-"""Measured logs as a data source: which files, which trajectories; `conditioning` makes them ready to learn from."""
+"""Measured logs as a data source: which files and which trajectories; `conditioning` makes data for learning of
+them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -19,18 +20,19 @@ from invdyn_cli.recording.selection import SETS, Block, asked, cut, windows
 from invdyn_cli.types import Header, Robot, Splits
 
 UNUSED = ("derivatives", "filter_cutoff", "filter_order", "torque_lag", "decimate", "rate")
-"""Options that make data ready to learn from: a diagnosis prepares its log as diagnosis.conditioning says."""
+"""Options that prepare data for learning; a diagnosis ignores them, because it has diagnosis.conditioning."""
 
 Keys = dict[str, tuple[Path, str]]
-"""What a trajectory is called in selections ("name", or "log/name" of several logs) -> its log, and its name there."""
+"""Name of a trajectory in selections ("name", or "log/name" if there are several logs) -> its log, and its name
+there."""
 
 
 @dataclass(frozen=True)
 class RealLog(AbstractSource):
     """Trajectories of one or several logs of one robot, in any format that `formats` reads.
 
-    `selection` says how trajectories are named and split; with several logs they are called "<file stem>/<name>" too.
-    With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
+    `selection` says how trajectories are named and split; with several logs they are also called "<file stem>/<name>".
+    With logged derivatives and without filter, lag and rate the clock is not used, and samples are unchanged.
 
     Attributes:
         path: the log, or a list of logs of one robot.
@@ -91,7 +93,7 @@ class RealLog(AbstractSource):
 
     @property
     def limit(self) -> float:
-        """[bytes] that may be read of a log.
+        """Largest size [bytes] of a log.
 
         Raises:
             UsageError: if `max_size` is no such number.
@@ -129,7 +131,7 @@ class RealLog(AbstractSource):
         return how.splits(blocks, records, robot, keys=keys, notes=notes, description=described, progress=progress)
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
-        """The logs as one, and what it is compared with: other logs, or some of its own trajectories.
+        """The logs as one log, and the reference: other logs, or some of its own trajectories.
 
         Raises:
             LogError, UsageError, RobotError: as `load`, but for defects: a check describes these.
@@ -180,7 +182,7 @@ class RealLog(AbstractSource):
         return {label.format(path, name): (path, name) for path, name in named}
 
     def _used(self, keys: Keys, blocks: Mapping[str, list[Block] | None]) -> list[str]:
-        """The trajectories that the selections take: those named where train and test both are said, otherwise all."""
+        """The trajectories that the selections name if both train and test are given, otherwise all."""
         named = {block.key for some in blocks.values() for block in some or ()}
         return [key for key in keys if blocks["train"] is None or blocks["test"] is None or key in named]
 
@@ -194,8 +196,8 @@ class RealLog(AbstractSource):
         return tuple(Path(one).expanduser() for one in files)
 
     def _read(self, keys: Keys, used: Iterable[str]) -> list[Log]:
-        """The logs of `keys`, each with those of its trajectories that are `used`, called by their keys, and with the
-        drive gains that are given.
+        """The logs of `keys` with those of their trajectories that are `used`, renamed to their keys, and with the
+        given drive gains.
 
         Raises:
             LogError: if a log cannot be read, has drive gains for other joints, or logs have different joints.

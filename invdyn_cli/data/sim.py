@@ -5,7 +5,8 @@ differentiating positions, torques from inverse dynamics on those; 250 samples a
 the paper's 8 x 4,500. Noise: the positions are truncated after the fifth decimal and differentiated anew, while the
 torques stay those of the unmodified positions.
 
-Amplitudes, phases, the joints' frequencies and the filter's weights are not in the paper: `PLANS` fixes two readings.
+The paper does not give amplitudes, phases, the joints' frequencies and the filter's weights: `PLANS` fixes two
+interpretations.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ TASKS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Frequencies [Hz] of the tasks (paper, V-A.1)."""
 
 TESTED = {"interpolation": (0.5, 0.6), "extrapolation": (0.7, 0.8)}
-"""Tasks [Hz] that are judged; all others are learned from (paper, Table II)."""
+"""Tasks [Hz] for the test; all others are learned from (paper, Table II)."""
 
 MULTIPLES = (1.0, 1.3, 0.7, 1.6, 0.9, 1.15, 1.45)
 """Every joint's frequency as a multiple of the task's, from the first joint on and over again. One frequency for all
@@ -37,7 +38,7 @@ DIGITS = 15
 """Decimal digits that a float64 holds."""
 
 MOST_SAMPLES = 1_000_000
-"""Samples of a task: eight tasks of them, half an hour each at 500 Hz, are 2 GB for seven joints."""
+"""Largest number of samples of a task: eight tasks of half an hour at 500 Hz take 2 GB for seven joints."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ _torques = jax.jit(rigid_body.inverse_dynamics)
 
 
 def _parted(x: Trajectory, share: float) -> tuple[Trajectory, Trajectory, Trajectory]:
-    """What comes before, in and after the middle block of this share."""
+    """The parts before, in and after the middle block, which has this share of the data."""
     start, end = round(len(x.t) * (1 - share) / 2), round(len(x.t) * (1 + share) / 2)
     rows = slice(None, start), slice(start, end), slice(end, None)
     before, middle, after = (Trajectory(x.name, x.t[r], x.motion[r], x.tau[r]) for r in rows)

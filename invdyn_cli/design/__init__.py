@@ -1,1 +1,1 @@
-"""Which motion tells rivals apart: what to record next, so that a cause gets one name."""
+"""Which motion distinguishes rivals: what to record next, so that a cause gets one name."""

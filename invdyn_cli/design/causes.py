@@ -1,7 +1,7 @@
-"""Causes that a design is to tell apart: what each adds to the torque along a motion, and the columns by which it would
+"""Causes that a design distinguishes: the torque that each adds along a motion, and the columns by which it would
 imitate another.
 
-Sizes are those that were given or estimated; where there are none, those of `sizes`.
+Sizes are given or estimated; otherwise those of `sizes`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ ANGLE_STEP = 1e-3
 """[rad; m] Step of the slope of a torque over a joint's angle."""
 
 INERTIAL_SHARE = 0.3
-"""Of a link's mass, first moments and inertia, by which they may be wrong where they are allowed for."""
+"""Relative errors of a link's mass, first moments and inertia that are allowed for."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Usual:
-    """What joints usually do, (n,) each: torque [N m; N], speed, inertia that they carry, range, and middle posture."""
+    """Usual values of the joints, (n,) each: torque [N m; N], speed, carried inertia, range, and middle posture."""
 
     torque: np.ndarray
     speed: np.ndarray
@@ -101,10 +101,10 @@ class Scenes:
 
 
 Trial = tuple[Sequence["Column"], np.ndarray]
-"""Columns, and what is known of their factors beforehand, 1 / scale^2."""
+"""Columns, and the prior precision 1 / scale^2 of their factors."""
 
 Column = Mapping[int, np.ndarray]
-"""What a unit of something adds to the torques of some joints: joint -> (S, L)."""
+"""Torques of some joints for a unit of a cause: joint -> (S, L)."""
 
 
 def scenes_of(robot: Robot, motions: Sequence[Motion], starts: Sequence[float] | np.ndarray, rate: float) -> Scenes:
@@ -118,7 +118,7 @@ def scenes_of(robot: Robot, motions: Sequence[Motion], starts: Sequence[float] |
 
 
 def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
-    """What a cause with parameters changes of the logged torque."""
+    """The change of the logged torque by a cause with given parameters."""
     effect, joint, parameters = cause.effect, cause.joint, cause.parameters
     assert parameters is not None
     if isinstance(effect, AbstractTorqueEffect):
@@ -139,8 +139,8 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
 
 
 def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact: bool = False) -> list[Trial]:
-    """Trials of a rival: for each value of its nonlinear parameters its columns, and what is known of their factors
-    beforehand.
+    """Trials of a rival: for each value of its nonlinear parameters its columns, and the prior precision of their
+    factors.
 
     Args:
         level: (n,) [N m; N] usual size of what is hidden.
@@ -189,7 +189,7 @@ def body(robot: Robot, directions, flat: Motion, shape: tuple[int, int, int]) ->
 
 
 def link_columns(robot: Robot, joint: int, scenes: Scenes) -> tuple[list[Column], np.ndarray]:
-    """Columns of one link's inertials, and what is known of them: they are about right."""
+    """Columns of one link's inertials and their precision: they are assumed to be about right."""
     own = np.asarray(robot.inertial)[joint]
     scales = INERTIAL_SHARE * np.array([own[0], *[own[0] * 0.1] * 3, *[max(np.abs(own[4:]).max(), 1e-4)] * 6])
     directions = []
@@ -212,7 +212,7 @@ def _shapes(cause: Cause, state: JointState, exact: bool) -> Sequence[Parameters
 
 
 def _gear_columns(robot: Robot, cause: Cause, scenes: Scenes, exact: bool) -> list[Trial]:
-    """A column for every compliance to try; a factor makes up for what lies between them."""
+    """A column for every trial value of the compliance; a linear factor covers the values between them."""
     effect, joint = cause.effect, cause.joint
     assert isinstance(effect, AbstractGearEffect) and joint is not None
     answers = _answers(robot, joint, scenes)
@@ -237,7 +237,7 @@ def _behind_gear(
 
 
 def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; kept."""
+    """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; cached."""
     if joint in scenes.kept:
         return scenes.kept[joint]
     flat, own = _flat(scenes), (np.arange(robot.dofs) == joint)[:, None]
@@ -250,12 +250,12 @@ def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.n
 
 
 def _driver(robot: Robot, effect: AbstractTorqueEffect, joint: int) -> int:
-    """The joint that drives the same gear, -1 for an effect of one joint."""
+    """The other joint that drives the same gear; -1 for an effect of one joint."""
     return robot.parents[joint] if effect.coupled else -1
 
 
 def _felt(column: dict[int, np.ndarray], driver: int, share: float) -> Column:
-    """A column of one joint, and a share of it on the joint that drives the same gear."""
+    """A column of one joint, and a share of it on the other joint that drives the same gear."""
     (own,) = column.values()
     return column | {driver: share * own} if driver >= 0 else column
 

@@ -1,10 +1,10 @@
-"""By how much a motion tells causes apart: the distance between what the true one adds to the torque and the best that
-a rival can make of it (Atkinson and Fedorov 1975: T-optimal designs for discrimination).
+"""How well a motion distinguishes causes: the distance between the torque of the true one and the best imitation by a
+rival (Atkinson and Fedorov 1975: T-optimal designs for discrimination).
 
     D^2 = min over the rival's parameters, and those of nuisances, of sum (true - rival - nuisances)^2 / noise variance
 
-in standard errors, noise's autocorrelation counted, everything behind the low-pass of the diagnosis. Scenes are judged
-by their Gram matrices, which add up: hundreds of candidates cost little.
+in standard errors, with the autocorrelation of the noise, after the low-pass filter of the diagnosis. Scenes are scored
+by their Gram matrices, which add up, so that hundreds of candidates are cheap.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,24 +26,25 @@ from invdyn_cli.maths.signals import lowpass
 from invdyn_cli.types import Robot
 
 Side = tuple[Cause, ...]
-"""A set of causes that together explain a log: one of the names that stay open."""
+"""A set of causes that together explain a log: one of the alternatives of an ambiguous finding."""
 
 NUISANCES = (TorqueOffset.name, CoulombFriction.name, ViscousFriction.name)
-"""What every joint has a little of, and a diagnosis must allow for."""
+"""Effects that every joint has to some degree, and for which a diagnosis must allow."""
 
 LEAST_SIZE, LARGEST_FACTOR = 0.3, 1e3
-"""Of the largest side's size, what another is taken for at least; and the largest factor for that."""
+"""Least size of a side, as a share of that of the largest side; and the largest factor that is used for this."""
 
 MOST_TRIALS = 9
 """Combinations of a rival's nonlinear parameters that are tried."""
 
 MODEL_ERROR = 0.002
-"""Share of a joint's usual torque that clocks, interpolation and filters leave of any model (`search.RELEVANT`)."""
+"""Share of a joint's usual torque that errors of clocks, interpolation and filters leave in the residual of any model
+(`search.RELEVANT`)."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A true side and a rival, numbers of sides in question `question`."""
+    """A true side and a rival, as numbers of sides of the question `question`."""
 
     question: int
     true: int
@@ -52,7 +53,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Contest:
-    """What is to be told apart, and what the columns are judged with.
+    """The causes to distinguish, and how their columns are scored.
 
     Attributes:
         questions: for each the sides between which it is open, every cause with parameters.
@@ -85,7 +86,7 @@ class Evaluation:
 
 
 def pairs_of(questions: Sequence[Sequence[Side]]) -> tuple[Pair, ...]:
-    """Every ordered pair of sides but those whose rival holds the true one as a special case."""
+    """Every ordered pair of sides, except those whose rival contains the true one as a special case."""
     return tuple(
         Pair(number, a, b)
         for number, sides in enumerate(questions)
@@ -233,7 +234,7 @@ def _grams(contest: Contest, scenes: Scenes, table: Sequence[Column]) -> np.ndar
 
 
 def _nuisances(true: Side, rival: Side) -> list[Cause]:
-    """What is allowed for on the joints of two sides, but for what one of them is, or the rival holds."""
+    """The nuisance effects on the joints of two sides, except those that one side is or that the rival contains."""
     taken = {(name, c.joint) for c in rival for name in (c.effect.name, *c.effect.contains)}
     taken |= {part for part in _parts(true)}
     joints = {c.joint for c in (*true, *rival) if c.joint is not None}
@@ -241,7 +242,7 @@ def _nuisances(true: Side, rival: Side) -> list[Cause]:
 
 
 def _links(true: Side, rival: Side) -> list[int]:
-    """Joints whose link's inertials are allowed for: where neither side is nearly such an error itself."""
+    """Joints whose link inertials are nuisances: those where neither side is such an error itself."""
     both = (*true, *rival)
     if any(c.effect.point != "torque" or (LinkInertiaError.name,) in c.effect.confounders for c in both):
         return []
@@ -249,7 +250,7 @@ def _links(true: Side, rival: Side) -> list[int]:
 
 
 def _parts(side: Side) -> set[tuple[str, int | None]]:
-    """Effects and joints, what is the same as two others taken for them: nothing in the motion parts those."""
+    """Pairs of effects and joints that no motion distinguishes, because one is the sum of two others."""
     return {(name, c.joint) for c in side for name in c.effect.sum_of or (c.effect.name,)}
 
 

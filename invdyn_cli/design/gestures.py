@@ -1,9 +1,9 @@
 """The motions that a design chooses from: gestures that begin and end at rest in one posture, and how they are joined.
 
-A gesture is about two seconds long, so that many fit into a recording and every block of it shows something. Its kinds
-are what tells causes apart: multisines (Swevers et al. 1997) for bodies, sweeps at constant speeds for friction,
-reversals of milliradians for bristles and play, slow and fast, where a joint bears no load and where it bears much,
-small swings for what is between, chirps for what comes late or yields.
+A gesture is about two seconds long, so that many fit into a recording and every block of it contains information. Its
+kinds distinguish causes: multisines (Swevers et al. 1997) for bodies; sweeps at constant speeds for friction; reversals
+of milliradians, slow and fast, with and without load, for bristles and play; small swings for what is between; chirps
+for delays and compliance.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from invdyn_cli.types import Motion, Robot
 KINDS = ("multisine", "sweep", "swing", "reversal", "chirp")
 
 OFTEN = (0.28, 0.24, 0.13, 0.2, 0.15)
-"""Shares of the kinds among gestures at random."""
+"""Shares of the kinds among random gestures."""
 
 MARGIN = 0.06
 """Share of half a joint's range that is kept from its limits."""
@@ -27,16 +27,16 @@ FASTEST = 0.6
 """Share of the velocity limits."""
 
 STRONGEST = 0.8
-"""Share of the effort limits that the nominal torque may take: what is hidden needs some as well."""
+"""Share of the effort limits that the nominal torque may take: hidden effects need the rest."""
 
 ACCELERATION = 6.0
-"""[1/s] Times its velocity limit, how fast a joint is accelerated: most reach their highest speed in 0.1 to 0.3 s."""
+"""[1/s] Acceleration of a joint over its velocity limit: most joints reach their highest speed in 0.1 to 0.3 s."""
 
 SLOWEST_SWEEP, SLOWEST_SWING = 0.006, 0.002
 """Lowest speed of a sweep [rad/s; m/s]: below, a joint counts as resting. Smallest swing [rad; m]."""
 
 SMALLEST_REVERSAL, LARGEST_REVERSAL = 0.001, 0.03
-"""[rad; m] Way between two reversals: the bristles of a gear bend, and its play opens, over less."""
+"""[rad; m] Distance between two reversals; bristles bend and the play of a gear opens over shorter distances."""
 
 FASTEST_REVERSAL = 4.0
 """[Hz] of a way forth and back."""
@@ -46,8 +46,8 @@ HIGHEST_CHIRP = 8.0
 frequencies has what the joint's limits allow."""
 
 LOADED = 0.4, 0.8
-"""Of small gestures, the share that is where a joint bears next to no load; up to the second, that where it bears much;
-the rest is anywhere."""
+"""Share of the small gestures with almost no load on the joint; up to the second number, with a large load; the rest
+anywhere."""
 
 MOVE = 1.875
 """Highest speed of a minimum-jerk move, times its mean speed."""
@@ -88,13 +88,13 @@ class Room:
 
 @dataclass(frozen=True)
 class Postures:
-    """Postures q (n, K) at random, and the torques (n, K) [N m; N] that hold them."""
+    """Random postures q (n, K), and the torques (n, K) [N m; N] that hold them."""
 
     q: np.ndarray
     load: np.ndarray
 
     def of(self, draw: np.random.Generator, joint: int) -> np.ndarray | None:
-        """A posture (n,) where a joint bears next to no load, or much; None: it may be any."""
+        """A posture (n,) in which a joint bears almost no load, or a large one; None: any posture."""
         style, some = draw.random(), draw.choice(self.q.shape[1], max(1, self.q.shape[1] // 8), replace=False)
         load = np.abs(self.load[joint, some])
         if style < LOADED[0]:
@@ -103,7 +103,7 @@ class Postures:
 
 
 def room_of(robot: Robot, strongest: np.ndarray) -> Room:
-    """The room that a design leaves itself; `strongest` (n,) [N m; N] stands where a joint has no effort limit."""
+    """The limits within which a design stays; `strongest` (n,) [N m; N] is used where a joint has no effort limit."""
     middle, half, speed = room(robot)
     effort = np.asarray(robot.effort_limit)
     effort = np.where(np.isfinite(effort) & (effort > 0), STRONGEST * effort, strongest)
@@ -114,7 +114,7 @@ def room_of(robot: Robot, strongest: np.ndarray) -> Room:
 def drawn(
     draw: np.random.Generator, allowed: Room, joints: Sequence[int], seconds: float, postures: Postures
 ) -> Gesture:
-    """A gesture at random that moves some of these joints, or the whole arm."""
+    """A random gesture that moves some of these joints, or the whole arm."""
     n = len(allowed.lower)
     kind = str(draw.choice(KINDS, p=OFTEN))
     moved = np.zeros(n, bool)
@@ -137,20 +137,20 @@ def drawn(
 
 
 def placed(gesture: Gesture, allowed: Room, draw: np.random.Generator) -> Gesture:
-    """The gesture in another posture that has room for it."""
+    """The gesture in another posture where the limits allow it."""
     size = np.minimum(gesture.size, (allowed.upper - allowed.lower) / 2)
     low, high = allowed.lower + size, allowed.upper - size
     return replace(gesture, size=size, centre=draw.uniform(low, np.maximum(high, low)))
 
 
 def _moved_to(gesture: Gesture, centre: np.ndarray, allowed: Room) -> Gesture:
-    """The gesture in this posture, or the nearest that has room for it."""
+    """The gesture in this posture, or in the nearest one where the limits allow it."""
     low, high = allowed.lower + gesture.size, allowed.upper - gesture.size
     return replace(gesture, centre=np.clip(centre, low, np.maximum(high, low)))
 
 
 def varied(gesture: Gesture, allowed: Room, draw: np.random.Generator) -> Gesture:
-    """A gesture like this one: one of its features drawn anew."""
+    """A gesture like this one with one feature drawn anew."""
     feature = draw.integers(3)
     small = gesture.kind in ("reversal", "swing")  # their posture is what they were chosen for
     if feature == 0 and small:

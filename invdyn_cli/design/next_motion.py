@@ -1,4 +1,4 @@
-"""What to record next: from the findings that stay ambiguous to the questions of a design, and its answer in words."""
+"""What to record next: ambiguous findings become questions of a design, and its answer becomes sentences."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ class Open:
 
     @property
     def playable(self) -> bool:
-        """Whether there is something to tell apart."""
+        """Whether there are causes to distinguish."""
         return len(self.sides) > 1
 
 
@@ -57,8 +57,8 @@ def all_open(findings: Sequence[Finding], robot: Robot) -> list[Open]:
 
 
 def _opened(number: int, finding: Finding, robot: Robot) -> Open:
-    """A finding's own cause and its rivals, with the sizes that the log gave them, or none. A rival that cannot be
-    played, or is not known here, is left out with a word."""
+    """The cause of a finding and its rivals, with the sizes that the log gave, or none. A rival for which no motion can
+    be designed, or that is unknown here, is left out with a message."""
     own = _told_cause(finding.effect, finding.joint, {k: q.value for k, q in finding.parameters.items()}, robot)
     if isinstance(own, str):
         known = finding.effect in EFFECTS
@@ -87,7 +87,7 @@ def _opened(number: int, finding: Finding, robot: Robot) -> Open:
 
 
 def _rivals(finding: Finding) -> list[tuple[str, Any, Any]]:
-    """Effect, joint and parameters of what does as well, as far as the evidence has them."""
+    """Effect, joint and parameters of the equally good alternatives, as far as the evidence contains them."""
     listed_ones = finding.evidence.get("rivals", ())
     listed_ones = listed_ones if isinstance(listed_ones, list | tuple) else ()
     each = [x for x in listed_ones if isinstance(x, Mapping) and isinstance(x.get("effect"), str)]
@@ -95,7 +95,7 @@ def _rivals(finding: Finding) -> list[tuple[str, Any, Any]]:
 
 
 def _told_cause(name: str, joint: Any, parameters: Any, robot: Robot) -> Cause | str:
-    """A cause as a diagnosis tells it, its parameters left out where they are not whole; or why it is none."""
+    """A cause from a finding, without parameters if they are incomplete; or the reason why it is not one."""
     if name not in EFFECTS:
         return f"{name} is not in the catalogue: no motion can be designed for it."
     if joint is not None and joint not in robot.joints:
@@ -107,7 +107,7 @@ def _told_cause(name: str, joint: Any, parameters: Any, robot: Robot) -> Cause |
 
 
 def known_beside(findings: Sequence[Finding], robot: Robot) -> list[Cause]:
-    """What the log says for sure, and a new one will have too."""
+    """The causes that the log shows with certainty; a new log will contain them too."""
     named = [f for f in findings if f.status == "named"]
     told = [_told_cause(f.effect, f.joint, {k: q.value for k, q in f.parameters.items()}, robot) for f in named]
     return [x for x in told if isinstance(x, Cause)]
@@ -163,13 +163,13 @@ def _each(details: Mapping[str, Any], name: str, robot: Robot) -> np.ndarray:
 
 
 def _said(finding: Finding, said: Sequence[str]) -> Finding:
-    """The finding with these sentences in its advice, but those that it has."""
+    """The finding with these sentences added to its advice, if they are new."""
     own = "" if any(finding.advice in x for x in said) else finding.advice
     return replace(finding, advice=". ".join(x for x in (own, *said) if x))
 
 
 def _advised(finding: Finding, pairs: Sequence[Told], duration: float) -> Finding:
-    """The finding with what the design says of it."""
+    """The finding with the answer of the design in its advice."""
     can = [p for p in pairs if p.possible]
     cannot = [p for p in pairs if not p.possible]
     said = []

@@ -1,6 +1,5 @@
-"""Typical sizes of effects, for causes that a log gave none: shares of the torque that the joint has anyway; and what a
-design can do with an effect at all.
-"""
+"""Typical sizes of effects, for causes whose size is not known from a log, and whether a design can use an effect at
+all."""
 
 from typing import Any
 
@@ -14,10 +13,10 @@ from invdyn_cli.joints import UsualJoint
 from invdyn_cli.types import Robot
 
 SHARE = 0.08
-"""Of a joint's usual torque, what a typical effect adds to it."""
+"""Torque of a typical effect, as a share of the joint's usual torque."""
 
 POINTS = ("torque", "channel", "body", "motion", "gear")
-"""Where what a design can play acts: from the motion alone."""
+"""Points of action that a design can compute from the motion alone."""
 
 VECTORS = {"com": (3,), "moment": (3,), "inertia": (6,)}
 """Shapes of parameters that are no single number."""
@@ -60,13 +59,13 @@ def unplayable(
 
 
 def left_out(effect: AbstractEffect, why: str) -> str:
-    """That an effect is left out of a design, and what would tell it from others."""
+    """A sentence: an effect is left out of a design, and what would distinguish it from others."""
     return f"{effect.title}: {why}" + (f"; use instead: {effect.advice}" if effect.advice else "")
 
 
 def refused(effect: AbstractEffect, parameters: Parameters) -> str:
-    """Why these are no parameters of an effect, "" if they are: a name that lacks, no number, too few of them, or
-    beyond what is physics."""
+    """Why these are not parameters of an effect, "" if they are: a missing name, a value that is not a number or has
+    the wrong shape, or one that is physically impossible."""
     for name in effect.parameters:
         if name not in parameters:
             return f"{name} is missing"

@@ -1,8 +1,8 @@
-"""A reference trajectory that tells rivals apart: gestures are chosen from many at random by what they add to the
-smallest distance between any true cause and its rival, then varied while that helps.
+"""A reference trajectory that distinguishes rivals: gestures are chosen from many random ones by what they add to the
+smallest distance between any true cause and its rival, then varied as long as that helps.
 
-The distance is that of `contest`, its gestures come from `gestures`. What is chosen fills a round, which is
-played two or three times, so that the part of a log that chooses shows what the part that judges does.
+The distance is that of `contest`, the gestures come from `gestures`. The chosen gestures fill a round, which is played
+two or three times, so that training and held-out data contain the same motion.
 """
 
 from collections.abc import Sequence
@@ -38,19 +38,20 @@ LIBRARY = 240
 """Gestures at random to choose from."""
 
 GESTURE, SHORTEST = 2.0, 1.0
-"""[s] of a gesture in the library, and at least in a design."""
+"""[s] Length of a gesture in the library, and the shortest one in a design."""
 
 ROUND = 12.0
 """[s] of a round, about."""
 
 TRIES, AT_ONCE, FRESH = 120, 6, 0.3
-"""Variations that are tried, how many of them at once, and the share that takes a gesture anew from the library."""
+"""Number of variations that are tried, how many of them at once, and the share that replaces a gesture by one
+from the library."""
 
 ENOUGH = 1.1 * np.log(60.0**2)
 """Worth of a design in which all pairs are sixty standard errors apart: no more is tried."""
 
 CALMER = 8
-"""Times that a design is slowed down, at most, until the nominal torque is within its room."""
+"""Largest number of times that a design is slowed down, until the nominal torque is within its limit."""
 
 FEWEST = 8
 """Gestures within the effort limits that a library must have."""
@@ -90,13 +91,13 @@ class Told:
 
     @property
     def apart(self) -> bool:
-        """Whether the designed motion tells them apart."""
+        """Whether the designed motion distinguishes them."""
         return self.possible and self.distance >= APART
 
 
 @dataclass(frozen=True)
 class Design:
-    """A trajectory: t (T,) [s], its motion (T, n), what it tells apart, and the room that it was made in."""
+    """A trajectory: t (T,) [s], its motion (T, n), the causes that it distinguishes, and the limits that it keeps."""
 
     robot: Robot
     t: np.ndarray
@@ -124,7 +125,7 @@ def design(
     tries: int = TRIES,
     progress: Progress = silent,
 ) -> Design:
-    """The trajectory of `duration` [s] that best tells apart the sides of every question.
+    """The trajectory of `duration` [s] that best distinguishes the sides of every question.
 
     Args:
         robot: the nominal model.
@@ -132,7 +133,7 @@ def design(
         rate: [Hz] of the trajectory that is returned.
         noise: standard deviation [N m; N] of the torques behind the low-pass, one number or (n,); None: a share.
         cutoffs: (n,) [Hz] of the low-pass.
-        seed: of what is left to chance.
+        seed: of the random choices.
         known: causes that are allowed for beside them.
         tries: variations.
 
@@ -243,7 +244,7 @@ class _Search:
         return contest.distances(self.made, evaluation, grams)[0], over.reshape(len(lists), -1).max(axis=1)
 
     def values(self, lists: Sequence[Sequence[Gesture]]) -> np.ndarray:
-        """What lists are worth (m,); beyond the room for torque they are worth nothing."""
+        """The value of lists (m,); 0 where the torque exceeds its limit."""
         squares, over = self.squares(lists)
         return _worth(squares, self.possible) - 100 * np.maximum(over, 0.0)
 
@@ -255,13 +256,13 @@ def _held(motion: Motion, length: int) -> Motion:
 
 
 def _worth(squares: np.ndarray, possible: np.ndarray) -> np.ndarray:
-    """What squared distances (P, …) are worth: the smallest, and a little of all, in the logarithm."""
+    """The value of squared distances (P, …): the smallest, plus a small share of all, in logarithms."""
     each = np.log(1 + squares[possible]) if possible.any() else np.log(1 + squares)
     return each.min(axis=0) + 0.1 * each.mean(axis=0)
 
 
 def _greedy(made: Contest, evaluation, possible: np.ndarray, count: int, library: list[Gesture]) -> list[Gesture]:
-    """So many gestures, each the one that adds most to what the ones before it tell apart."""
+    """That many gestures; each one adds most to the distances that the ones before it reach."""
     chosen, so_far = [], np.zeros_like(evaluation.grams[0])
     for _ in range(count):
         squares, _ = contest.distances(made, evaluation, so_far + evaluation.grams)
@@ -336,7 +337,7 @@ def _rounds(duration: float) -> int:
 
 
 def _ordered(gestures: Sequence[Gesture], start: np.ndarray) -> list[Gesture]:
-    """Each next to the nearest that is left, from the start on: moves are short."""
+    """The postures ordered by nearest neighbour from the start, so that moves are short."""
     left, here, out = list(gestures), start, []
     while left:
         k = int(np.argmin([np.abs(g.centre - here).max() for g in left]))

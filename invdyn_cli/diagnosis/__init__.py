@@ -1,4 +1,4 @@
-"""From a measured log to what its simulation lacks: `diagnose(log, robot)`."""
+"""From a measured log to the effects that its simulation lacks: `diagnose(log, robot)`."""
 
 from invdyn_cli.diagnosis.case import Options
 from invdyn_cli.diagnosis.pipeline import diagnose

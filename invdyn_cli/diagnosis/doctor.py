@@ -1,7 +1,7 @@
-"""The doctor: is this log sane, what can be corrected in it, and what does it excite?
+"""The checks of a log: whether it is sound, what can be corrected, and what it excites.
 
-Checks are asked in turn, and each sees the log as those before it have corrected it: torques are judged when the clock
-and the units are right.
+Checks run one after the other, each on the log as corrected by those before it: torques are checked when the clock and
+the units are right.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,11 +53,11 @@ CHECKS: tuple[AbstractCheck, ...] = (
     ModelMismatch(),
     Description(),
 )
-"""In the order in which they are asked: what can be read at all, the clock, the motion, then the torque."""
+"""The checks in their order: what is readable, the clock, the motion, then the torque."""
 
 SEVERITIES = ("ok", "skipped", "note", "warn", "fail")
-"""ok: looked at, nothing seen; skipped: not looked at, `seen` says why; note: worth knowing; warn: it costs accuracy;
-fail: no physics before it is corrected."""
+"""ok: examined, nothing found; skipped: not examined, `seen` says why; note: useful to know; warn: it reduces accuracy;
+fail: the log must be corrected before it is diagnosed."""
 
 FAULT = "a fault of invdyn, not of the log"
 
@@ -65,7 +65,7 @@ FAULT = "a fault of invdyn, not of the log"
 def examine(log: Log, robot: Robot | None, checks: Sequence[AbstractCheck] = CHECKS) -> Examination:
     """What there is to say of a log; without a robot, what can be told without one.
 
-    `usable` is true where nothing that fails remains after correction, and the corrected log can be computed with.
+    `usable` is true if no failure remains after correction, and the corrected log can be computed with.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.
@@ -121,7 +121,7 @@ def done(examination: Examination) -> tuple[str, ...]:
 
 
 def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
-    """What a check says; one that numbers overwhelm says so instead of ending the examination."""
+    """The findings of a check; if a numerical failure ends it, a finding that says so."""
     try:
         return check.examine(log, robot)
     except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError) as error:
@@ -130,12 +130,12 @@ def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:
 
 
 def _correctable(found: Sequence[Check]) -> list[Check]:
-    """What a check may correct: its findings, but for those that tell of a fault of its own."""
+    """The findings that a check may correct: its own, except those about a failure of the check."""
     return [one for one in found if one.meaning != FAULT and one.severity not in ("ok", "skipped")]
 
 
 def _ordered(found: Sequence[Check]) -> tuple[Check, ...]:
-    """The gravest first; "nothing seen" once a name, and not where something was."""
+    """The most severe findings first; "nothing seen" once per check, and only if nothing was found."""
     told = {one.check for one in found if one.severity not in ("ok", "skipped")}
     kept = [one for one in found if one.severity != "ok" or (one.check not in told) or one.value is not None]
     lines, quiet = [], set()
@@ -149,7 +149,7 @@ def _ordered(found: Sequence[Check]) -> tuple[Check, ...]:
 
 
 def _worded(log: Log) -> tuple[Log, list[str]]:
-    """The log with words of its header that nobody knows put as unknown, and unmistakable spellings put right."""
+    """The log with unknown words in its header replaced by unknown, and obvious spellings corrected."""
     notes = []
     for word, allowed in (("torque_side", TORQUE_SIDES), ("position_side", POSITION_SIDES)):
         if getattr(log, word) not in allowed:
@@ -166,7 +166,7 @@ def _unreadable(error: LogError) -> Check:
         "not_finite",
         "fail",
         seen=error.got,
-        meaning="what remains cannot be computed with",
+        meaning="what remains cannot be used",
         advice=error.advice,
         source="arithmetic",
     )

@@ -1,6 +1,6 @@
-"""The better simulation: what a diagnosis found as an MJCF and a URDF, and replayed in MuJoCo beside the log.
+"""The better simulation: the findings as an MJCF and a URDF, and their replay in MuJoCo beside the log.
 
-Effects and simulation do not know each other: an effect says in plain numbers what a file holds of it.
+Effects and simulation do not import each other: an effect describes in plain numbers what a file contains of it.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ from invdyn_cli.types import Motion, Robot
 
 @dataclass(frozen=True)
 class Export:
-    """The extended model as text for simulators, and in sentences what each of them lacks; `urdf` is "" for a robot
-    that was made from none."""
+    """The extended model as text for simulators, and sentences on what each text lacks; `urdf` is "" for a robot that
+    was not made from one."""
 
     mjcf: str
     mjcf_lacks: tuple[str, ...]
@@ -43,7 +43,7 @@ def exported(model: ExtendedModel) -> Export:
 
 
 def _mjcf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
-    """The MJCF, and what it does not hold: a payload is a body of its own there, other bodies are the arm's."""
+    """The MJCF, and what it does not contain: a payload is a separate body there, other bodies belong to the arm."""
     parts, bodies = [], []
     for one in model.acting:
         terms = one.effect.in_simulator(one.parameters)
@@ -58,15 +58,16 @@ def _changed(robot: Robot, acting: Sequence[EffectInstance]) -> Robot:
 
 
 def _bare(robot: Robot) -> Robot:
-    """The robot without what <dynamics> tags say: a diagnosis does not count on them, and finds all friction anew."""
+    """The robot without the values of <dynamics> tags: a diagnosis ignores them, and finds all friction anew."""
     return replace(robot, damping=np.zeros(robot.dofs), friction=np.zeros(robot.dofs))
 
 
 def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     """The robot's URDF with other inertials, damping and friction, and what it does not hold.
 
-    Damping and friction are those that were found, whatever the file said before. A moving link's change stands on its
-    own <inertial>, also where the robot's row is the sum of several links that are fixed to each other.
+    Damping and friction are those that were found, and replace those of the file. The change of a moving link is
+    written into its own <inertial>, even if the robot's row is the sum of several links that are fixed to each
+    other.
     """
     robot, said = model.robot, []
     heavier = _changed(robot, [x for x in model.acting if not x.effect.passing])

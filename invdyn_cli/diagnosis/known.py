@@ -1,7 +1,7 @@
-"""What the user knows already: declared causes are taken as they are or allowed for, and not found again.
+"""What the user already knows: declared causes are used as given, or allowed for, and not found again.
 
-A reference, an earlier log of the same robot, is knowledge too: whatever both logs show alike is allowed for, and only
-what the new one shows beyond it is looked for.
+A reference, an earlier log of the same robot, is also knowledge: effects that both logs show alike are allowed for, and
+only changes are searched.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ COUNTS = {"com": 3, "moment": 3, "inertia": 6}
 
 
 def is_common(candidate: Candidate) -> bool:
-    """Whether an earlier log of the same robot is allowed to show it beside its nominal model: what is linear in its
+    """Whether an effect that an earlier log of the same robot shows is allowed for: those that are linear in their
     parameters, and the ripples that were found."""
     return not candidate.is_trial and (not candidate.shape or bool(candidate.effect.scanned))
 
@@ -98,8 +98,8 @@ def _numbers(effect: str, name: str, value: Any) -> Any:
 
 
 def allowed_for(pool: Sequence[Candidate], allowed: Sequence[tuple[str, int | None]]) -> tuple[Candidate, ...]:
-    """Candidates that are part of every hypothesis. Of a channel's trials it is the first, with what its parameters
-    change and without what it itself does."""
+    """Candidates that are part of every hypothesis. Of a channel's trials this is the first, with the change by its
+    parameters and without its own fixed effect."""
     made: dict[tuple, Candidate] = {}
     for c in pool:
         if is_allowed(c, allowed):
@@ -152,7 +152,7 @@ def timed(evidence: Evidence, facts: Sequence[EffectInstance]) -> tuple[Candidat
 def compared(
     evidence: Evidence, pool: Sequence[Candidate], reference: int
 ) -> tuple[tuple[Candidate, ...], list[Candidate]]:
-    """What both logs may show alike, and the candidates with columns that vanish on the reference's rows."""
+    """Effects that both logs may show alike, and the candidates with columns that vanish on the reference's rows."""
     always = []
     for c in pool:
         if is_common(c):

@@ -1,4 +1,4 @@
-"""Where in a log each finding of the doctor is: rows of the log as it was recorded, channel by channel."""
+"""Where in a log each finding of the checks is: rows of the log as recorded, channel by channel."""
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ CHANNELS = {
     "clock_jitter": "t", "gaps": "t", "duplicates": "t", "too_short": "t", "not_moving": "q", "saturation": "tau",
     "gravity_removed": "tau", "model_mismatch": "tau", "command_copies_measurement": "q_ref",
 }  # fmt: skip
-"""Of findings that do not name theirs."""
+"""Channel of the findings of a check that do not name one."""
 
 
 COUNTED = {
@@ -30,10 +30,10 @@ COUNTED = {
     "outliers": ("outlier", "outliers"),
     "gaps": ("gap", "gaps"),
 }
-"""Words after the number of rows, of gaps after their number."""
+"""Words after the number of rows; for gaps, after their number."""
 
 DERIVATIVES = {"fail": "not q's derivative", "note": "shifted against q's derivative"}
-"""What is said of a velocity or an acceleration, by severity."""
+"""Words for a defective velocity or acceleration, by severity."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def located(log: Log, robot: Robot | None, *, correct: bool = True) -> tuple[Log
     """The log as corrected, what the doctor says of it, and a mark for every finding that has a place in it; nothing is
     corrected where `correct` is False.
 
-    `rows` of the corrected trajectories says where their rows stood in the log as recorded.
+    `rows` of the corrected trajectories gives the numbers of their rows in the log as recorded.
 
     Raises:
         RobotError: if the robot has another number of joints than the log.
@@ -189,7 +189,7 @@ PLACES: dict[str, Place] = {
 
 
 def _at_rest(log: Log) -> Iterator[Mark]:
-    """Where joints that move elsewhere rest for two windows and more."""
+    """Where joints that move elsewhere rest for at least two windows."""
     for joint in range(len(log.joints)):
         rows = []
         for raw in log.trajectories:

@@ -1,4 +1,4 @@
-"""The noise floor: what no model can explain, from trajectories that were driven more than once."""
+"""The noise floor: the error that no model can avoid, from trajectories that were repeated."""
 
 from itertools import combinations
 
@@ -10,7 +10,7 @@ ALIKE = 0.02
 """Share of a joint's range by which two recordings of one motion may differ, RMS."""
 
 LATEST = 0.5
-"""[s] by which they may be shifted."""
+"""[s] Largest time shift between them."""
 
 
 def floor_of_repeats(recording: Recording) -> np.ndarray | None:

@@ -1,7 +1,7 @@
-"""Tests of what is left of every joint's torque: whether it goes with speed, angle, load, time and so on.
+"""Tests of every joint's residual: whether it depends on speed, angle, load, time and so on.
 
-A test is a handful of columns of the motion. Where a residual goes with them, every stretch of the log says so with the
-same sign (`statistics.coherence`); stretches are longer than noise remembers.
+A test is a few columns of the motion. If a residual depends on them, every stretch of the log shows it with the same
+sign (`statistics.coherence`); stretches are longer than the correlation time of the noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,23 +20,23 @@ from invdyn_cli.maths.statistics import autocorrelation_time, coherence
 from invdyn_cli.types import ResidualTest
 
 LEVEL = 0.01
-"""Chance that a log of noise fails any test, shared evenly among all tests of all joints (Bonferroni)."""
+"""Probability that a log of pure noise fails any test, divided equally among all tests of all joints (Bonferroni)."""
 
 MEMORY, SHORTEST, MOST, FEWEST = 4.0, 0.5, 200, 12
 """A stretch is so many autocorrelation times long, of what a test's columns leave, and so many seconds at least; there
 are no more and no fewer of them: of less nothing is said."""
 
 KNOTS = 8
-"""Hat functions over a quantity, at its quantiles."""
+"""Number of hat functions over a quantity, at its quantiles."""
 
 LAGS = (-0.15, -0.05, 0.0, 0.05, 0.1, 0.2, 0.4)
-"""[s] around an event: before it shows what is late, after it what yields or closes a gap."""
+"""[s] around an event: before it late torques show, after it compliance and the closing of play."""
 
 SWING = 0.05
-"""Of a quantity's usual size (its 90 % quantile), which it must pass on both sides to have changed its sign."""
+"""Share of a quantity's usual size (its 90 % quantile) that it must exceed on both sides for a change of sign."""
 
 BINS = 24
-"""Of a test's curve."""
+"""Number of bins of a test's curve."""
 
 
 class Basis(NamedTuple):
@@ -55,7 +55,7 @@ def residual_tests(
     effects: Iterable[AbstractEffect] = (),
     acting: Sequence[EffectInstance] = (),
 ) -> tuple[ResidualTest, ...]:
-    """Every test of every joint that moves, of what is left (R, n) of its torque.
+    """Every test of every moving joint's residual (R, n).
 
     Args:
         effects: the causes that a test may point at.
@@ -83,7 +83,7 @@ def residual_tests(
 
 
 def structured(tests: Sequence[ResidualTest], joints: Sequence[str]) -> np.ndarray:
-    """(n,) RMS torque of what goes with something in the residual of each joint, 0 where all tests passed."""
+    """(n,) RMS torque of the structured part of each joint's residual, 0 if all tests passed."""
     return np.array([max((x.torque for x in tests if x.joint == j and not x.passed), default=0.0) for j in joints])
 
 
@@ -194,7 +194,7 @@ def _around(x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray, q
 
 
 def _neighbours(evidence: Evidence, motion: Mapping[str, np.ndarray], j: int, used: np.ndarray) -> Basis:
-    """How the joints before and behind move; drawn over the velocity of the first of them."""
+    """The motion of the joints before and after; drawn over the velocity of the first of them."""
     near = [k for k in (j - 1, j + 1) if 0 <= k < evidence.dofs and np.ptp(motion["q"][used, k]) > 0]
     if not near:
         return Basis(np.zeros((len(used), 0)), np.zeros(len(used)), "")

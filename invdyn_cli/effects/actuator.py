@@ -1,4 +1,4 @@
-"""Drive and torque channel: what lies between the torque that is logged and the one that moves the joint."""
+"""Drive and torque channel: effects between the logged torque and the torque that moves the joint."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ from invdyn_cli.joints import NO_TIME, SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 SLOWEST = 0.05
-"""[s] A drive that is later than this could not be controlled at the bandwidth of an arm."""
+"""[s] Largest delay: with a larger one an arm could not be controlled at its usual bandwidth."""
 
 MOTOR_SIDES = ("motor", "command", "unknown")
 
 
 @dataclass(frozen=True)
 class RotorInertia(AbstractTorqueEffect):
-    """Inertia of the fast side of the gear; a sensor behind the gear does not feel it."""
+    """Inertia of the motor side of the gear; a sensor behind the gear does not measure it."""
 
     name = "rotor_inertia"
     title = "rotor inertia"
@@ -94,7 +94,7 @@ class TorqueOffset(AbstractTorqueEffect):
 
 @dataclass(frozen=True)
 class TorqueOffsetDrift(AbstractTorqueEffect):
-    """A zero that wanders while a trajectory lasts."""
+    """An offset that drifts during a trajectory."""
 
     name = "torque_offset_drift"
     title = "torque offset drift"
@@ -229,7 +229,7 @@ class ActuatorLag(AbstractChannelEffect):
         return [{"time_constant": x} for x in self.time_constants]
 
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        """First order on a torque that runs in straight lines between samples, exactly."""
+        """First-order response to a torque that is linear between samples, exactly."""
         x = parameters["time_constant"] * rate
         tau = np.asarray(tau)
         if x < 1e-9:
@@ -247,7 +247,7 @@ class ActuatorLag(AbstractChannelEffect):
 
 @dataclass(frozen=True)
 class TorqueSaturation(AbstractChannelEffect):
-    """A limit of current or torque that the log does not know of.
+    """A limit of current or torque that the log does not contain.
 
     Attributes:
         shares: of the samples that a tried limit would cut off.

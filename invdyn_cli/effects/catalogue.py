@@ -1,4 +1,4 @@
-"""The library of causes: every effect by its name, and the sets of them that theory allows to stand for one another."""
+"""The library of causes: every effect by its name, and the sets of effects that can, in theory, replace one another."""
 
 from collections.abc import Mapping
 
@@ -40,7 +40,8 @@ EFFECTS: Mapping[str, AbstractEffect] = {
 
 
 def may_be_ambiguous(effect: str, other: tuple[str, ...]) -> bool:
-    """Whether theory allows a set of effects to stand for an effect on some log, or the effect for the set."""
+    """Whether, in theory, a set of effects can explain the same log as an effect, or the effect the same log as the
+    set."""
     if other in EFFECTS[effect].confounders:
         return True
     return len(other) == 1 and other[0] in EFFECTS and (effect,) in EFFECTS[other[0]].confounders

@@ -1,7 +1,7 @@
 """A robot with effects on it: from a motion to the torque that is logged, effects composed in one fixed order.
 
-logged = channel(torque terms + forces + inverse dynamics of (changed bodies, true motion behind the gear)). What comes
-and goes is there with the weight of its window, 0 to 1.
+logged = channel(torque terms + forces + inverse dynamics of (changed bodies, true motion behind the gear)). An effect
+in a time window has the weight of its window, 0 to 1.
 """
 
 from collections.abc import Sequence
@@ -28,12 +28,13 @@ from invdyn_cli.maths import rigid_body
 from invdyn_cli.types import Array, Motion, Robot
 
 LEAST_INERTIA = 1e-6
-"""[kg m^2; kg] that a joint is taken to carry at least: behind a gear a link without mass would be nowhere."""
+"""[kg m^2; kg] Least inertia that a joint is assumed to carry: behind a gear, a link without mass has no defined
+position."""
 
 
 class TimeWindow(NamedTuple):
-    """The window of what comes and goes: trajectory, start and end [s] from its first sample; `number` tells several
-    such effects of a log apart."""
+    """The window in which an effect acts: trajectory, start and end [s] from its first sample; `number` distinguishes
+    several such effects of a log."""
 
     trajectory: str
     start: float
@@ -42,12 +43,12 @@ class TimeWindow(NamedTuple):
 
 
 LEAST = 1e-3
-"""Share of the largest inertia that a joint carries, below which none is."""
+"""Share of the largest inertia that a joint carries, below which an inertia counts as zero."""
 
 
 @dataclass(frozen=True)
 class EffectInstance:
-    """An effect at work: on a joint (None: the whole arm), with these parameters, in a window (None: always)."""
+    """An effect with its joint (None: the whole arm), its parameters, and its window (None: always)."""
 
     effect: AbstractEffect
     joint: int | None
@@ -56,12 +57,12 @@ class EffectInstance:
 
     @property
     def key(self) -> tuple:
-        """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
+        """The effect's name and its joint; for effects in a time window also their number."""
         return self.effect.name, self.joint, *(() if self.when is None else (self.when.number,))
 
 
 def identity(acting: Sequence[EffectInstance]) -> tuple:
-    """What is the same for the same effects with the same parameters, to keep results by."""
+    """A key that is equal for equal effects with equal parameters, to cache results."""
     return tuple(
         (a.effect.name, a.joint, a.when, *((k, np.asarray(v).tobytes()) for k, v in a.parameters.items()))
         for a in acting
@@ -78,7 +79,7 @@ class Span:
 
 
 def weight(when: TimeWindow | None, stretch: Span) -> np.ndarray | float:
-    """How much (T,) of an effect is there: 1 in its window, 0 elsewhere, straight lines of a sample between."""
+    """Weight (T,) of an effect: 1 in its window, 0 elsewhere, linear over one sample in between."""
     if when is None:
         return 1.0
     if stretch.trajectory != when.trajectory:
@@ -138,7 +139,8 @@ def link_torque(
 
 
 def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stretch: Span) -> np.ndarray:
-    """Torque (n, T) that moves the links of a robot along their motion, with what comes and goes among `acting`."""
+    """Torque (n, T) that moves the links of a robot along their motion, with the effects in time windows among
+    `acting`."""
     torque = bare = rigid_torque(robot, motion)
     for one in acting:
         share = weight(one.when, stretch)
@@ -152,7 +154,8 @@ def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stre
 
 
 def _behind(one: EffectInstance, motion: Motion, torque: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
-    """The motion (n, T) of the links behind a gear that yields to all that they carry, torque (n, T), inertia (T,)."""
+    """The motion (n, T) of the links behind a compliant gear that transmits the torque (n, T) and carries the inertia
+    (T,)."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
     inertia = np.maximum(
         inertia, max(LEAST * np.abs(inertia).max(), LEAST_INERTIA)
@@ -173,8 +176,8 @@ def inertia_column(robot: Robot, q: Array, joint: int) -> np.ndarray:
 def joint_terms(
     acting: Sequence[EffectInstance], joint: int, states: Sequence[JointState], parents: Sequence[int]
 ) -> list[Array]:
-    """What each torque effect that a joint feels adds, shape of the arrays of the joints' `states`; those of coupled
-    effects are of `in_chain`."""
+    """The term of each torque effect that acts on a joint, in the shape of the arrays of the joints' `states`; coupled
+    effects are those of `in_chain`."""
     made = []
     for one in acting:
         share = shares(one, parents).get(joint)
@@ -185,7 +188,7 @@ def joint_terms(
 
 
 def shares(one: EffectInstance, parents: Sequence[int]) -> dict[int | None, float]:
-    """What share of a torque or channel effect its joint feels, and the one before it where their gear is coupled."""
+    """The share of a torque or channel effect on its own joint, and on the one before it if their gear is coupled."""
     if not one.effect.coupled or not isinstance(one.effect, AbstractTorqueEffect):
         return {one.joint: 1.0}
     assert one.joint is not None
@@ -204,12 +207,12 @@ def in_chain(states: Sequence[JointState], parents: Sequence[int]) -> list[Joint
 
 
 def channels(acting: Sequence[EffectInstance]) -> list[EffectInstance]:
-    """Those among `acting` that stand between the logged and the delivered torque."""
+    """The effects among `acting` between the logged and the delivered torque."""
     return [one for one in acting if isinstance(one.effect, AbstractChannelEffect)]
 
 
 def delivered(acting: Sequence[EffectInstance], joint: int, tau: Array, rate: float) -> Array:
-    """What reaches a joint of a logged torque (T,) at `rate` [Hz]; windows do not count."""
+    """The torque (T,) that reaches a joint if this torque is logged, at `rate` [Hz]; time windows are ignored."""
     for one in acting:
         if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:
             tau = one.effect.delivered(one.parameters, tau, rate)
@@ -217,7 +220,7 @@ def delivered(acting: Sequence[EffectInstance], joint: int, tau: Array, rate: fl
 
 
 def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: Span) -> Array:
-    """What is logged where tau (T, …) reaches a joint."""
+    """The torque that is logged if tau (T, …) reaches a joint."""
     for one in acting:
         if isinstance(one.effect, AbstractChannelEffect) and one.joint == joint:
             logged = one.effect.logged(one.parameters, tau, stretch.rate)
@@ -227,16 +230,17 @@ def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: S
 
 
 def sign_of(qd: Array, width: Array | float) -> Array:
-    """sign(qd) with a straight line through zero, `width` [rad/s] to either side."""
+    """sign(qd), but linear within `width` [rad/s] of zero."""
     return qd.__array_namespace__().clip(qd / width, -1, 1)
 
 
 PART = 1024
-"""Samples of a part: a log's pieces are some thousand samples long, and their last part is padded."""
+"""Samples of a part: the pieces of a log have some thousand samples, and the last part is padded."""
 
 
 def chunked(function, *arrays: np.ndarray) -> np.ndarray:
-    """A jitted function of (n, T) arrays in parts of one length (one compilation), joined along the last axis."""
+    """A jitted function of (n, T) arrays, applied to parts of one length (one compilation) and joined along the last
+    axis."""
     total = arrays[0].shape[-1]
     out = []
     for start in range(0, total, PART):
@@ -262,7 +266,8 @@ def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
 
 
 class _Static:
-    """What of a robot is not an array, compared by value: two robots that differ in arrays alone share a program."""
+    """The fields of a robot that are not arrays, compared by value: robots that differ only in arrays share a compiled
+    program."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot

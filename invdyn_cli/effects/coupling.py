@@ -1,4 +1,4 @@
-"""Coupled gears: a drive that the joint before its own turns as well.
+"""Coupled gears: drives that are also turned by the joint before their own.
 
 Where the motor of a joint sits behind the joint before it, and its shaft or bevel gear runs through that one, both
 joints turn it: wrists of the Stäubli RX and TX arms (joints 5 and 6), differential wrists, parallelograms. Friction and
@@ -16,15 +16,15 @@ from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 LEAST_RATIO = 0.2
-"""Of the joint's own speed: a drive that the other joint turns less than this is as good as the joint's own."""
+"""Share of the joint's own speed: below it, the other joint hardly turns the drive."""
 
 NONE = 0.1
-"""Of all parts at 1 rad/s and 1 rad/s^2: a part that is negative by less than this is an estimate of none."""
+"""Share of all parts at 1 rad/s and 1 rad/s^2: a negative part that is smaller is an estimate of zero."""
 
 
 @dataclass(frozen=True)
 class CoupledFriction(AbstractTorqueEffect):
-    """Friction and inertia of a drive that runs with qd + ratio qd_driver; the driver is the joint before its own in
+    """Friction and inertia of a drive that turns with qd + ratio qd_driver; the driver is the joint before its own in
     the chain, through which the shaft passes.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""extended_model.json <-> a robot with effects on it, usable at once: `invdyn-model/1`."""
+"""extended_model.json <-> a robot with effects, ready to use: `invdyn-model/1`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -27,12 +27,12 @@ from invdyn_cli.types import Array, Motion, Robot
 
 SCHEMA = "invdyn-model/1"
 SHARP = 1e-3
-"""[rad/s] Within it sign(qd) runs straight through zero."""
+"""[rad/s] Within it sign(qd) is replaced by a straight line through zero."""
 
 
 @dataclass(frozen=True)
 class ExtendedModel:
-    """A nominal robot, and what a diagnosis found beside it.
+    """A nominal robot, and the effects that a diagnosis found.
 
     Attributes:
         robot: the nominal robot.
@@ -49,8 +49,8 @@ class ExtendedModel:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, motion: Motion, t: Array | float = 0.0) -> Array:
-        """Torque (n,) of one sample, without what a single sample cannot show: delay, lag, gear, what comes and goes;
-        bristles are bent to their end. Pure jax."""
+        """Torque (n,) of one sample, without effects that a single sample cannot show: delay, lag, gears, time windows;
+        hysteresis is fully developed. Pure jax."""
         body = body_torque(self.robot, self.acting, motion)
         out, states, parents = [], [], self.robot.parents
         for j in range(self.robot.dofs):
@@ -69,7 +69,7 @@ class ExtendedModel:
     def predict(
         self, q: Array, qd: Array, qdd: Array, t: Array | None = None, trajectory: str | None = None
     ) -> np.ndarray:
-        """Logged torque (T, n) [N m; N] of one recording (T, n), with all that has a memory.
+        """Logged torque (T, n) [N m; N] of one recording (T, n), including all effects with a memory.
 
         Args:
             t: (T,) [s]; None: the clock that makes qd the derivative of q.
@@ -172,7 +172,7 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
 
 
 def driver_name(one: EffectInstance, robot: Robot) -> dict[str, str]:
-    """Which joint drives the gear of a coupled effect, by its name; nothing of any other."""
+    """The name of the joint that drives the gear of a coupled effect; empty for other effects."""
     joints = [robot.joints[j] for j in list(shares(one, robot.parents))[1:] if j is not None]
     return {"driver": joints[0]} if joints else {}
 

@@ -1,6 +1,6 @@
-"""Friction: what a joint's own motion costs, in its many shapes.
+"""Friction: torques that depend on a joint's own motion.
 
-Sizes are those of the logged side. sign(qd) comes with the state: whoever makes it decides how it crosses zero.
+Sizes refer to the logged torque. sign(qd) is part of the state, which defines how it crosses zero.
 """
 
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ from invdyn_cli.types import Array
 ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 1994"
 
 STICK_TIME = 0.005
-"""[s] A joint that turns back sticks for some milliseconds, in which its friction is anything between; and it turns
-back some milliseconds before or after the logged angle says so. `about_reversals` allows for both."""
+"""[s] At a reversal a joint sticks for some milliseconds, in which its friction is indeterminate, and it reverses some
+milliseconds before or after the logged angle does. `about_reversals` allows for both."""
 
 REVERSAL_COLUMNS = 2
 """As many as `about_reversals` makes."""
@@ -31,7 +31,7 @@ def about_reversals(jump: Array, rate: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 LEAST_DROP = 1.1
-"""Of the Coulomb level, what the static one is at least in any gear that has two."""
+"""Smallest ratio of static to Coulomb level of a gear that has Stribeck friction."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class CoulombFriction(AbstractTorqueEffect):
 
 @dataclass(frozen=True)
 class AsymmetricCoulombFriction(AbstractTorqueEffect):
-    """Another constant in either direction: Coulomb friction and an offset, which nothing in the motion parts."""
+    """A different constant in each direction: Coulomb friction and an offset, which no motion distinguishes."""
 
     name = "asymmetric_coulomb_friction"
     title = "asymmetric Coulomb friction"
@@ -212,7 +212,8 @@ class StribeckFriction(AbstractTorqueEffect):
         return 0.02 < shape["velocity"] < 0.1
 
     def is_plain(self, parameters: Parameters, state: JointState) -> bool:
-        """Its velocity is beyond what a joint gains while it sticks, and its drop is one that gears have."""
+        """Its Stribeck velocity is above the speeds that a joint has while it sticks, and the drop of its friction is
+        one that gears have."""
         gained = STICK_TIME * float(np.std(state.qdd))
         return parameters["velocity"] > gained and parameters["static"] > LEAST_DROP * parameters["coulomb"]
 

@@ -1,7 +1,7 @@
-"""Gear: what lets the link move against the motor, gear play and elasticity.
+"""Gear: play and elasticity, which let the link move relative to the motor.
 
-The motor's angle is logged; the link follows it with a deflection, and the motor feels the inverse dynamics of the
-link's motion. Load is the torque that would keep the link on the motor's motion.
+The motor's angle is logged; the link's angle is that plus a deflection, and the motor carries the inverse dynamics of
+the link's motion. Load is the torque that would keep the link on the motor's motion.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 STRETCH = 128
-"""Samples of a spring's course that are followed side by side with others."""
+"""Samples of a stretch of a spring's motion; all stretches are computed in parallel."""
 
 USUAL_GAP, USUAL_RESONANCE = 0.003, 12.0
 """[rad; m] of play of an ordinary gear, 10 minutes of arc; and [Hz] of a link on its joint's spring, motor held."""
@@ -27,8 +27,8 @@ then takes that much of the link's speed against it."""
 
 @dataclass(frozen=True)
 class Backlash(AbstractGearEffect):
-    """Play of the gear: where the transmitted torque changes its sign the link falls free until the other flank of the
-    teeth takes it up.
+    """Play of the gear: where the transmitted torque changes its sign, the link moves freely until it reaches the other
+    flank of the teeth.
 
     Attributes:
         gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
@@ -63,7 +63,7 @@ class Backlash(AbstractGearEffect):
 
 @dataclass(frozen=True)
 class JointElasticity(AbstractGearEffect):
-    """A gear that yields: a spring between motor and link.
+    """A compliant gear: a spring between motor and link.
 
     Attributes:
         resonances: of the link on its spring, motor held, to try [Hz]; the found stiffness is refined between them.
@@ -160,8 +160,8 @@ def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: f
 
 
 def _followed(change: np.ndarray, drift: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """States (m, T) of x[t + 1] = change[t] x[t] + drift[t] for change (m, m, T) and drift (m, T) from a start (m,):
-    stretches side by side from zero and from every unit, and then one behind the other."""
+    """States (m, T) of x[t + 1] = change[t] x[t] + drift[t], for change (m, m, T) and drift (m, T), from a start (m,):
+    all stretches are first computed in parallel from zero and from unit states, then joined one after the other."""
     m, samples = drift.shape
     count = -(-samples // STRETCH)
     step = np.zeros((m, m + 1, count * STRETCH))

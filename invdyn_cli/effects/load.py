@@ -1,4 +1,4 @@
-"""Bodies, mounting and encoders: what makes all joints feel another arm."""
+"""Bodies, mounting and encoders: effects that act on all joints."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ STILL = np.zeros(3)
 
 @dataclass(frozen=True)
 class Payload(AbstractBodyEffect):
-    """A body on the last link that the model does not know: tool, gripper, object.
+    """A body on the last link that the model does not contain: tool, gripper, object.
 
     `inertia` (xx, xy, yy, xz, yz, zz) about its centre of mass is what it has beyond a point mass. A negative mass is
     kept for the search: it is then no payload, but a link that is lighter than its model.
@@ -66,7 +66,8 @@ class Payload(AbstractBodyEffect):
 
 @dataclass(frozen=True)
 class LinkInertiaError(AbstractBodyEffect):
-    """Other inertials of one link than the model has. Only base parameters show; what does not stays as it was."""
+    """Other inertials of one link than in the model. Only base parameters are identifiable; the others stay as in the
+    model."""
 
     name = "link_inertia_error"
     title = "link inertia error"
@@ -116,7 +117,7 @@ class LinkInertiaError(AbstractBodyEffect):
 
 @dataclass(frozen=True)
 class BaseTilt(AbstractBodyEffect):
-    """Gravity from another direction than the model's: the base does not stand as it should."""
+    """Gravity in another direction than in the model: the base is not mounted as the model says."""
 
     name = "base_tilt"
     title = "base tilt"
@@ -171,7 +172,7 @@ class BaseTilt(AbstractBodyEffect):
 
 @dataclass(frozen=True)
 class EncoderOffset(AbstractMotionEffect):
-    """A joint's zero that is off."""
+    """A wrong zero position of a joint."""
 
     name = "encoder_offset"
     title = "encoder offset"
@@ -226,7 +227,7 @@ def _added(robot: Robot, link: int, change: Sequence[Any]) -> Robot:
 
 
 def _each(vector: Any, count: int) -> tuple[Any, ...]:
-    """The numbers of a vector, traced or not."""
+    """The numbers of a vector, which may be traced by jax."""
     return tuple(vector[i] for i in range(count))
 
 
@@ -235,7 +236,7 @@ def _length(robot: Robot) -> float:
 
 
 def _sideways(down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across the nominal direction of gravity."""
+    """Two unit vectors perpendicular to the nominal direction of gravity."""
     down = down / np.linalg.norm(down)
     first = np.eye(3)[np.argmin(np.abs(down))]
     first = first - down * (first @ down)

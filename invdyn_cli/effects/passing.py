@@ -1,4 +1,4 @@
-"""What comes and goes: effects that act in a window of time, which is found with them."""
+"""Effects that act in a time window, which is estimated with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _LOAD, _GAIN = Payload(), TorqueGainError()
 
 @dataclass(frozen=True)
 class PayloadChange(AbstractBodyEffect):
-    """A body that is taken up and put down."""
+    """A body that is picked up and released."""
 
     name = "payload_change"
     title = "payload change"
@@ -54,7 +54,7 @@ class PayloadChange(AbstractBodyEffect):
 
 @dataclass(frozen=True)
 class TorqueGainChange(AbstractChannelEffect):
-    """A drive that gives more or less than before: weakened, derated, at another temperature."""
+    """A drive that gives more or less torque than before: weakened, derated, at another temperature."""
 
     name = "torque_gain_change"
     title = "torque gain change"
@@ -81,10 +81,8 @@ class TorqueGainChange(AbstractChannelEffect):
 
 @dataclass(frozen=True)
 class ExternalContact(AbstractForceEffect):
-    """A force that something outside exerts on the arm, constant in the base frame, at the origin of a joint's frame.
-
-    Joints whose axes meet there feel the same whichever of their frames it acts on: the outermost of them is named.
-    """
+    """A force on the arm from outside, constant in the base frame, at the origin of a joint's frame. If the axes of
+    several joints meet there, the force is the same for all their frames: the outermost joint is named."""
 
     name = "external_contact"
     title = "external contact"

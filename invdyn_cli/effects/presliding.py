@@ -12,16 +12,16 @@ from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
 USUAL_LENGTH = 0.005
-"""[rad; m] after which two thirds of the friction of bent bristles are there."""
+"""[rad; m] Distance after which two thirds of the friction are reached."""
 
 SHORTEST = 1e-9
-"""[rad] of the way on which bristles bend: shorter ones are none."""
+"""[rad] Shortest bending distance of the bristles."""
 
 
 @dataclass(frozen=True)
 class PreslidingHysteresis(AbstractTorqueEffect):
-    """Friction with a memory: bristles that bend before they slide. What it is depends on the way since the joint last
-    turned back, not on speed; after coulomb/stiffness [rad] of it two thirds of the level are there.
+    """Friction with a memory: bristles that bend before they slide. It depends on the distance since the joint last
+    reversed, not on speed; after coulomb/stiffness [rad] two thirds of the level are reached.
 
     Attributes:
         lengths: coulomb/stiffness to try [rad]; the found one is refined between them.
@@ -75,7 +75,8 @@ class PreslidingHysteresis(AbstractTorqueEffect):
 
 
 TREMBLE = 0.02
-"""Of that way, what a joint must go back before it has turned: noise that adds up at rest bends nothing."""
+"""Share of that distance by which a joint must go back to count as reversed, so that encoder noise at rest has no
+effect."""
 
 
 def _bristle(state: JointState, length: float) -> Array:

@@ -12,7 +12,7 @@ from invdyn_cli.maths import ripple
 from invdyn_cli.types import Array
 
 PERIODS = 1.5
-"""Of a ripple within the joint's motion, at least."""
+"""Least number of periods of a ripple within the joint's motion."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class TorqueRipple(AbstractTorqueEffect):
         return ()
 
     def is_plain(self, parameters: Parameters, state: JointState) -> bool:
-        """It has periods: fewer are any bend of the torque over the angle."""
+        """Whether it has enough periods: fewer look like any curve of the torque over the angle."""
         return parameters["cycles"] * float(np.ptp(state.q)) > 2 * np.pi * PERIODS
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:

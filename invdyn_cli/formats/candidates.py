@@ -1,4 +1,5 @@
-"""The columns of a file in groups that may each be one channel: one quantity, one kind of name, a column a joint."""
+"""The columns of a file in groups, each of which may be one channel: one quantity, one kind of name, one column per
+joint."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -43,5 +44,5 @@ def in_order(joints: dict[str, str]) -> list[str]:
 
 
 def ranged(names: Sequence[str]) -> str:
-    """How columns are called in a line: the first and the last."""
+    """The first and the last column's name, for a message."""
     return names[0] if len(names) == 1 else f"{names[0]}:{names[-1]}"

@@ -1,6 +1,6 @@
 """The column map: which columns of a file are which channels of a log, in which units and signs, and how that is known.
 
-A map may be partial: what it does not say `guess.complete` guesses or asks for. `log_from` applies a complete one.
+A map may be partial: `guess.complete` guesses missing entries or asks for them. `log_from` applies a complete one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from invdyn_cli.log import CHANNELS, Log, RawTrajectory
 from invdyn_cli.logfile import LONGEST_NAME
 
 NONE = "none"
-"""As the only column of a channel: the file has none."""
+"""In place of the columns of a channel: the file does not contain this channel."""
 
 GIVEN = "given"
 
@@ -40,7 +40,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """What a file's columns mean, and what a log says beside them. Empty values are not said.
+    """What a file's columns mean, and the attributes of its log. Empty values are not given.
 
     Attributes:
         channels: by the log's name: "t", "q", "tau", "qd", "qdd", "q_ref", "q_link".
@@ -68,12 +68,12 @@ class ColumnMap:
     notes: tuple[str, ...] = ()
 
     def channel(self, name: str) -> Channel:
-        """A channel, empty where nothing is said of it."""
+        """A channel; an empty one if the map does not mention it."""
         return self.channels.get(name, Channel())
 
 
 def numbered(n: int) -> tuple[str, ...]:
-    """What joints are called that a file does not name."""
+    """Names of joints that a file does not name."""
     return tuple(f"joint_{k}" for k in range(1, n + 1))
 
 
@@ -113,7 +113,7 @@ def log_from(where: str, tables: Sequence[Table], columns: ColumnMap) -> Log:
     if current and not set(tau.unit) <= set(CURRENTS):
         raise UsageError(f"tau.unit={list(tau.unit)}; allowed: torques, or currents, on all joints")
     if columns.drive_gain and not current:
-        raise UsageError("drive_gain is given, but tau is no current", advice="tau.unit=A")
+        raise UsageError("drive_gain is given, but tau is not a current", advice="tau.unit=A")
     gain = each("drive_gain", columns.drive_gain, len(columns.joints)) if columns.drive_gain else None
     return Log(
         robot=columns.robot or "robot",

@@ -13,10 +13,10 @@ from invdyn_cli.formats.units import canonical
 
 DELIMITERS = (";", "\t", ",", " ")
 SAMPLE = 200
-"""Lines from which the delimiter is told."""
+"""Number of lines from which the delimiter is determined."""
 
 MOST_BAD = 0.1
-"""Share of rows that may be left out; beyond, the file was not understood."""
+"""Share of rows that may be left out; with more, the file was probably misread."""
 
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)", re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
@@ -52,7 +52,7 @@ def read(path: Path, limit: float) -> tuple[Table, ...]:
 
 
 def _table(path: Path, names: Sequence[str], rows: list[tuple[int, list[str]]], comma: bool) -> Table:
-    """Columns of numbers and times; rows with other cells in them, or more or fewer, are left out and told."""
+    """Columns of numbers and times; rows with other contents or another number of cells are left out, with a note."""
     total, first_bad = len(rows), ""
     whole = [(k, row) for k, row in rows if len(row) == len(names)]
     if len(whole) < total:
@@ -138,7 +138,7 @@ def _times(path: Path, name: str, cells: Sequence[str]) -> np.ndarray:
 
 
 def _numbers(cells: Sequence[str], comma: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers (T,) of a column, and which cells (T,) are none; empty cells are NaN."""
+    """The numbers (T,) of a column, and which cells (T,) are not numbers; empty cells are NaN."""
     text = [cell.replace(",", ".") for cell in cells] if comma else list(cells)
     bad = np.zeros(len(text), bool)
     try:

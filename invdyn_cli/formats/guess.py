@@ -1,7 +1,7 @@
 """Completes a column map: what the user did not say is guessed from the format, the names and the values of columns.
 
-A guess is made only where one reading is left. Where several are left, an optional channel is left out with a note,
-and a necessary one is asked for: all questions of a file stand in one line.
+A guess is made only if a single reading remains. If several remain, an optional channel is left out with a note, and a
+necessary one is asked for: all questions of a file are in one line.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ OPTIONAL = ("qd", "qdd", "q_ref", "q_link")
 
 
 def complete(where: str, table: Table, given: ColumnMap) -> ColumnMap:
-    """The map with all that a log needs.
+    """The map with everything that a log needs.
 
     Raises:
         LogError: one line with everything that the file leaves open, or for columns that it does not have.
@@ -165,8 +165,8 @@ class _Guess:
         return one.joint if one.quantity else ""
 
     def choose(self, channel: str, quantity: str = "", *, commanded: bool = False) -> dict[str, str]:
-        """The columns of a channel by joint, those of the joints of `q` once these are known; {} for none, or where
-        several remain, which is asked or noted."""
+        """The columns of a channel, one per joint of `q` once these are known; {} if there are none, or if several
+        readings remain, which leads to a question or a note."""
         found = [
             c
             for c in self.candidates
@@ -201,7 +201,7 @@ class _Guess:
         return {}
 
     def by_derivatives(self) -> dict[str, str]:
-        """The positions of a file without names: the block whose derivative is the block behind it."""
+        """The positions of a file without names: the block of columns whose derivative is the next block."""
         names = [x for x in self.table.columns if x not in self.channels.get("t", Channel()).columns]
         if self.clock is None or any(meaning(x).quantity in ("q", "qd", "tau") for x in names):
             return {}
@@ -233,7 +233,7 @@ class _Guess:
         self.unit("tau", self.torque, "tau.unit='N m'|A|mA|percent")
 
     def no_torques(self) -> None:
-        """Columns without names may be torques; else the file has none, and the log says so."""
+        """Columns without names may be torques; otherwise the file has none, and a note says so."""
         used = {x for one in self.channels.values() for x in one.columns}
         rest = [x for x in self.table.columns if x not in used and not meaning(x).quantity]
         if any(meaning(x).quantity for x in self.table.columns) or len(rest) < len(self.joints):
@@ -291,7 +291,7 @@ class _Guess:
             self.ask(f"the unit of {name}, {ranged(list(one.columns))} (largest {largest:.4g})", option)
         else:
             del self.channels[name]
-            why = "its values do not tell its unit beside q's"
+            why = "its unit does not follow from its values and those of q"
             self.notes.append(f"{name} ({ranged(list(one.columns))}) is left out: {why}; {name}.unit=… takes it.")
 
     def angle(self, name: str, matrix: np.ndarray) -> str | None:
@@ -353,7 +353,7 @@ class _Guess:
                 self.notes.append(f"{said}; tau.full_scale=[…], N m at 100 percent, gives torques.")
             return "motor"
         if any(x.word in ("effort", "efforts") for x in read) and self.known.get("tau.unit") != GIVEN:
-            self.notes.append("Some drivers publish currents as effort; if this one does, tau.unit=A says so.")
+            self.notes.append("Some drivers publish currents as effort; if this one does, say tau.unit=A.")
         said = "The torque side is unknown; it decides which effects the log can show. Say where it was measured:"
         self.notes.append(
             f"{said} 'data.columns={{torque_side: motor}}', or link, command (convert: torque_side=motor)."

@@ -17,7 +17,7 @@ from invdyn_cli.untrusted import read_text
 
 TEXTS = ("robot_name", "urdf", "torque_side", "position_side", "origin", "licence", "topic")
 FIELD = {"robot_name": "robot", "origin": "source"}
-"""Entries that a log calls otherwise: robot and source are other things on the command line."""
+"""Entries with another name than in a log, because robot and source mean other things on the command line."""
 
 SIDES = {"torque_side": TORQUE_SIDES, "position_side": POSITION_SIDES}
 ENTRIES = (*TEXTS, "joints", "rate", "drive_gain", "time", *CHANNELS)
@@ -25,7 +25,7 @@ FIELDS = ("columns", "unit", "sign", "full_scale")
 
 
 class _Plain(yaml.SafeLoader):
-    """Safe YAML without references, with which a small file can stand for a huge one."""
+    """Safe YAML without references, because with them a small file can expand to a huge one."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.events.AliasEvent):
@@ -93,7 +93,7 @@ def from_plain(tree: Mapping[Any, Any], where: str, folder: Path = Path()) -> Co
 
 
 def merged(first: ColumnMap, second: ColumnMap) -> ColumnMap:
-    """The entries of `second`, and where it says nothing those of `first`."""
+    """The entries of `second`, completed by those of `first`."""
     empty = ColumnMap()
     own = {name: value for name, value in vars(second).items() if value != getattr(empty, name)}
     channels = dict(first.channels)

@@ -14,7 +14,7 @@ from invdyn_cli.formats.table import Table, from_arrays, refuse_size
 
 COMPRESSED, HEADER, PIECE = 15, 128, 1 << 20
 DEEPEST = 5
-"""Structures in structures whose fields are read."""
+"""Depth of nested structures whose fields are read."""
 
 
 def read(path: Path, limit: float) -> tuple[Table, ...]:

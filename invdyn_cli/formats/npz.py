@@ -27,7 +27,7 @@ def read(path: Path, limit: float) -> tuple[Table, ...]:
 
 
 def _array(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """One array, whose header claims no more than the archive holds of it."""
+    """One array, if its header does not declare more data than the archive contains."""
     with archive.open(entry) as file:
         version = np.lib.format.read_magic(file)
         header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

@@ -20,7 +20,7 @@ CHANNELS = {
     "observation.torque": Told("tau", unit=ASK),
     "observation.current": Told("tau", unit=ASK),
 }
-"""What LeRobot calls a log's channels. It defines no units: degrees, or percent of a joint's range."""
+"""LeRobot's names of a log's channels. It defines no units: they may be degrees, or percent of a joint's range."""
 
 BY = "LeRobot's names"
 

@@ -21,7 +21,7 @@ BAGS = (".bag", ".db3", ".mcap")
 KINDS = "csv, tsv, txt, npz, mat, parquet, bag, db3, mcap, the folder of a ROS 2 bag or of a LeRobot dataset"
 
 FEWEST = 3
-"""Rows of a recording: with fewer there are no steps to compare."""
+"""Least number of rows of a recording: with fewer there are no steps to compare."""
 
 Columns = str | Path | Mapping[str, Any] | None
 """A column map: the path of a YAML file, its entries, or None: all is guessed."""
@@ -140,6 +140,6 @@ def trajectory_names(path: str | Path, columns: Columns = None, limit: float = h
 
 
 def _stamp(path: Path) -> tuple:
-    """What changes when a file, or a file in a folder, does."""
+    """A value that changes when the file, or a file in the folder, changes."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return tuple((str(x), s.st_mtime_ns, s.st_size) for x in files if x.is_file() for s in (x.stat(),))

@@ -1,7 +1,8 @@
 """Two ROS messages from their bytes: sensor_msgs/JointState and control_msgs/JointTrajectoryControllerState.
 
-They are read by this file alone: a library would make Python code of the definitions that a bag brings. Of the second
-message only the beginning is read, the same in all releases of ROS: header, names, commanded and measured point.
+They are decoded here, because a library would make Python code of the definitions that a bag contains. Of the second
+message only the beginning is read, which is the same in all releases of ROS: header, names, commanded and measured
+point.
 """
 
 from collections.abc import Mapping

@@ -54,7 +54,7 @@ def read(path: Path, limit: float, topic: str = "") -> tuple[Table, ...]:
 
 @contextmanager
 def _opened(path: Path, ros1: bool) -> Iterator[Any]:
-    """The bag, opened by the library; its failures as ours."""
+    """The bag, opened by the library; its errors are raised as LogError."""
     try:
         from rosbags import rosbag1, rosbag2
     except ImportError:
@@ -80,7 +80,7 @@ def _refuse_compressed(path: Path) -> None:
 
 
 def _topic(path: Path, bag: Any, topic: str) -> list[Any]:
-    """The connections of the topic that is asked for, or of the only one with joint states."""
+    """The connections of the requested topic, or of the only one with joint states."""
     usable = [x for x in bag.connections if x.msgtype.rpartition("/")[2] in READERS]
     names = sorted({shortened(x.topic, 200) for x in usable})
     states = sorted({x.topic for x in usable if x.msgtype.endswith(JOINT_STATE)})

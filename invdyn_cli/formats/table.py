@@ -1,4 +1,4 @@
-"""What every format is read into: named columns of one recording, and what the format itself says of them."""
+"""The result of every reader: named columns of one recording, and what the format itself defines about them."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -10,7 +10,7 @@ import numpy as np
 from invdyn_cli.errors import LogError
 
 ASK = "?"
-"""A unit that neither the file nor its values can tell: the user is asked for it."""
+"""A unit that follows neither from the file nor from its values: the user is asked for it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the numbers of columns tell where their names do not: clocks, derivatives, units. None: they do not tell."""
+"""What the values of columns show if their names do not: clocks, derivatives, units. None: they do not show it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -81,7 +81,8 @@ def matching(ratio: float | None, factors: Mapping[str, float]) -> str | None:
 
 
 def follows(x: np.ndarray, y: np.ndarray) -> bool:
-    """Whether y (T, n) is a command of x (T, n) in the same unit: far nearer to x than x is spread."""
+    """Whether y (T, n) is a command for x (T, n) in the same unit: its distance to x is much smaller than the spread of
+    x."""
     spread, off = np.nanstd(x, axis=0), np.sqrt(np.nanmean((y - x) ** 2, axis=0))
     return bool((spread > 0).any() and np.median(off[spread > 0] / spread[spread > 0]) < 0.5)
 

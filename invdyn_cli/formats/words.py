@@ -1,4 +1,4 @@
-"""What the name of a column says: which quantity, of which joint, in which unit, measured or commanded."""
+"""What the name of a column says: quantity, joint, unit, and whether it is measured or commanded."""
 
 import re
 from dataclasses import dataclass
@@ -100,7 +100,7 @@ def _unit(words: list[str], quantity: str) -> tuple[str, set[int]]:
 
 
 def _joint(text: str, tokens: list[tuple[str, int, int]], kept: list[int]) -> str:
-    """The name of the joint as it is written: what is left of a name, with "joint" where it stands beside it."""
+    """The name of the joint as it is written: the rest of a name, with "joint" if it stands beside it."""
     if not kept:
         return ""
     if all(tokens[i][0].isdigit() for i in kept):

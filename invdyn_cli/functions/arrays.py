@@ -56,7 +56,7 @@ def from_arrays(
 ) -> Log:
     """A log of one recording.
 
-    Values are taken as they are, NaN and repeated times too: `check` describes such defects.
+    Values are not changed, not even NaN and repeated times: `check` describes such defects.
 
     Args:
         q, tau: (T, n) positions [rad; m] and torques [N m; N, or A].
@@ -160,7 +160,8 @@ def _refuse_shapes(channels: dict[str, np.ndarray], clock: np.ndarray, *, timed:
 
 
 def _is_transposed(shape: tuple[int, ...], rows: int, timed: bool) -> bool:
-    """Whether (n, T) was given: the second axis is as long as the clock, or, where only a rate is known, the longer."""
+    """Whether (n, T) was given: the second axis has the length of the clock or, if only a rate is given, is the longer
+    one."""
     return shape[1] == rows != shape[0] if timed else shape[0] < shape[1]
 
 

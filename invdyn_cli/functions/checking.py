@@ -27,7 +27,7 @@ NO_ROBOT = "no robot: checks that need its kinematics were skipped"
 
 @dataclass(frozen=True, repr=False)
 class CheckResult(Shown):
-    """What the checks say of a log.
+    """The result of the checks of a log.
 
     Attributes:
         log: what was checked, columns in the robot's order.

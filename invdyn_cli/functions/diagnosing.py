@@ -110,7 +110,7 @@ class DiagnosisResult(Shown):
 
 
 def _write_simulations(export: Export, folder: Path) -> tuple[dict[str, str], dict[str, Sequence[str]]]:
-    """The files for simulators, and what each of them does not hold."""
+    """The files for simulators, and what each of them does not contain."""
     files, lacks = {}, {}
     for kind, name, text, said in (
         ("urdf", URDF, export.urdf, export.urdf_lacks),
@@ -134,7 +134,7 @@ def diagnose(
     progress: Progress = silent,
     **arrays: Unpack[Arrays],
 ) -> DiagnosisResult:
-    """What the nominal model of a robot gets wrong on a recording, why, and what correcting it is worth.
+    """What the nominal model of a robot gets wrong on a recording, why, and how much each correction improves it.
 
     Args:
         log: a log or the path of a file in any format; or arrays: `q=, tau=, t=, urdf=` as in `from_arrays`.
@@ -142,7 +142,7 @@ def diagnose(
         reference: an earlier log of the same robot: only what has changed since is looked for.
         options: causes that are known, the largest number of causes, rates and filters, replay.
         design: whether a motion is designed that distinguishes ambiguous causes.
-        learner: a model that measures what is left unexplained; None: small networks.
+        learner: a model that is fitted to the residual; None: small networks.
         seed: of the learner and the design.
         progress: called with the share that is done and a note.
 

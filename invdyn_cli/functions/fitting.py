@@ -1,4 +1,4 @@
-"""`fit`: a model learned from one part of a log and judged on the rest; `simulate`: the log of a simulated arm."""
+"""`fit`: a model that is fitted to one part of a log and tested on the rest; `simulate`: the log of a simulated arm."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,7 +76,7 @@ def fit(
     progress: Progress = silent,
     **options: Any,
 ) -> FitResult:
-    """Learn a model from the first part of a log and judge it on the rest.
+    """Fit a model to the first part of a log and test it on the rest.
 
     Args:
         model: a name (`make_model` says which) or an object.

@@ -1,4 +1,4 @@
-"""What a function takes for a log and for a robot: objects, paths, or arrays."""
+"""What a function accepts as a log and as a robot: objects, paths, or arrays."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -83,7 +83,7 @@ def named_by(header: Header | None) -> str:
 
 
 def with_joints(load: Callable[[Sequence[str] | None], Any], joints: Sequence[str] | None) -> Any:
-    """What `load(joints)` gives; numbers are no names: then the joints are those of the URDF, in its order."""
+    """The result of `load(joints)`; if the names are only numbers, the joints are those of the URDF, in its order."""
     try:
         return load(joints)
     except RobotError:

@@ -1,4 +1,4 @@
-r"""Functions of one joint's angle: trigonometric polynomials of degree d, as they stand or as rational Bézier curves.
+r"""Functions of one joint's angle: trigonometric polynomials of degree d, directly or as rational Bézier curves.
 
 A rational Bézier curve of degree 2 d with the parameter tan(x / 2), taken between -alpha and alpha, is a trigonometric
 polynomial of degree d: with u = sin((alpha - x) / 2) / sin(alpha) and v = sin((alpha + x) / 2) / sin(alpha),

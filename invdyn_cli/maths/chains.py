@@ -1,4 +1,4 @@
-r"""A serial chain of which nothing is known: where its axes are and what its links weigh, from torques alone.
+r"""A serial chain of unknown geometry: its axes and the inertial parameters of its links, from torques alone.
 
 The coefficient tensors of an arm of n joints have tensor trains of rank 10 at most, whatever n: a composite inertia has
 ten numbers, and every joint moves them linearly outward to inward. Here the cores of that train are what they are in
@@ -25,10 +25,10 @@ from invdyn_cli.maths import regression, rigid_body
 from invdyn_cli.types import Array, Motion, Robot
 
 SPAN = 0.2
-"""[m] by which joints are apart in a start, in each direction."""
+"""[m] Distance of joints in a start, in each direction."""
 
 STEPS, LONGEST = 80, 1.5
-"""Steps at most; the longest in one number [rad; a SPAN]."""
+"""Largest number of steps, and longest step in one number [rad; a SPAN]."""
 
 STAGES = (512, 3e-2), (4096, 1e-4), (None, 1e-3)
 """Samples, evenly over all (None: all), and what share of what is left a step must be worth for another to follow: for
@@ -39,26 +39,28 @@ PATIENCE, BETTER = 24, 0.99
 somewhere."""
 
 SIDE_BY_SIDE = 2
-"""Searches at a time, each in a thread."""
+"""Number of searches at a time, each in a thread."""
 
 ALIKE = 1.02
-"""Within this factor of each other, two searches came to the same chain."""
+"""Two searches whose residuals are within this factor found the same chain."""
 
 PRIOR = 1e-10
-"""Of the squares of a column: what keeps numbers small that nothing tells."""
+"""Share of the squares of a column: keeps those numbers small that the data do not determine."""
 
 EXACT = 1e-16
 """Share of the weighted squares that is rounding: nothing else is needed."""
 
 TOLD, NOTHING = 1e-10, 1e-9
-"""Of the largest eigenvalue of all columns at length 1, above which the data tell a direction; of the longest column,
-below which another is rounding."""
+"""Share of the largest eigenvalue of all columns at length 1, above which the data determine a direction; and share of
+the longest column, below which a column is rounding."""
 
 BLOCK = 128
-"""Samples that are worked on at a time: few enough for the cache, and one shape, so that little is compiled."""
+"""Number of samples that are processed at a time: few enough for the cache, and one shape, so that little is
+compiled."""
 
 CANCELLED = 1e-8
-"""Share of the squares below which sums over products of columns say nothing of what is left: it is summed itself."""
+"""Share of the squares below which sums over products of columns are too inexact for the residual, which is then summed
+itself."""
 
 Block = tuple[Motion, Array, Array]
 """Motion (n, BLOCK), torque alike, and which samples count (BLOCK,)."""
@@ -80,7 +82,7 @@ class Learned:
 
     @property
     def sure(self) -> bool:
-        """Whether nothing is left, or another search came to the same chain."""
+        """Whether the residual is zero, or another search found the same chain."""
         return _settled(self.searches.tolist())
 
 
@@ -185,7 +187,7 @@ class _State:
         return _State(geometry, self.data, self.weights, self.extras)
 
     def rank(self) -> int:
-        """Directions of all numbers together that the data tell."""
+        """Directions in the space of all numbers that the data determine."""
         gram = self._summed(_gram_with_slopes, self.geometry, self.theta)[:-1, :-1]
         values = np.linalg.eigvalsh(gram / np.outer(*[_lengths(gram)] * 2))
         return int(np.sum(values > TOLD * values[-1]))
@@ -196,13 +198,13 @@ class _State:
 
 
 def _settled(left: Sequence[float]) -> bool:
-    """Whether nothing is left, or two searches came to the same chain."""
+    """Whether the residual is zero, or two searches found the same chain."""
     least, *others = sorted(left) or [np.inf]
     return least < EXACT or any(x < ALIKE * least for x in others)
 
 
 def _searched(first: _State, draw: np.random.Generator, least: float, tell: Callable[[float], None]) -> _State:
-    """Where a search from a chain of its own ends."""
+    """The result of a search that starts from its own random chain."""
     found, idle = _descended(first, least), 0
     while idle < PATIENCE and found.left > EXACT:
         one = _descended(found.at(_redrawn(found.geometry, draw)), least)
@@ -221,13 +223,13 @@ def _redrawn(geometry: np.ndarray, draw: np.random.Generator) -> np.ndarray:
 
 
 def _lengths(gram: np.ndarray) -> np.ndarray:
-    """Of all columns; infinite where a column is nothing but rounding."""
+    """Lengths of all columns; infinite if a column is only rounding."""
     length = np.sqrt(np.diag(gram))
     return np.where(length > NOTHING * length.max(), length, np.inf)
 
 
 def _descended(state: _State, least: float) -> _State:
-    """Levenberg and Marquardt's steps until two in turn are not worth `least` of what is left."""
+    """Levenberg-Marquardt steps, until two in a row reduce the residual by less than the share `least`."""
     damping, worth = 0.1, 1.0
     for _ in range(STEPS):
         normal, moment = state.slopes()
@@ -252,7 +254,7 @@ def _descended(state: _State, least: float) -> _State:
 
 
 def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> list[Block]:
-    """So many samples, evenly over all; all, if there are fewer."""
+    """That many samples, evenly spread; all samples if there are fewer."""
     rows = np.linspace(0, len(tau) - 1, min(samples or len(tau), len(tau))).astype(int)
     blocks = []
     for start in range(0, len(rows), BLOCK):
@@ -266,7 +268,7 @@ def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> list[Block]
 
 
 def _rows(geometry: Array, motion: Motion, weights: Array, extras: tuple[str, ...], counts: Array) -> Array:
-    """Columns (10 n + extras n, n, samples) of all linear parameters; of rows that do not count, zero."""
+    """Columns (10 n + extras n, n, samples) of all linear parameters; zero for rows that do not count."""
     return regression.design_rows(
         regression.Design(robot(geometry[0], SPAN * geometry[1]), extras, weights), motion, counts
     )
@@ -287,7 +289,7 @@ def _gram(geometry: Array, block: Block, weights: Array, extras: tuple[str, ...]
 
 @jax.jit(static_argnums=4)
 def _left(geometry: Array, theta: Array, block: Block, weights: Array, extras: tuple[str, ...]) -> Array:
-    """What is left of the torque, times every linear column and times itself."""
+    """Products of the residual torque with every linear column and with itself."""
     motion, tau, counts = block
     rows = _rows(geometry, motion, weights, extras, counts)
     left = (weights[:, None] * tau - jnp.tensordot(theta, rows, 1)) * counts
@@ -296,7 +298,7 @@ def _left(geometry: Array, theta: Array, block: Block, weights: Array, extras: t
 
 @jax.jit(static_argnums=4)
 def _gram_with_slopes(geometry: Array, theta: Array, block: Block, weights: Array, extras: tuple[str, ...]) -> Array:
-    """Gram matrix of [linear columns | slopes of the torque over the geometry | what is left]."""
+    """Gram matrix of [linear columns | derivatives of the torque by the geometry | residual]."""
     motion, tau, counts = block
     n = len(weights)
     inertial = theta[: 10 * n].reshape(n, 10)

@@ -1,8 +1,8 @@
 r"""The Dynamic Bézier Map: tau = H(q) qdd + C(q)(qd, qd) + g(q), every coefficient a tensor of one-joint functions.
 
-Nothing is known of the geometry but that joints turn: what each joint's angle can do to a coefficient is a
-trigonometric polynomial of degree 1 or 2 (`bezier`), and a coefficient is a product over joints, with as many factors
-as there are products. Three forms, from the largest to the smallest:
+The only assumption about the geometry is that joints turn: a coefficient depends on each joint's angle by a
+trigonometric polynomial of degree 1 or 2 (`bezier`), so that it is a linear combination of products of one function per
+joint. Three forms, from the largest to the smallest:
 
 - naive: every coefficient of every joint's torque is a full tensor, degree 2 in H and C, degree 1 in g.
 - structured: only the degrees that a coefficient has. With a <= b the smallest two of its indices, joints up to a are
@@ -45,7 +45,7 @@ class Arc(NamedTuple):
 
 @dataclass(frozen=True)
 class DynamicMap:
-    """Which columns there are, for n joints."""
+    """The columns of a form for n joints."""
 
     form: Form
     basis: bezier.Basis

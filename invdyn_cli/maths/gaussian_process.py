@@ -26,10 +26,10 @@ JITTER = 1e-10
 from about 1e-16 times the number of rows."""
 
 LEAST_NOISE = 1e-4
-"""Of the target's spread: less noise than that is lost in the rounding of kernel matrices of some thousand rows."""
+"""Share of the target's spread: a smaller noise is lost in the rounding of kernel matrices of some thousand rows."""
 
 REACH = 8.0
-"""Logarithms of hyperparameters stay that near to where they start: factors of 3,000 either way."""
+"""Largest change of the logarithms of hyperparameters from their start: a factor of 3,000 in both directions."""
 
 CHUNK = 2048
 """Rows whose covariances with the inducing inputs are computed at once."""
@@ -123,7 +123,7 @@ def learned(
 def learned_hyperparameters(
     gram: Gram, start: PyTree, x: Array, y: Array, steps: int, progress: Progress = silent
 ) -> PyTree:
-    """Those of largest evidence for every target of y (N, n), leading axis n."""
+    """The hyperparameters of largest evidence for every target of y (N, n), leading axis n."""
     first = each(start, y.shape[1])
     floor: dict = jax.tree.map(lambda leaf: np.full_like(leaf, -np.inf), first)
     floor["noise"] = np.full_like(first["noise"], np.log(LEAST_NOISE))
@@ -139,7 +139,7 @@ def start(inputs: int) -> PyTree:
 
 
 def each(start: PyTree, targets: int) -> PyTree:
-    """The hyperparameters once for every target, as a leading axis."""
+    """The hyperparameters repeated for every target, as a leading axis."""
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf, float)[None], targets, 0), start)
 
 

@@ -1,4 +1,5 @@
-"""Dense linear least squares by orthogonal triangles: rows in streams, and what regularises chosen by what it predicts.
+"""Dense linear least squares by orthogonal triangles: rows in streams, and regularisation that is chosen by its
+predictions.
 
 A triangle R of the rows [X | Y] holds all that least squares asks of them, in the precision of the rows (a Gram matrix
 X'X squares the condition number). Triangles of groups of rows (tasks, trajectories) are put together again and again,
@@ -21,8 +22,8 @@ STRENGTHS = {"lstsq": np.zeros(1), "tsvd": 10.0 ** np.arange(-15, 0), "ridge": 1
 
 
 ROUNDING = float(np.finfo(float).eps)
-"""Of the largest singular value: nothing is told below. A cut that grows with the columns costs decades without noise:
-what one task excites at that level another excites more."""
+"""Share of the largest singular value, below which directions are dropped. A share that grows with the number of
+columns costs decades without noise: a direction that one task excites at that level, another excites more."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,6 @@ class _Decomposed:
 
 
 def _reduced(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """R of blocks, one below the other."""
+    """R of blocks that are stacked."""
     rows = np.concatenate(blocks)
     return np.asarray(linalg.qr(rows, mode="r", overwrite_a=True, check_finite=False)[0])[: rows.shape[1]]

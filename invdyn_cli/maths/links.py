@@ -1,6 +1,7 @@
-"""From what a regression identifies to links that can be: inertials (n, 10) that predict as the base parameters do.
+"""From the base parameters of a regression to physically consistent links: inertials (n, 10) that predict the same.
 
-A log determines a few combinations of the inertials; all others are free, and bodies are chosen there.
+A log determines a few combinations of the inertials; the others are free, and are chosen so that bodies are
+consistent.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from invdyn_cli.maths.regression import Solution
 from invdyn_cli.types import Array, Robot
 
 CHANCE = 1e-3
-"""How often true links cost more than what is said to be chance."""
+"""How often true links cost more than what counts as chance."""
 
 LIGHT = 1e-3
 """Share of the arm's mass, or mass [kg], below which a link of the URDF says nothing of the real one: a kilogramme of
@@ -68,7 +69,8 @@ def bodies(robot: Robot, theta: Array, covariance: Array) -> np.ndarray:
 
 
 def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[str]) -> str:
-    """That the data want links that no bodies are, with the RMS torque (n,) by which those that can be differ."""
+    """A sentence: the best-fit links are not physically consistent, with the RMS torque (n,) by which the nearest
+    consistent ones differ."""
     worst = int(np.argmax(change))
     return (
         f"The best-fit links are not physically consistent. The nearest consistent ones cost {cost:.3g} noise "
@@ -78,7 +80,7 @@ def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[st
 
 
 def _reference(robot: Robot) -> Array:
-    """(n, 10) the nominal links, where they are bodies, or the nearest that are."""
+    """(n, 10) the nominal links, or the nearest physically consistent ones."""
     rows = np.asarray(robot.inertial)
     least = LIGHT * max(1.0, float(rows[:, 0].sum()))
     water = pseudo_inertia.ball(1.0, np.zeros(3))

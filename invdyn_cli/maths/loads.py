@@ -1,4 +1,4 @@
-"""The loads that were believed in along recordings, read from the trace of an adaptation that weighs them."""
+"""The loads that an adaptation reported along recordings, read from its trace."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from invdyn_cli.types import Dataset, Trajectory
 
 @dataclass(frozen=True)
 class Load:
-    """A stretch of one recording in which a load was believed in.
+    """A stretch of one recording in which a load was reported.
 
     Attributes:
         trajectory: of that name.
@@ -38,7 +38,7 @@ class Load:
 
 
 def believed(data: Dataset, trace: Mapping[str, np.ndarray]) -> list[Load]:
-    """All of them in time; none for a trace of something else. `trace` is (samples, …) over all of the data."""
+    """All loads in time; none for the trace of another adaptation. `trace` is (samples, …) over all of the data."""
     found, row = [], 0
     for x in data.trajectories if "loaded" in trace else ():
         own = {name: values[row : row + len(x.t)] for name, values in trace.items()}

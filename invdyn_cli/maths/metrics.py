@@ -8,7 +8,7 @@ ACCURATE = 0.1
 """The NMSE below which the paper calls predictions accurate (section V-B, the black line of Figs. 3 and 4)."""
 
 BLOCK = 100
-"""Samples over which errors of what adapts are averaged (the paper's lambda)."""
+"""Number of samples over which errors during adaptation are averaged (the paper's lambda)."""
 
 
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
@@ -40,7 +40,7 @@ def nmse_in_blocks(
 def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:
     """RMS per joint (n,) of half the difference of the torques (T, n) of a trajectory and its repetition [N m; N].
 
-    What no model of the motion can do better than, if both differ by noise alone. The repetition is shifted by the lag,
+    No model of the motion can have a smaller error if both differ by noise alone. The repetition is shifted by the lag,
     at most `most` samples, at which its positions (T, n) agree best.
     """
 

@@ -1,5 +1,5 @@
 """Which inertial parameters a body can have: those whose 4 x 4 pseudo inertia is positive definite; and the nearest
-ones to those that none can have.
+consistent parameters to inconsistent ones.
 
 With S = trace(I) / 2 - I, the second moments of the mass about the frame's origin,
 
@@ -20,31 +20,31 @@ from scipy import linalg
 from invdyn_cli.types import Array
 
 FLOOR = 1e-6
-"""Least eigenvalue of a pseudo inertia in units of the body's mass and size: a body thinner than a thousandth of its
-size is none."""
+"""Least eigenvalue of a pseudo inertia in units of the body's mass and size: a body that is thinner than a thousandth
+of its size counts as impossible."""
 
 ROUND = 1e-3
-"""The same of a body that others are pulled to: a point mass in a URDF is a stand-in, not a claim."""
+"""The same for a reference body: a point mass in a URDF is a placeholder."""
 
 FARTHEST = 1.0
-"""[m] A link's centre of mass and radius of gyration are nearer to its frame."""
+"""[m] Largest distance of a link's centre of mass from its frame, and largest radius of gyration."""
 
 LEAST_MASS = 1e-6
-"""[kg] Unit of mass of a row that has none."""
+"""[kg] Unit of mass of a row without a mass."""
 
 PULL = 1e-3
 """Weight of the pull to the reference, in noise variances: small beside one, the least that data can show. Four times
 that, for every body, is also about all that it costs."""
 
 EXACT = 1e-6
-"""Of the cost, to which it is found where that is more than the pull costs."""
+"""Relative accuracy of the cost, if that is more than the pull costs."""
 
 ROUNDING = 1e-13
-"""Of the largest information, in units of the reference, below which it is that of rounding errors."""
+"""Share of the largest information, in units of the reference, below which information is rounding error."""
 
 STEPS, SHRINK, CLOSE, DAMPED = 50, 0.1, 1e-9, 0.25
-"""Newton's steps at most for each weight of the pull, factor from one weight to the next, squared decrement to stop,
-and decrement above which steps are damped."""
+"""Largest number of Newton steps for each weight of the pull, factor from one weight to the next, squared decrement at
+which they stop, and decrement above which steps are damped."""
 
 
 WATER = 1000.0
@@ -84,8 +84,8 @@ def ball(mass: float, centre: Array) -> np.ndarray:
 
 
 def is_realisable(row: Array, slack: float = 0.0) -> bool:
-    """Whether some body has this row (10,): no eigenvalue of its pseudo inertia, in units of the body's mass and size,
-    is below `slack` (0: points, rods and plates are bodies, but for rounding)."""
+    """Whether a body can have this row (10,): no eigenvalue of its pseudo inertia, in units of the body's mass and
+    size, is below `slack` (0: points, rods and plates are bodies, except for rounding)."""
     return bool(np.linalg.eigvalsh(_scaled(row)[0])[0] >= slack - 1e-12)
 
 
@@ -226,7 +226,7 @@ def _row_unit(row: Array) -> np.ndarray:
 
 
 def _mass_and_size(row: Array) -> tuple[float, float]:
-    """A mass [kg] and a length [m] that a row (10,) is measured in, whatever stands in it."""
+    """The units of mass [kg] and length [m] for a row (10,), for any values."""
     row = np.asarray(row, float)
     first, second = float(np.linalg.norm(row[1:4])), float(np.linalg.norm(pseudo_inertia(row)[:3, :3]))
     mass = max(abs(float(row[0])), first / FARTHEST, second / FARTHEST**2, LEAST_MASS)

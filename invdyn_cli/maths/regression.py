@@ -22,10 +22,11 @@ from invdyn_cli.maths import rigid_body, statistics
 from invdyn_cli.types import Array, Dataset, Motion, Robot
 
 BLOCK = 256
-"""Samples whose regressor exists at a time (1 MB at 7 joints: it stays in cache)."""
+"""Number of samples whose regressor is held at a time (1 MB at 7 joints: it stays in cache)."""
 
 RESIDUALS = 1 << 16
-"""Samples of a trajectory that its residuals' autocorrelation is taken from: they are held in memory."""
+"""Number of samples of a trajectory from which the autocorrelation of its residuals is computed: they are held in
+memory."""
 
 REST_SPEED = 0.02
 """Speed [rad/s; m/s] below which the sign of a measured velocity is noise: sign(qd) is a ramp there, so that samples at
@@ -35,7 +36,7 @@ STRIBECK = (0.06, 0.2)
 """Speeds [rad/s; m/s] of friction that fades with speed: published Stribeck speeds of geared joints lie between."""
 
 FEW_BLOCKS = 20
-"""Fewer independent stretches leave a standard deviation uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
+"""With fewer independent stretches a standard deviation is uncertain by more than a sixth (chi, 1 / sqrt(2 B))."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,8 @@ def _row_weights(design: Design, motion: Motion, valid: Array) -> Array:
 
 
 def _possible_directions(design: Design) -> np.ndarray:
-    """Orthonormal directions (p, r) of parameter space that some motion of this robot can show; the rest never does."""
+    """Orthonormal directions (p, r) of parameter space that some motion of this robot can show; no motion shows the
+    others."""
     motion = Motion(*(x.T for x in rigid_body.random_states(design.robot, 256, seed=0)))
     unweighted = Design(design.robot, design.extras, np.ones(design.robot.dofs), cycles=design.cycles)
     scale, directions = _svd_of_rows(unweighted, motion, np.eye(len(design.columns)))
@@ -232,7 +234,7 @@ def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.
 
 
 def _subsample(dataset: Dataset, most: int) -> Motion:
-    """So many samples, evenly from all over: one shape (one compilation) for all datasets that have as many."""
+    """That many samples, evenly spread: one shape (one compilation) for all datasets that have as many."""
     rows = np.linspace(0, dataset.samples - 1, min(most, dataset.samples)).astype(int)
     starts = np.cumsum([0, *(len(x.t) for x in dataset.trajectories)])
     owned = [rows[(rows >= a) & (rows < b)] - a for a, b in itertools.pairwise(starts)]

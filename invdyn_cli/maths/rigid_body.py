@@ -42,7 +42,7 @@ class LinkMotion(NamedTuple):
 def inverse_dynamics(robot: Robot, inertial: Array, q: Array, qd: Array, qdd: Array) -> Array:
     """Torques tau (n, *batch) [N m; N] of the motion q, qd, qdd (n, *batch) with the inertials (n, 10).
 
-    `robot` gives kinematics and gravity; the inertials are an argument of their own because they are what is learned.
+    `robot` gives kinematics and gravity; the inertials are a separate argument because they are learned.
     """
     links = link_motions(robot, q, qd, qdd)
     omega, alpha, a = _in_link_frames(links)
@@ -84,7 +84,7 @@ def regressor(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
 
 
 def link_motions(robot: Robot, q: Array, qd: Array, qdd: Array) -> LinkMotion:
-    """Outward recursion: how every link moves when the joints do as q, qd, qdd (n, *batch) say."""
+    """Outward recursion: the motion of every link for joint motions q, qd, qdd (n, *batch)."""
     q, qd, qdd = (jnp.asarray(x) for x in (q, qd, qdd))
     slides = np.array(robot.prismatic)
     turns = jnp.where(_over(slides, q.ndim), 0.0, 1.0)
@@ -144,7 +144,7 @@ def carries(robot: Robot) -> np.ndarray:
 
 
 def random_states(robot: Robot, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States q, qd, qdd (n, samples) all over the joints' ranges: what a robot could do, for structural rank."""
+    """Random states q, qd, qdd (n, samples) over the joints' whole ranges, to determine the structural rank."""
     rng = np.random.default_rng(seed)
     low = np.where(np.isfinite(robot.lower), robot.lower, -np.pi)[:, None]
     high = np.where(np.isfinite(robot.upper), robot.upper, np.pi)[:, None]

@@ -1,4 +1,5 @@
-"""Ripple: lines in a residual over a joint's angle, c cycles over 2 pi, c unknown: teeth, magnets, strain waves."""
+"""Ripple: periodic lines in a residual over a joint's angle, with an unknown number of cycles c per revolution: teeth,
+magnets, strain waves."""
 
 import numpy as np
 
@@ -7,7 +8,8 @@ MOST = 400.0
 
 
 def grid(q: np.ndarray, most: float = MOST) -> np.ndarray:
-    """Cycles (C,) to ask for, a quarter of a period of the reach apart: from two periods within the reach of q (T,)."""
+    """Cycles (C,) to test, a quarter of a period of the joint's range apart: from two periods within the range of q
+    (T,)."""
     reach = float(np.ptp(q))
     return np.arange(4 * np.pi / reach, most, 0.5 * np.pi / reach) if reach > 4 * np.pi / most else np.zeros(0)
 
@@ -30,7 +32,7 @@ def power(
 def sharpened(
     residual: np.ndarray, q: np.ndarray, cycles: float, qd: np.ndarray | float = 0.0, cutoff: float = np.inf
 ) -> tuple[float, float]:
-    """The best cycles between the neighbours of one on the grid, and their power."""
+    """The best cycles near one on the grid, and their power."""
     fine = cycles + np.linspace(-1, 1, 21) * 0.5 * np.pi / float(np.ptp(q))
     found = power(residual, q, fine, qd, cutoff)
     return float(fine[np.argmax(found)]), float(found.max())

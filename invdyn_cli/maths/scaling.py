@@ -23,5 +23,5 @@ def standardised(scales: Mapping[str, Array], motion: Motion, tau: Array) -> tup
 
 
 def spread_rows(total: int, most: int) -> np.ndarray:
-    """Indices of at most so many of `total` rows, evenly from all over."""
+    """Indices of at most that many of `total` rows, evenly spread."""
     return np.linspace(0, total - 1, min(most, total)).astype(int)

@@ -62,8 +62,8 @@ def lowpass(
     """x at `rate` [Hz] through a Butterworth low-pass along `axis`, forth and back: no phase, -6 dB at `cutoff` [Hz];
     forth alone where `causal`, from a past at the first sample.
 
-    It is linear: what is filtered alike stays in proportion. The ends are point-reflected over `settling` samples
-    (`scipy.signal.sosfiltfilt`, which would find the filter's state at rest anew each time).
+    It is linear: signals that are filtered alike stay in proportion. The ends are point-reflected over `settling`
+    samples (`scipy.signal.sosfiltfilt`, which would compute the filter's state at rest each time).
 
     Raises:
         ValueError: as `settling` does, or with no more than `settling` samples.
@@ -85,13 +85,13 @@ def lowpass(
 
 @lru_cache(maxsize=256)
 def butterworth(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """Second-order sections (S, 6) of the low-pass, as SciPy has them."""
+    """Second-order sections (S, 6) of the low-pass filter, as SciPy has them."""
     return np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
 
 
 @lru_cache(maxsize=256)
 def at_rest(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """The low-pass's state (S, 2) where all that has come in is 1."""
+    """The state (S, 2) of the low-pass filter after a constant input of 1."""
     return np.asarray(signal.sosfilt_zi(butterworth(rate, cutoff, order)))
 
 
@@ -100,8 +100,8 @@ def resample(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A uniform clock (S,) [s] at `rate` [Hz] from t[0] to t[-1], and x (S, ...) on it by splines of `degree` 1 or 3.
 
-    t (T,) [s] increases, x is (T, ...). What already ticks so, within a share `tolerance` of a period, comes back
-    untouched.
+    t (T,) [s] increases, x is (T, ...). A clock that is already uniform within a share `tolerance` of a period is
+    returned unchanged.
     """
     ticks = t[0] + np.arange(int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1) / rate
     if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= tolerance):

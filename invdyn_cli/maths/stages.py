@@ -47,7 +47,7 @@ def begins(judged: Prediction) -> dict[str, float]:
 
 
 def line(errors: np.ndarray) -> np.ndarray:
-    """The median over repetitions, as far as half of them go, (blocks,) of (repetitions, blocks)."""
+    """The median over repetitions, as far as at least half of them go, (blocks,) of (repetitions, blocks)."""
     kept = reached(errors)
     return np.nanmedian(errors[:, kept], axis=0) if kept.any() else np.empty(0)
 
@@ -69,7 +69,7 @@ def scores(judged: Prediction) -> dict[str, Any]:
     """Over all blocks and by stage: `mean`; `peak`, the highest block of all repetitions; `line_peak`, the highest of
     the median over repetitions; by stage `samples_below` each of `LEVELS`, as `until_below` has it.
 
-    What holds a prediction that is not finite has no score: infinity, and None for `samples_below`."""
+    A set with a prediction that is not finite has infinite errors, and None for `samples_below`."""
     found = {name: _judged(x) for name, x in errors(judged).items() if x.shape[1]}
     if not found:
         return {}
@@ -105,7 +105,7 @@ def parts(x: Trajectory) -> list[tuple[str, slice]]:
 
 
 def padded(every: list[np.ndarray]) -> np.ndarray:
-    """Arrays of different lengths (blocks, ...) as one, NaN behind the shorter ones."""
+    """Arrays of different lengths (blocks, ...) as one array, with NaN after the end of the shorter ones."""
     out = np.full((len(every), max(map(len, every)), *every[0].shape[1:]), np.nan)
     for row, x in zip(out, every, strict=True):
         row[: len(x)] = x
@@ -118,12 +118,12 @@ def _judged(errors: np.ndarray) -> np.ndarray:
 
 
 def _highest(values: np.ndarray) -> float:
-    """Of the numbers there are, NaN where there is none."""
+    """The highest of the numbers that exist, NaN where there is none."""
     return float(np.fmax.reduce(values, axis=None, initial=np.nan))
 
 
 def _mean(values: np.ndarray, axis: int) -> Any:
-    """Of the numbers there are, NaN where there is none, and no word about it."""
+    """The mean of the numbers that exist, NaN where there is none, without a warning of numpy."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.nanmean(values, axis=axis)

@@ -1,4 +1,4 @@
-"""The standard model: what every real arm has beside its URDF, all of it in one fit, with what is known beforehand.
+"""The standard model: what every real arm has in addition to its URDF, all in one fit with a prior.
 
     tau = Y(q, qd, qdd) (phi + dphi) + offset + coulomb sign(qd) + viscous qd + armature qdd + noise
 
@@ -18,29 +18,33 @@ from scipy import linalg, optimize
 from invdyn_cli.types import Array, Robot
 
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""Of a link's scales by which a URDF may be wrong, from a calibrated arm's to one whose URDF is a drawing."""
+"""Shares of a link's scales by which a URDF may be wrong, from a calibrated arm to one whose URDF is a rough
+drawing."""
 
 USUAL = 0.1
-"""The share where nothing tells: CAD masses of arms with cables and covers are off by about so much (Swevers 2007)."""
+"""The share that is used if nothing determines it: CAD masses of arms with cables and covers are wrong by about this
+share (Swevers 2007)."""
 
 OPEN = 5.0
 """Nats of evidence by which a share must be worse than another to be ruled out: Kass and Raftery (1995) call more very
 strong."""
 
 WIDE = 3.0
-"""Standard deviations of a coefficient that is not inertial: so many times what explains all that is left."""
+"""Prior standard deviation of a coefficient that is not inertial, as a multiple of the size that explains the whole
+residual."""
 
 LIGHTEST, SHORTEST = 0.1, 0.05
-"""[kg], [m] A link's mass and its centre's distance, below which their errors are no smaller."""
+"""[kg], [m] Least mass of a link and least distance of its centre from which the scales of their errors are
+computed."""
 
 ROUNDS = 8
-"""Of estimating the noise and the coefficients in turn; it settles in four or five."""
+"""Number of iterations that estimate the noise and the coefficients in turn; four or five suffice."""
 
 
 @dataclass(frozen=True)
 class Sums:
-    """What a motion says: Gram matrices (n, p + 1, p + 1) of each joint's p columns and, behind them, its torque less
-    the nominal one; the number of rows (n,)."""
+    """The data of a motion: Gram matrices (n, p + 1, p + 1) of each joint's p columns and, as the last one, its torque
+    minus the nominal torque; the number of rows (n,)."""
 
     grams: np.ndarray
     rows: np.ndarray
@@ -85,7 +89,7 @@ its tracking errors; another draw of sines by a fifth and more."""
 
 
 def distinct(motions: Sequence[Sums]) -> list[Sums]:
-    """Motions that differ; repeats of one are summed. When a motion began plays no part."""
+    """The motions that differ; repeats of one motion are summed, regardless of when they began."""
     found: list[Sums] = []
     for one in motions:
         near = next((k for k, other in enumerate(found) if _distance(one, other) < ALIKE), None)
@@ -156,7 +160,7 @@ def widest(motions: Sequence[Sums], prior: Prior, times: Array) -> float:
 
 
 def left(motions: Sequence[Sums], theta: Array) -> np.ndarray:
-    """RMS (n,) of what these coefficients leave of the torque."""
+    """RMS (n,) of the torque that these coefficients leave unexplained."""
     total = _total(motions)
     return np.sqrt(_squares(total, np.asarray(theta)) / np.maximum(total.rows, 1))
 
@@ -182,8 +186,8 @@ def evidence(total: Sums, prior: Prior, times: Array, share: float) -> float:
 
 
 def _left_out(motions: Sequence[Sums], prior: Prior, times: np.ndarray, share: float) -> float:
-    """Mean square of what is left of motions that were not learned from, each joint's beside what a fit of all at the
-    usual share leaves of it."""
+    """Mean square of the residual on motions that were not learned from, relative for each joint to that of a fit of
+    all motions at the usual share."""
     usual = _posterior(_total(motions), prior, times, USUAL)[1]
     squares = np.zeros(len(times))
     for k, one in enumerate(motions):
@@ -193,7 +197,7 @@ def _left_out(motions: Sequence[Sums], prior: Prior, times: np.ndarray, share: f
 
 
 def _distance(one: Sums, other: Sums) -> float:
-    """Of the columns' Gram matrices per row, each column in its own unit."""
+    """Relative distance of two motions' Gram matrices per row, each column in its own unit."""
     a, b = (x.grams[:, :-1, :-1].sum(0) / max(float(x.rows.max()), 1.0) for x in (one, other))
     unit = np.sqrt(np.diag(a) + np.diag(b))
     scale = np.outer(unit, unit)
@@ -230,7 +234,7 @@ def _bounded(theta: np.ndarray, precision: np.ndarray, prior: Prior, scale: np.n
 
 
 def _squares(total: Sums, theta: np.ndarray) -> np.ndarray:
-    """(n,) sums of squares of what coefficients leave."""
+    """(n,) sums of squares of the residuals of these coefficients."""
     whole = np.append(-theta, 1.0)
     return np.maximum(np.einsum("a,jab,b->j", whole, total.grams, whole), 0.0)
 

@@ -1,4 +1,5 @@
-"""What autocorrelated residuals are worth: integrated autocorrelation time and covariance from blocks of scores."""
+"""The information in autocorrelated residuals: integrated autocorrelation time, and covariance from blocks of
+scores."""
 
 import numpy as np
 from scipy import stats

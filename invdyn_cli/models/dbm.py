@@ -1,4 +1,5 @@
-"""model=dbm: the Dynamic Bézier Map, a model of the torque that knows nothing of the arm but that its joints turn."""
+"""model=dbm: the Dynamic Bézier Map, a model of the torque that assumes nothing about the arm except that its joints
+turn."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,10 +22,10 @@ COPIES = 4
 """Triangles of all columns that exist at a time: what was there, what is added, and LAPACK's working copy of both."""
 
 ROWS = 256, 2048
-"""Rows that are made at a time: about as many as there are columns, within these."""
+"""Number of rows that are computed at a time: about as many as there are columns, within these limits."""
 
 FOLDS = 5
-"""Stretches that a single trajectory is parted into, to leave each out in turn."""
+"""Number of stretches into which a single trajectory is divided, to leave each out in turn."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class Dbm(AbstractModel):
 
     @property
     def extras(self) -> tuple[str, ...]:
-        """Names of the columns that every joint has beside."""
+        """Names of the further columns of every joint."""
         return ("coulomb", "viscous") * (self.friction != "none") + ("offset",) * self.offset
 
     def columns(self, n: int) -> tuple[int, ...]:
@@ -118,7 +119,7 @@ class Dbm(AbstractModel):
         return jnp.concatenate([jnp.ravel(x @ params["theta"][f"system{i}"]) for i, x in enumerate(systems)])
 
     def chunk(self, motion: Motion) -> int:
-        """Samples at a time: their columns stay within some 300 MB."""
+        """Number of samples at a time: their columns take at most some 300 MB."""
         n = motion.q.shape[1]
         if self.form_of(n) == "chain":
             return CHUNK
@@ -219,7 +220,7 @@ class Dbm(AbstractModel):
                 yield np.concatenate([columns.reshape(-1, columns.shape[-1]), y], axis=1)
 
     def _weights(self, dataset: Dataset) -> np.ndarray:
-        """Of every joint's rows (n,)."""
+        """Weights (n,) of every joint's rows."""
         alike = self.weighting == "none"
         return np.ones(len(dataset.joints)) if alike else 1 / regression.torque_spread(dataset)
 
@@ -242,7 +243,7 @@ def _columns_of(model: Dbm, system: int, arc: Arc, motion: Motion) -> Array:
 
 
 def _gigabytes(columns: tuple[int, ...]) -> float:
-    """What the largest system takes to solve."""
+    """Memory [GB] to solve the largest system."""
     return COPIES * 8 * max(columns) ** 2 / 1e9
 
 
@@ -253,7 +254,7 @@ def _arc(dataset: Dataset) -> Arc:
 
 
 def _groups(dataset: Dataset) -> list[Dataset]:
-    """What is left out in turn: all parts of a trajectory, or stretches of the only one."""
+    """The parts that are left out in turn: whole trajectories, or stretches of the only one."""
     names = list(dict.fromkeys(x.name for x in dataset.trajectories))
     if len(names) > 1:
         own = [tuple(x for x in dataset.trajectories if x.name == name) for name in names]

@@ -1,4 +1,4 @@
-"""model=extended: what a diagnosis found, as a model among others: tau of the extended_model.json, nothing learned.
+"""model=extended: the result of a diagnosis as a model: tau of the extended_model.json; nothing is learned.
 
 The text of the file is a field of the model, so that a run.h5 stays whole when the file is gone.
 """
@@ -26,7 +26,7 @@ HINT = "the extended_model.json in the folder that `invdyn diagnose` printed las
 
 @dataclass(frozen=True)
 class Extended(AbstractModel):
-    """A robot with the effects that were found on it. It brings its own robot; `read` makes it from a file.
+    """A robot with the effects that were found. It brings its own robot; `read` makes it from a file.
 
     Parameters are the effects': {"0_coulomb_friction": {"coulomb": (), …}, …}, so that an adaptation can go on from
     them.
@@ -56,7 +56,7 @@ class Extended(AbstractModel):
         return _parsed(self.text, self.path or "the model", self.effects)
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
-        """The file's parameters: there is nothing to learn."""
+        """The parameters of the file: nothing is learned."""
         return {
             _name(i, one): {k: np.asarray(v, float) for k, v in one.parameters.items() if _is_number(v)}
             for i, one in enumerate(self.model.acting)
@@ -69,7 +69,7 @@ class Extended(AbstractModel):
     def fit(
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
     ) -> Fit:
-        """What the file says.
+        """The parameters of the file.
 
         Raises:
             UsageError: if the data are of other joints than the model.

@@ -15,10 +15,11 @@ from invdyn_cli.maths.scaling import standardisation, standardised
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 MOST_WEIGHTS = 10_000_000
-"""Of a joint's nets behind their inputs: with Adam's two moments 120 MB a joint in float32; Table I's have 10,000."""
+"""Largest number of weights of a joint's networks after their inputs: with Adam's two moments 120 MB a joint in
+float32; those of Table I have 10,000."""
 
 MOST_NUMBERS = 250_000_000
-"""Of the rows of all members, which each member shuffles for itself: 1 GB in float32."""
+"""Largest number of values in the rows of all members, each of which has its own shuffle: 1 GB in float32."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +205,7 @@ class Ffnn(AbstractModel):
 
 
 def _weights(net: JointNet, seeds: int) -> int:
-    """Weights of a joint's nets behind their inputs."""
+    """Number of weights of a joint's networks after their inputs."""
     return seeds * sum(a * b for a, b in itertools.pairwise((1, *net.hidden, 1)))
 
 
@@ -220,7 +221,7 @@ def _part(progress: Progress, first: int, some: int, every: int) -> Progress:
 
 
 def _per_joint(given, common: JointNet) -> tuple[tuple[int, JointNet], ...]:
-    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, the unsaid taken from `common`."""
+    """The config's {number: {field: value}} (or the finished pairs) as sorted pairs, completed from `common`."""
     names = [f.name for f in fields(JointNet)]
     if not isinstance(given, Mapping | tuple | list):
         raise UsageError(f"model.joints={given}; allowed: {{joint number: {{{', '.join(names)}}}}}")

@@ -32,9 +32,9 @@ class Gip(AbstractModel):
 
     Attributes:
         friction: whether terms linear in every joint's velocity and its sign are added.
-        exact: [samples] up to so many are inferred from exactly; the cost grows with the third power.
+        exact: [samples] largest number for exact inference; its cost grows with the third power.
         inducing: number of inducing inputs beyond, evenly from the training samples.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 
@@ -94,7 +94,7 @@ class Gip(AbstractModel):
         return in_chunks(each, motion, self.chunk(motion))
 
     def chunk(self, motion: Motion) -> int:
-        """Fewer samples at a time: every one has a covariance with each input of every joint."""
+        """Fewer samples at a time: each one needs a covariance with every input of every joint."""
         return 256
 
     @property
@@ -102,7 +102,7 @@ class Gip(AbstractModel):
         return gp.Sizes(self.exact, self.inducing, self.hyperparameter_samples, self.steps)
 
     def _start(self, n: int) -> PyTree:
-        """Logarithms of the coefficients: all of a size; without friction its terms are absent."""
+        """Logarithms of the coefficients, all equal at the start; without friction its terms are absent."""
         zero = np.zeros(n)
         friction = {"viscous": zero - 4.0, "coulomb": zero - 4.0} if self.friction else {}
         return {

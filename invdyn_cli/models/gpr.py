@@ -19,15 +19,16 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 @dataclass(frozen=True)
 class Gpr(AbstractModel):
-    """A squared exponential kernel over the standardised state, a length scale per input, hyperparameters by evidence.
+    """A squared exponential kernel over the standardised state, with a length scale per input and hyperparameters by
+    evidence.
 
     Exact inference up to `exact` samples; beyond, all samples are projected on inducing inputs (section 8.3.4 of
     Rasmussen and Williams 2006; the posterior of Titsias 2009). `variance` gives the predictive variance.
 
     Attributes:
-        exact: [samples] up to so many are inferred from exactly; the cost grows with the third power.
+        exact: [samples] largest number for exact inference; its cost grows with the third power.
         inducing: number of inducing inputs beyond, evenly from the training samples.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 
@@ -93,5 +94,5 @@ class Gpr(AbstractModel):
         return gp.Sizes(self.exact, self.inducing, self.hyperparameter_samples, self.steps)
 
     def chunk(self, motion: Motion) -> int:
-        """Fewer samples at a time: every one has a covariance with each input of every joint."""
+        """Fewer samples at a time: each one needs a covariance with every input of every joint."""
         return 512

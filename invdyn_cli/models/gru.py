@@ -1,7 +1,7 @@
-"""model=gru: a gated recurrent unit that goes along the recording (Cho et al. 2014), for all joints at once.
+"""model=gru: a gated recurrent unit along the recording (Cho et al. 2014), for all joints at once.
 
-What a robot's torque owes to its past (a gear that was last pushed the other way, a drive that lags) no function of the
-present state can say. The paper's outlook names recurrent structures.
+The part of a torque that depends on the past (a gear that was last pushed the other way, a drive that lags) is not a
+function of the present state. The paper's outlook names recurrent structures.
 """
 
 from dataclasses import dataclass

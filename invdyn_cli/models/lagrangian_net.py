@@ -42,7 +42,7 @@ class _Net(nn.Module):
 
 @dataclass(frozen=True)
 class LagrangianNet(AbstractModel):
-    """One net for all joints; needs no URDF, but takes from one which joints slide.
+    """One network for all joints; it needs no URDF, but uses one to know which joints slide.
 
     Its input is cosine and sine of every angle that turns, the standardised position of every joint that slides; H is
     positive definite, and the torque without friction conserves energy, whatever was learned.
@@ -132,7 +132,7 @@ class LagrangianNet(AbstractModel):
         return np.asarray(self._energy(params["nets"], params, slides, jnp.asarray(q, jnp.float32))[0], float)
 
     def chunk(self, motion: Motion) -> int:
-        """Fewer samples at a time: every one has its nets' derivatives."""
+        """Fewer samples at a time: each one needs the derivatives of its network."""
         return 1024
 
     def _widths(self, n: int) -> tuple[int, ...]:

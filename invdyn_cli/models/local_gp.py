@@ -1,11 +1,11 @@
-"""model=local_gp: many small Gaussian processes, each of a region of the state (Nguyen-Tuong, Seeger and Peters 2009).
+"""model=local_gp: many small Gaussian processes, each for a region of the state (Nguyen-Tuong, Seeger and Peters 2009).
 
 "Local Gaussian process regression for real time online model learning and control" (NIPS 21). A sample belongs to the
 nearest centre by w = exp(-d² / 2), d being the distance in length scales, and begins a region of its own where no
 centre has w above `nearness`. A prediction is the mean of the nearest regions' processes, weighted by w.
 
-Here a sample joins all the `nearest` regions, those that predict it, and not the nearest alone: a process that is asked
-beside its samples extrapolates, which spoils the mean where torques have little noise.
+Here a sample joins all the `nearest` regions that predict it, not only the nearest one: a process that is evaluated
+beside its samples extrapolates, which makes the mean worse where torques have little noise.
 """
 
 from dataclasses import dataclass
@@ -25,17 +25,17 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 @dataclass(frozen=True)
 class LocalGp(AbstractModel):
-    """Regions of their own for every joint, all with the joint's squared exponential kernel of model=gpr.
+    """Each joint has its own regions, all with the joint's squared exponential kernel of model=gpr.
 
     Learning keeps an even random choice of each region's samples; adaptation=online puts new ones in the place of the
     oldest, so that its cost does not grow.
 
     Attributes:
         nearness: [-] weight below which a sample begins a region of its own, while there are fewer than `regions`.
-        regions: most regions of a joint.
-        capacity: [samples] most samples of a region; the cost of an update grows with the third power.
+        regions: largest number of regions of a joint.
+        capacity: [samples] largest number of samples of a region; the cost of an update grows with the third power.
         nearest: number of regions that a sample joins, and that a prediction is made of.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 
@@ -95,7 +95,7 @@ class LocalGp(AbstractModel):
         )
 
     def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
-        """The parameters after ONE more sample, in the place of the oldest where its regions are full."""
+        """The parameters after ONE more sample, which replaces the oldest one in regions that are full."""
         x, y = _input(params, motion), (tau - params["target_mean"]) / params["target_scale"]
 
         def one(hyper: PyTree, local: PyTree, y: Array) -> PyTree:
@@ -139,7 +139,7 @@ class LocalGp(AbstractModel):
         return regions, local["begun"][regions] > 0
 
     def _centred(self, hyper: PyTree, local: PyTree, x: Array) -> PyTree:
-        """The centres after a sample: the nearest one moves towards it, or a region begins there."""
+        """The centres after a sample: the nearest one moves towards it, or a new region begins there."""
         closeness, used = _closeness(hyper, local, x), jnp.sum(local["begun"] > 0)
         begins = (used < self.regions) & (jnp.max(closeness) < np.log(self.nearness))
         k = jnp.where(begins, used, jnp.argmax(closeness))

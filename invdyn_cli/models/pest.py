@@ -18,16 +18,16 @@ SCANNED = 20_000
 """Samples in which ripples are sought."""
 
 LINE = 0.1
-"""Share of what is left of a joint's torque beyond which a line over the angle is a ripple."""
+"""Share of a joint's residual torque from which on a line over the angle counts as ripple."""
 
 
 MOST_RIPPLES = 50
-"""Lines that are sought over an angle: a wave generator and a motor have a dozen."""
+"""Largest number of ripple lines that are searched: a wave generator and a motor have a dozen."""
 
 
 @dataclass(frozen=True)
 class Pest(AbstractModel):
-    """Inertial parameters by least squares, the directions that the data do not excite left out.
+    """Inertial parameters by least squares, without the directions that the data do not excite.
 
     Attributes:
         threshold: [-] singular values of the regressor at or below it are set to zero (paper, III-A: 0.001).
@@ -76,7 +76,7 @@ class Pest(AbstractModel):
 
     @property
     def extras(self) -> tuple[str, ...]:
-        """Names of the columns that every joint has beside the inertial ones."""
+        """Names of the columns that every joint has in addition to the inertial ones."""
         chosen = {
             "coulomb": self.friction != "none",
             "viscous": self.friction != "none",
@@ -159,7 +159,7 @@ class Pest(AbstractModel):
         )
 
     def _solved(self, robot: Robot, dataset: Dataset, progress: Progress) -> tuple[Design, Solution]:
-        """The least squares; every ripple is sought in what those before it leave."""
+        """The least-squares fit; every ripple is searched in the residual of the fit with the ones before it."""
         if self.ripples:
             before = replace(self, ripples=self.ripples - 1)
             design, solution = before._solved(robot, dataset, progress)
@@ -172,7 +172,7 @@ class Pest(AbstractModel):
         return design, regression.solve(design, dataset, self.threshold, self.relative, progress)
 
     def _line(self, robot: Robot, dataset: Dataset, params: PyTree) -> np.ndarray:
-        """Cycles (n,) of the line that stands out in what is left of each joint where it moves; 0: none does."""
+        """Cycles (n,) of the dominant line in the residual of each joint while it moves; 0: there is none."""
         rows = slice(None, None, -(-dataset.samples // SCANNED))
         said = [in_chunks(lambda m: _apply_rows(self, params, m, robot), x.motion) for x in dataset.trajectories]
         left, motion = (dataset.tau - np.concatenate(said))[rows], dataset.motion[rows]

@@ -28,7 +28,7 @@ class Rff(AbstractModel):
 
     Attributes:
         frequencies: number of random frequencies of a joint; each gives a cosine and a sine.
-        hyperparameter_samples: [samples] so many, evenly from the training samples, decide the hyperparameters.
+        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """
 

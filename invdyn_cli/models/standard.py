@@ -1,4 +1,4 @@
-"""model=standard: what every real arm has beside its URDF, fitted at once with a prior (`maths/standard.py`)."""
+"""model=standard: what every real arm has in addition to its URDF, in one fit with a prior (`maths/standard.py`)."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -22,11 +22,11 @@ TERMS = ("offset", "coulomb", "viscous", "armature")
 
 @dataclass(frozen=True)
 class Standard(AbstractModel):
-    """The URDF's links, some percent off, with friction, an offset and a rotor on every joint.
+    """The URDF's links with errors of some percent, and friction, an offset and a rotor on every joint.
 
-    Least squares with a prior about the URDF: where the motion says little it stays as it is, so that little data
-    suffice and what was learned from one motion holds on another. `share` is learned by leaving motions out where the
-    training data hold several that differ, else by the evidence.
+    Least squares with a prior around the URDF: parameters that the motion does not determine stay as in the URDF, so
+    that few data suffice and the model is valid for other motions. `share` is chosen by leaving motions out if the
+    training data contain several different ones, otherwise by the evidence.
 
     Attributes:
         share: [-] standard deviation of the URDF's inertial parameters, as a share of a link's scales; None: learned
@@ -47,7 +47,7 @@ class Standard(AbstractModel):
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of the columns that every joint has beside the inertial ones."""
+        """Names of the columns that every joint has in addition to the inertial ones."""
         return TERMS if self.rotor_inertia else TERMS[:-1]
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
@@ -123,7 +123,7 @@ class Standard(AbstractModel):
         return {"psi": robot.inertial + links.reshape(-1, 10), **dict(zip(self.terms, beside, strict=True))}
 
     def _correlation(self, dataset: Dataset, params: PyTree) -> np.ndarray:
-        """Autocorrelation time (n,) [samples] of what is left, the longest of all trajectories."""
+        """Autocorrelation time (n,) [samples] of the residual, the longest of all trajectories."""
         times = np.ones(len(dataset.joints))
         for one in dataset.trajectories:
             rows = slice(0, regression.RESIDUALS)
@@ -133,7 +133,7 @@ class Standard(AbstractModel):
 
 
 def _sums(model: Standard, robot: Robot, motion: Motion, tau: Array) -> Sums:
-    """What one trajectory says, in chunks of few shapes."""
+    """The data of one trajectory, in chunks of few shapes."""
     p = (10 + len(model.terms)) * robot.dofs
     grams = jnp.zeros((robot.dofs, p + 1, p + 1))
     design = Design(robot, model.terms, np.ones(robot.dofs), model.rest_speed)

@@ -24,7 +24,7 @@ class Svr(AbstractModel):
         nu: [-] at least that share of the samples are support vectors, at most that share lie outside the tube.
         cost: [-] penalty of a sample outside of the tube (C), for torques in units of their spread.
         gamma: [-] inverse squared width of the kernel in standardised inputs; None: one over the number of inputs.
-        samples: [samples] so many at most, evenly from the training samples, are learned from; the time grows with the
+        samples: [samples] largest number of training samples, evenly spread; the time grows with the
             square.
         tolerance: [-] by how much the optimality conditions may be missed; a tenth of it takes ten times as long.
     """
@@ -93,7 +93,7 @@ class Svr(AbstractModel):
         )
 
     def chunk(self, motion: Motion) -> int:
-        """Fewer samples at a time: every one is compared with every support vector."""
+        """Fewer samples at a time: each one is compared with every support vector."""
         return 512
 
     def _gamma(self, inputs: int) -> float:

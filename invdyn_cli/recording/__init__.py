@@ -1,5 +1,5 @@
-"""One path from a log to rows: selection, usable rows, order and unit of columns, resampling, filters, derivatives.
+"""One path from a log to rows: selection, usable rows, order and units of columns, resampling, filters, derivatives.
 
-`rows` and `channels` hold what every use shares; `conditioning` makes trajectories to learn from, `pieces` what a
-diagnosis looks at, `stretches` what the checks of a log look at.
+`rows` and `channels` are used everywhere; `conditioning` makes trajectories for learning, `pieces` the data of a
+diagnosis, `stretches` the data of the checks.
 """

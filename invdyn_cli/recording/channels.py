@@ -52,7 +52,7 @@ def newton_metres(log: Log, raw: RawTrajectory) -> np.ndarray:
 
 
 def in_newton_metres(log: Log) -> Log:
-    """The log with torques in N m, as it is where its drive gains are not known."""
+    """The log with torques in N m; unchanged where its drive gains are unknown."""
     if log.torque_unit != "A" or log.drive_gain is None:
         return log
     trajectories = tuple(replace(raw, tau=newton_metres(log, raw)) for raw in log.trajectories)

@@ -1,7 +1,8 @@
-"""From logs to what is learned from: cut into blocks first, and only then resampled, filtered and differentiated.
+"""From logs to training and test data: they are first cut into blocks, and only then resampled, filtered and
+differentiated.
 
-Blocks come first so that a zero-phase filter, which looks ahead, carries nothing from what is tested into what is
-learned. Positions, logged derivatives and torques pass through one and the same filter: none leads or lags another.
+Blocks come first so that a zero-phase filter, which uses future samples, carries no test data into the training data.
+Positions, logged derivatives and torques pass through the same filter, so that none leads or lags another.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,18 +23,19 @@ from invdyn_cli.types import Dataset, Motion, Robot, Splits, Trajectory
 
 DERIVATIVES = ("auto", "logged", "positions")
 RATE_TOLERANCE = 0.2
-"""How far the nominal rate may be from the median step's before the step is believed: a wrong rate is off by more."""
+"""Largest relative difference between the nominal rate and that of the median step; beyond it the step is used, because
+a wrong nominal rate differs more."""
 
 
 MOST_ORDER = 20
-"""Of a Butterworth low-pass: an order of 20 needs 5 times as long to settle as one of 4, and nobody asks for more."""
+"""Largest order of a Butterworth low-pass: order 20 needs 5 times as long to settle as order 4."""
 
 
 @dataclass(frozen=True)
 class Conditioning:
     """How trajectories are split and made ready; sources have its fields among their own (`Conditioning.of`).
 
-    With logged derivatives and neither filter, lag nor rate the clock plays no part: samples are taken as they stand.
+    With logged derivatives and without filter, lag and rate the clock is not used, and samples are unchanged.
 
     Attributes:
         train, validation, test: selections, or None.
@@ -65,7 +67,7 @@ class Conditioning:
 
     @classmethod
     def of(cls, source: Any, **instead: Any) -> "Conditioning":
-        """The conditioning that a source's fields ask for; `instead` are those that it calls otherwise."""
+        """The conditioning from the fields of a source; `instead` are fields that have another name there."""
         return cls(**{f.name: instead[f.name] if f.name in instead else getattr(source, f.name) for f in fields(cls)})
 
     def refuse_options(self) -> None:
@@ -90,7 +92,8 @@ class Conditioning:
                 raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {allowed}")
 
     def asked(self, keys: Iterable[str]) -> dict[str, list[Block] | None]:
-        """The blocks that were selected for each set among trajectories called `keys`, None where nothing was said."""
+        """The blocks that were selected for each set among trajectories called `keys`; None where nothing was
+        selected."""
         return selection.asked({name: getattr(self, name) for name in SETS}, keys)
 
     def splits(
@@ -146,7 +149,7 @@ class Conditioning:
         rate = self.rate or (log.rate if nominal else measured)
         if rate < (1 - RATE_TOLERANCE) * measured:
             got = f"data.rate={rate:g}, but trajectory {key!r} is logged at {measured:.4g} Hz"
-            raise UsageError(f"{got}; allowed: no slower", advice="data.decimate, it thins after the filter")
+            raise UsageError(f"{got}; allowed: no slower", advice="data.decimate, which drops samples after the filter")
         if self.filter_cutoff is not None and not 0 < self.filter_cutoff < rate / 2:
             got = f"data.filter_cutoff={self.filter_cutoff:g} Hz for trajectory {key!r} at {rate:.4g} Hz"
             raise UsageError(f"{got}; allowed: above 0 and below half of it, or null")
@@ -155,7 +158,7 @@ class Conditioning:
     def _conditioned(
         self, block: Block, log: Log, raw: RawTrajectory, notes: list[str]
     ) -> tuple[list[Trajectory], dict[str, Any]]:
-        """The block's uninterrupted pieces ready to learn from, and how they came about."""
+        """The block's uninterrupted pieces ready for learning, and how they were made."""
         rows = np.flatnonzero(block.rows(raw.t))
         if block.asked and not len(rows):
             raise LogError(f"no samples in {block}; {block.key!r} runs from {raw.t[0]:g} s to {raw.t[-1]:g} s")

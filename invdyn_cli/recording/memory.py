@@ -1,4 +1,4 @@
-"""What several checks ask of one and the same log is computed once: the last answer is kept, by identity."""
+"""Results that several checks need of the same log are computed once: the last result is kept, by identity."""
 
 import weakref
 from collections.abc import Callable

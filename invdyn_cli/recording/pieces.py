@@ -1,7 +1,7 @@
-"""A log made ready: uninterrupted pieces on one working clock, with derivatives, and the filter that all columns share.
+"""A prepared log: uninterrupted pieces on one clock, with derivatives, and the filter that all columns share.
 
-Pieces are cut by their role (what chooses, what judges, what is compared with) before anything is filtered, so that
-nothing of the one reaches the other.
+Pieces are cut by their role (training, held-out, reference) before anything is filtered, so that no data pass from one
+role to another.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ SMALL, NEGLIGIBLE = 0.3, 0.0001
 """Share of the torque's noise, and of a joint's RMS torque, that the noise of the positions may cost."""
 
 ANSWER = 5
-"""Samples of positions to which a controller's torque is taken to answer at once."""
+"""Number of samples of positions to which a controller's torque is assumed to react immediately."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Preparation:
     Attributes:
         rate: [Hz] working sampling rate; slower logs keep their own. Columns are computed at this rate and only then
             filtered, so that a reversal is placed within 2 ms.
-        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter: the highest at which the noise of the
-            positions, twice differentiated, costs little beside the noise of the torque itself (SMALL, NEGLIGIBLE).
+        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; chosen is the highest at which the
+            noise of the twice differentiated positions is small compared with that of the torque (SMALL, NEGLIGIBLE).
         smoothing: [-] bandwidth of the motion signals, as a multiple of that of the columns.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms.
         max_gap: [s] a longer step splits a trajectory.
@@ -57,7 +57,7 @@ class Preparation:
 @dataclass(frozen=True)
 class Piece:
     """An uninterrupted stretch on the working clock: t (T,) [s] from the start of its trajectory, the others (n, T)
-    [rad, N m; m, N]; `motion_noise` is the speed [rad/s] that the noise of the positions feigns, (n,)."""
+    [rad, N m; m, N]; `motion_noise` is the speed [rad/s] that the noise of the positions causes, (n,)."""
 
     trajectory: str
     role: str
@@ -160,7 +160,8 @@ def prepare(
     Args:
         log: torques in N m, no defects.
         inertia: (n,) typical inertia that each joint carries [kg m^2]: it turns noise of positions into torque.
-        windows: role -> stretches; None: the first `train_share` of every trajectory chooses, the rest judges.
+        windows: role -> stretches; None: the first `train_share` of every trajectory is training data,
+            the rest is held out.
 
     Raises:
         LogError: if no piece is long enough.
@@ -218,7 +219,7 @@ def prepare(
 
 
 def _by_trajectory(log: Log, options: Preparation) -> dict[str, list[Window]]:
-    """Windows for trajectories too short to be parted: whole ones choose or judge."""
+    """Windows for trajectories that are too short to be divided: a whole trajectory is training or held-out data."""
     names = [x.name for x in log.trajectories]
     first = min(max(1, round(options.train_share * len(names))), len(names) - 1)
     roles = {"train": names[:first], "test": names[first:]}
@@ -265,7 +266,7 @@ def _stretches(piece, share: float, length: float):
 
 
 def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float):
-    """On a uniform clock of the log's own period; cubic for positions, since they are differentiated."""
+    """Resampled to a uniform clock with the log's own period; cubic for positions, because they are differentiated."""
     ticks, q = resample(t, np.asarray(q, float).T, 1 / period, degree=3, tolerance=1e-3)
     return ticks, q.T, resample(t, np.asarray(tau, float).T, 1 / period, tolerance=1e-3)[1].T
 
@@ -297,7 +298,7 @@ def _cutoff(
     rate: float,
     options: Preparation,
 ) -> float:
-    """A joint's cut-off [Hz], as Preparation says."""
+    """A joint's cut-off frequency [Hz], as `Preparation` describes."""
     possible = [f for f in options.cutoffs if f <= 0.2 * rate] or [min(options.cutoffs[-1], 0.2 * rate)]
     for cutoff in possible:
         acceleration = position_noise * (2 * np.pi) ** 2 * cutoff**2.5 * np.sqrt(2 * period / 5)

@@ -1,4 +1,5 @@
-"""Rows of a logged trajectory: which can be used, how they are kept, parted and thinned. Nothing here judges."""
+"""Rows of a logged trajectory: which ones are usable, and how they are kept, divided and thinned. This module does not
+judge defects."""
 
 import bisect
 import itertools
@@ -11,13 +12,15 @@ import numpy as np
 from invdyn_cli.log import CHANNELS, Log, RawTrajectory
 
 MAX_GAP = 0.1
-"""[s] a longer step parts a trajectory, as `data.max_gap` does on reading."""
+"""[s] A longer step divides a trajectory, as `data.max_gap` does on reading."""
 
 RESTART = 20
-"""Rows that a clock goes on for after it was set back: the window of the shortest filter. Less is a bad stamp."""
+"""Number of rows after which a clock that jumped back counts as restarted: the window of the shortest filter. With
+fewer rows it is a bad time stamp."""
 
 MOST = 120_000
-"""Rows of a log that the costly checks look at: two minutes at 1 kHz, windows of WINDOW spread evenly over it."""
+"""Number of rows of a log that the expensive checks use: two minutes at 1 kHz, windows of WINDOW spread evenly over
+it."""
 
 WINDOW = 20.0
 """[s] of one such window: long enough for the slow joints of an arm to turn back."""
@@ -29,7 +32,7 @@ def present(raw: RawTrajectory) -> dict[str, np.ndarray]:
 
 
 def taken(raw: RawTrajectory, rows: Any, name: str | None = None) -> RawTrajectory:
-    """The trajectory with these rows (a slice, indices or a mask) alone."""
+    """The trajectory with only these rows (a slice, indices or a mask)."""
     changed: dict[str, Any] = {c: x[rows] for c, x in present(raw).items()}
     changed |= {c: x[rows] for c in ("stage", "rows") if (x := getattr(raw, c)) is not None}
     return replace(raw, t=raw.t[rows], name=name or raw.name, **changed)
@@ -44,7 +47,7 @@ def parted(raw: RawTrajectory, pieces: list[np.ndarray]) -> list[RawTrajectory]:
 
 
 def each(log: Log, change: Callable[[RawTrajectory], RawTrajectory | list[RawTrajectory]]) -> Log:
-    """The log with every trajectory changed, into none, one or several."""
+    """The log with every trajectory replaced by none, one or several."""
     made = [change(raw) for raw in log.trajectories]
     return replace(log, trajectories=tuple(x for one in made for x in (one if isinstance(one, list) else [one])))
 
@@ -59,8 +62,8 @@ def median_step(t: np.ndarray) -> float:
 def clock_pieces(t: np.ndarray) -> list[np.ndarray]:
     """Rows of t (T,) [s] that follow each other in time, apart where the clock starts anew for at least RESTART rows.
 
-    Of each piece these are the longest sequence of rows whose stamps increase: a stamp that is far too late costs its
-    own row, and not all rows after it.
+    Of each piece these are the longest sequence of rows with increasing time stamps: a stamp that is far too late costs
+    only its own row, not all rows after it.
     """
     back = np.flatnonzero(np.diff(t) < 0) + 1
     starts = [int(row) for row in back if _starts_anew(t, int(row))]
@@ -82,7 +85,8 @@ def forward_rows(t: np.ndarray) -> np.ndarray:
 
 
 def _starts_anew(t: np.ndarray, row: int) -> bool:
-    """Whether the clock is set back at a row: it goes on from there, and stays behind what most rows before had."""
+    """Whether the clock jumps back at a row: it continues from there, and stays behind the times of most rows
+    before."""
     before, after = t[max(0, row - RESTART) : row], t[row : row + RESTART]
     if len(before) < RESTART or len(after) < RESTART or not np.all(np.diff(after) > 0):
         return False
@@ -115,7 +119,7 @@ def usable_rows(raw: RawTrajectory) -> np.ndarray:
 
 
 def longest_step(steps: np.ndarray) -> float:
-    """[s] a longer one of these steps (T - 1,) [s] parts a trajectory: MAX_GAP, or five median steps."""
+    """[s] The longest of these steps (T - 1,) [s] that does not divide a trajectory: MAX_GAP, or five median steps."""
     return max(MAX_GAP, 5 * float(np.median(steps))) if len(steps) else MAX_GAP
 
 
@@ -153,12 +157,12 @@ def runs(flags: np.ndarray) -> np.ndarray:
 
 
 def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0) -> bool:
-    """Whether rows follow each other as a motion does; poses and shuffled rows do not.
+    """Whether rows follow each other as in a motion; single poses and shuffled rows do not.
 
-    A joint's second differences are small beside its first ones where it is sampled well; where rows have nothing to do
-    with each other, their RMS is sqrt(3) times as large (the variance of white noise's differences: 6 beside 2). Judged
-    on joints that move more than `moved` [rad]: one of them has to be below `roughness`. A step across a gap is no
-    difference of neighbours: gaps do not count.
+    A joint's second differences are small compared with its first ones if it is sampled well. If rows are unrelated,
+    the RMS of the second is sqrt(3) times that of the first (the variances of the differences of white noise are 6 and
+    2). Judged are joints that move more than `moved` [rad]: for one of them the ratio must be below `roughness`.
+    Differences across gaps are left out.
     """
     rows = np.flatnonzero(usable_rows(raw))[:20_000]
     if len(rows) < 4:

@@ -1,4 +1,4 @@
-"""Which stretches of which trajectories are learned from, watched and tested on: selections in words -> blocks in time.
+"""Which stretches of which trajectories are training, validation and test data: selections as text -> blocks in time.
 
 A selection is "name" or "name[t0:t1]": t0 <= t < t1 in seconds of the log's clock; ends may stay open.
 """
@@ -38,7 +38,7 @@ class Block:
 
 
 def parse(option: str, text: str, keys: Iterable[str]) -> Block:
-    """The block that the selection `text` of `data.<option>` means, among trajectories called `keys`.
+    """The block for the selection `text` of `data.<option>`, among trajectories called `keys`.
 
     Keys are "name", or "log/name" where there are several logs; then "name" alone will do if only one log has it.
 
@@ -65,7 +65,8 @@ def parse(option: str, text: str, keys: Iterable[str]) -> Block:
 
 
 def asked(options: Mapping[str, Iterable[object] | None], keys: Iterable[str]) -> dict[str, list[Block] | None]:
-    """The blocks that the selections of each option mean among trajectories called `keys`, None where nothing was said.
+    """The blocks for the selections of each option among trajectories called `keys`; None for an option that is not
+    set.
 
     Raises:
         LogError, UsageError: as `parse` and `refuse_overlap`.
@@ -77,7 +78,7 @@ def asked(options: Mapping[str, Iterable[object] | None], keys: Iterable[str]) -
 
 
 def refuse_overlap(sets: Mapping[str, Iterable[Block]]) -> None:
-    """Raise a UsageError if a stretch was asked for twice: what is tested on must not have been learned from."""
+    """Raise a UsageError if a stretch is selected twice: test data must not have been learned from."""
     for (one, a), (two, b) in combinations([(name, block) for name, blocks in sets.items() for block in blocks], 2):
         start, end = max(a.start, b.start), min(a.end, b.end)
         if a.key == b.key and start < end:
@@ -93,7 +94,8 @@ def complete(
     train_share: float,
     validation_share: float,
 ) -> dict[str, list[Block]]:
-    """The blocks of all SETS: those asked for, the others (None) from the trajectories that nobody named.
+    """The blocks of all SETS: the selected ones, and for sets without a selection (None) the trajectories that no
+    selection names.
 
     With neither train nor test, each of these gives its first `train_share` in time to learn from and the rest to test
     on; with one of the two, the other takes them whole. Validation is the last `validation_share` in time of each block
@@ -143,7 +145,7 @@ def windows(
 
 
 def cut(log: Log, blocks: Iterable[Block]) -> Log:
-    """The log with these stretches alone; LogError for one without samples."""
+    """The log with only these stretches; LogError for one without samples."""
     found, parts = {x.name: x for x in log.trajectories}, []
     for block in blocks:
         one = found[block.key]
@@ -156,7 +158,7 @@ def cut(log: Log, blocks: Iterable[Block]) -> Log:
 
 
 def _clock(t: np.ndarray) -> np.ndarray:
-    """What can be read of t [s], at least one number: the doctor has not seen it yet."""
+    """Readable values of t [s], at least one: the log was not checked yet."""
     t = np.ravel(t)
     t = t[np.isfinite(t)]
     return t if len(t) else np.zeros(1)

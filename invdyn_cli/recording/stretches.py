@@ -1,6 +1,7 @@
-"""What the checks of a log look at: windows of it on a uniform clock, filtered alike, positions differentiated.
+"""The data that the checks of a log use: windows of it on a uniform clock, all filtered alike, positions
+differentiated.
 
-Nothing rests on logged derivatives; windows (`rows.windows`) are cut before they are filtered.
+Logged derivatives are not used; windows (`rows.windows`) are cut before they are filtered.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,8 @@ from invdyn_cli.recording.memory import once_for_a_log
 from invdyn_cli.recording.rows import is_series, median_step, taken, windows
 
 CUTOFF = 6.0
-"""[Hz] of the zero-phase low-pass: what a position-controlled arm moves is below, encoder noise in qdd mostly above."""
+"""[Hz] Zero-phase low-pass filter: the motion of a position-controlled arm is below, encoder noise in qdd mostly
+above."""
 
 
 @dataclass(frozen=True)

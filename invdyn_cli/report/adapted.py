@@ -1,4 +1,4 @@
-"""The figure of a run that adapts: errors along a repetition, with and without adapting (the paper's Fig. 4)."""
+"""The figure of a run that adapts: errors along a repetition, with and without adaptation (the paper's Fig. 4)."""
 
 import numpy as np
 from matplotlib.figure import Figure

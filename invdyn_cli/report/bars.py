@@ -1,4 +1,4 @@
-"""The figure of an experiment: test errors as bars on a log scale, what the paper says of each as a box behind it."""
+"""The figure of an experiment: test errors as bars on a log scale, with the paper's statements as boxes behind them."""
 
 import itertools
 import textwrap
@@ -36,7 +36,7 @@ OF_MODEL = {"PEST": GREEN, "NN": BLUE, "DBM": PURPLE}
 OTHERS = (ORANGE, SKY, VERMILLION, GREY, BLACK)
 
 LETTERS = 118
-"""Of tick labels, in a line as wide as the figure."""
+"""Largest number of characters of tick labels in a line as wide as the figure."""
 
 
 def draw(spec: Mapping[str, Any], statements: Sequence[Mapping[str, Any]], jobs: Sequence[Job]) -> Figure:
@@ -107,7 +107,7 @@ def _bars(
 
 
 def _box(axes: Axes, where: float, width: float, low: float, high: float) -> None:
-    """What is expected of a bar, behind it."""
+    """The expected range of a bar, behind it."""
     bottom, top = axes.get_ylim()
     low, high = max(low, bottom), min(high, top)
     look = {"color": "0.9", "edgecolor": "0.55", "lw": 0.8, "hatch": "///", "zorder": 1}
@@ -115,7 +115,7 @@ def _box(axes: Axes, where: float, width: float, low: float, high: float) -> Non
 
 
 def _shown(spec: Mapping[str, Any], metrics: Mapping[str, Any], of: str) -> list[float]:
-    """All that a bar shows of a set."""
+    """All numbers that a bar shows of one set."""
     clean = values_of(metrics, "test_clean")[:1] if of == "test" else []
     return [*values_of(metrics, of), *clean, *_joints(spec, metrics, of)]
 
@@ -126,10 +126,10 @@ def _joints(spec: Mapping[str, Any], metrics: Mapping[str, Any], of: str) -> lis
 
 
 def _labels(bar: Mapping[str, Any]) -> dict[str, Any]:
-    """That a bar picks its jobs by."""
+    """The labels by which a bar selects its jobs."""
     return {key: value for key, value in bar.items() if key not in ("set", "colour")}
 
 
 def _values(jobs: Sequence[Job], key: str) -> list[str]:
-    """Of a label, in the order of the jobs."""
+    """The values of a label, in the order of the jobs."""
     return list(dict.fromkeys(labels[key] for labels, _ in jobs))

@@ -1,5 +1,5 @@
 """The report's section on the better simulation: the replay in words, a table and a picture, and the files for
-simulators with what they do not hold."""
+simulators with what they do not contain."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -16,7 +16,7 @@ REPLAY_CAPTION = (
     "alone, without feedback. The windows are from held-out data."
 )
 OPEN = 4
-"""Things that a file does not hold, above which their list is folded."""
+"""Number of missing parts of a file above which their list is folded."""
 
 MUJOCO = """\
 import mujoco
@@ -42,7 +42,8 @@ def better_simulation(diagnosis: Diagnosis, drawn: Path | None, lacks: Mapping[s
 
 
 def replay_line(diagnosis: Diagnosis) -> str:
-    """'Unconstrained replay in MuJoCo, 0.2 s …: the extended arm deviates by 0.021 rad, the nominal by 0.31.'"""
+    """A heading: 'Unconstrained replay in MuJoCo, 0.2 s …: the extended arm deviates by 0.021 rad, the nominal by
+    0.31.'"""
     replay = diagnosis.replay
     unit = "; ".join(dict.fromkeys(angle_unit(diagnosis).values()))
     after, before = (significant(float(x.mean())) for x in (replay.after, replay.before))
@@ -53,7 +54,7 @@ def replay_line(diagnosis: Diagnosis) -> str:
 
 
 def _held(diagnosis: Diagnosis) -> str:
-    """What it takes to hold both arms to the measured motion."""
+    """Which torques are needed to hold both arms to the measured motion."""
     replay, angles, torques, body = diagnosis.replay, angle_unit(diagnosis), units_of(diagnosis), ""
     for i, joint in enumerate(replay.joints):
         cells = [

@@ -33,7 +33,7 @@ OTHER_SETS = (GREEN, PURPLE, GREY)
 
 WIDTH = 11.0
 LEGEND_LETTERS = 150
-"""Of a legend, in a line as wide as the figure, room for handles counted."""
+"""Largest number of characters of a legend in a line as wide as the figure, including the handles."""
 LINE_POINTS = 2000
 CLOUD_POINTS = 4000
 NUMBERED = 10
@@ -56,7 +56,7 @@ STYLE: dict[Any, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Meanwhile figures look alike everywhere: no matplotlibrc counts, of a user's or of the working directory."""
+    """Within it figures look the same everywhere: matplotlibrc files of users and folders are ignored."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
@@ -86,7 +86,7 @@ def shape_of(panels: int) -> tuple[int, int]:
 
 
 def titled_figure(record: RunRecord, title: str, height: float) -> Figure:
-    """An empty figure of that height [in] under a line that says which run this is and what is shown."""
+    """An empty figure of that height [in] below a line that names the run and the content."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     run = f"{choice(record, 'model')} on {choice(record, 'data')}, {choice(record, 'adaptation')}"
     figure.suptitle(plain(f"{run}: {title}"), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
@@ -120,8 +120,8 @@ def label_below(axes: Axes, label: str, i: int, panels: int, *, shared: bool = T
 
 
 def limit_around(axes: Axes, measured: np.ndarray, other: np.ndarray, least: float = 0.0) -> None:
-    """Limits for both curves; one that runs away from the measured one is shown for once its range each way, or for
-    `least`."""
+    """Limits for both curves. A curve that diverges from the measured one is shown up to the range of the measured one
+    beyond it, or up to `least`."""
     measured, other = measured[np.isfinite(measured)], other[np.isfinite(other)]
     if not len(measured):
         return

@@ -10,7 +10,8 @@ from invdyn_cli.report.laws import cloud, joint_name, law, mark, name_axes, scal
 
 
 def over_nominal(axes: Axes, exhibit: Exhibit) -> None:
-    """Over the nominal torque: a wrong scale is a line; where it holds for a time, the samples of that time apart."""
+    """Over the nominal torque: a wrong scale is a line; if the effect acts in a time window, its samples have another
+    colour."""
     x, y, term = (exhibit.own(a) for a in (exhibit.signals.nominal, exhibit.residual, exhibit.term))
     inside = in_window(exhibit)
     if inside.any() and not inside.all():
@@ -22,7 +23,7 @@ def over_nominal(axes: Axes, exhibit: Exhibit) -> None:
 
 
 def over_rate(axes: Axes, exhibit: Exhibit) -> None:
-    """Over the slope of the nominal torque in time: what comes late leaves its slope."""
+    """Over the time derivative of the nominal torque: a late torque leaves a residual in proportion to it."""
     nominal, t = exhibit.own(exhibit.signals.nominal), exhibit.signals.t
     rate = np.full(len(t), np.nan)
     for rows in recordings(exhibit.signals):
@@ -37,7 +38,8 @@ def over_rate(axes: Axes, exhibit: Exhibit) -> None:
 def misfit_over_shift(axes: Axes, exhibit: Exhibit) -> None:
     """RMS of what is left if the logged torque is shifted by so much: least at the delay.
 
-    It is the model's torque that is shifted, the other way: interpolation smooths noise, and would favour half steps.
+    The model's torque is shifted in the other direction, because interpolation smooths noise and would favour half
+    steps.
     """
     tau, t = exhibit.own(exhibit.signals.tau), exhibit.signals.t
     without = exhibit.own(exhibit.signals.extended) - exhibit.own(exhibit.term)

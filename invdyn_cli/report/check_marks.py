@@ -1,4 +1,4 @@
-"""What is wrong in a log, marked in a panel: samples, spans, and what holds of a whole channel."""
+"""Defects of a log, marked in a panel: samples, spans, and defects of a whole channel."""
 
 from dataclasses import replace
 from textwrap import shorten

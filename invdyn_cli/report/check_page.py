@@ -1,5 +1,5 @@
-"""A checked log as one HTML file that needs nothing else: usable or not, what to do, every channel with what is wrong
-marked in it, what it excites and what it therefore can show, and every check."""
+"""A checked log as one HTML file that needs nothing else: whether it is usable, what to do, every channel with its
+defects, what the log excites and can therefore show, and every check."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -21,7 +21,7 @@ from invdyn_cli.types import Check, Examination, Robot
 CAPTIONS = {
     "clock": "Steps of the clock as logged. Spikes are gaps; a wide band is jitter.",
     "q": "Positions over time, with the commanded ones where they are logged. Of long logs the lowest and "
-    "the highest value of every stretch are drawn, so that no spike is lost. What stands above a panel holds of "
+    "the highest value of every stretch are drawn, so that no spike is lost. A note above a panel applies to "
     "the whole channel.",
     "qd": "Velocities over time.",
     "qdd": "Accelerations over time.",
@@ -29,11 +29,11 @@ CAPTIONS = {
     "model": "Left: measured torque and that of the URDF's rigid bodies, without friction, over time. Right: one over "
     "the other, row by row. Points along the grey line agree; another slope is a unit, a sign or a gain, a cloud "
     "without a slope a wrong column; two parallel bands are friction.",
-    "excitation": "Where the motion has been: velocity over position. What a joint never did, this log cannot show.",
+    "excitation": "Velocity over position. This log cannot show what a joint never did.",
 }
 CHANNELS = (
-    "Every channel as logged, as corrected where that differs, with what is wrong marked where it is. What stands "
-    "beside a title in colour holds of the whole channel."
+    "Every channel as logged and, where that differs, as corrected, with its defects marked. A coloured note beside "
+    "a title applies to the whole channel."
 )
 MODEL = "Measured torque, as corrected and filtered, and that of the URDF's rigid bodies, without friction."
 TITLES = {"clock": "Clock", "q": "Positions", "qd": "Velocities", "qdd": "Accelerations", "tau": "Torques"}
@@ -42,7 +42,7 @@ CORRECTED = ("duplicates", "outliers", "time_offset", "too_short", ("unit_error"
 """Checks, or checks of a channel, whose warnings the doctor corrects; of the others it corrects failures alone."""
 
 FOLD_FROM = 12
-"""Lines of what to do, or corrections, from which on the rest is folded."""
+"""Number of advices or corrections above which the rest is folded."""
 
 STYLE = """
 .verdict { font-weight: 600; font-size: 1.1rem; } table.words td, table.words th { text-align: left;
@@ -110,7 +110,7 @@ def page(
 
 
 def verdict(examination: Examination) -> str:
-    """One sentence: usable or not, what is wrong, what was corrected."""
+    """One sentence: whether the log is usable, what is wrong, what was corrected."""
     wrong, corrected = _wrong(examination)
     left = [x for x in wrong if x not in corrected]
     count = len(examination.corrections)
@@ -153,7 +153,7 @@ def _channel(check: Check) -> str:
 
 
 def _to_do(examination: Examination) -> str:
-    """What is not corrected first, the gravest on top; the commands that go on; what the next recording should have."""
+    """The most severe uncorrected findings first; the next commands; what the next recording should contain."""
     wrong, corrected = _wrong(examination)
     lines = _advice([x for x in wrong if x not in corrected])
     if examination.usable and examination.corrections:
@@ -233,7 +233,7 @@ def _can_show(examination: Examination, robot: Robot | None) -> str:
         body += f"<td>{escape(_joints(able, excitation)) if able else 'none'}</td><td>{said or '-'}</td></tr>"
     if not body:
         return ""
-    note = "Whether an effect is there is not said here: invdyn diagnose says it."
+    note = "This table does not say whether an effect is present; invdyn diagnose does."
     if unjudged:
         note += f" Not judged without a robot: {', '.join(map(words, unjudged))}."
     return table(("effect", "can be shown on", "not on, and why"), body) + f'<p class="note">{escape(note)}</p>'

@@ -1,5 +1,5 @@
-"""The plots of a checked log that zoom: every channel of every joint with what is wrong marked in it, and measured
-torque beside that of the URDF's model."""
+"""The interactive plots of a checked log: every channel of every joint with its defects, and measured torque beside
+that of the URDF's model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,12 +17,12 @@ from invdyn_cli.report.tables import significant
 
 COLOURS = {"outliers": "vermillion", "not_finite": "purple", "duplicates": "sky", "at_rest": "green",
            "saturation": "orange"}  # fmt: skip
-"""Of marks of samples and spans."""
+"""Colours of marks of samples and spans."""
 
 MODEL_NOTE = (
     "Blue: measured torque over that of the URDF's rigid bodies. Points along the grey line agree; "
     "another slope is a unit, a sign or a gain, a cloud without a slope a wrong column; two parallel bands are "
-    "friction. Green: velocity over position. What a joint never did, this log cannot show."
+    "friction. Green: velocity over position. This log cannot show what a joint never did."
 )
 
 
@@ -92,7 +92,7 @@ def _dense(pieces: Pieces, total: int) -> np.ndarray:
 
 
 def _marks(drawn: CheckedLog, channel: str, joint: int, y: np.ndarray) -> tuple[list[Mark], str]:
-    """What is marked in a panel, and what holds of its whole channel."""
+    """The marks in a panel, and the defects of its whole channel."""
     marks, whole = [], []
     for one in drawn.marks:
         if one.check == "gaps" and one.rows is not None and len(one.rows):

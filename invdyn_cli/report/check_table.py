@@ -35,7 +35,7 @@ def skipped_reasons(checks: Iterable[Check]) -> dict[str, dict[str, None]]:
 
 
 def pill(kind: str, said: Mapping[str, str]) -> str:
-    """A word in a frame whose colour says its kind."""
+    """A word in a frame with the colour of its kind."""
     return f'<span class="pill {escape(kind)}">{escape(said.get(kind, kind))}</span>'
 
 

@@ -1,4 +1,4 @@
-"""A check on the terminal: what is not ok and what to do, what can be corrected, what the log excites."""
+"""A check on the terminal: what is not ok and what to do, what can be corrected, and what the log excites."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A log as recorded and as corrected on one time axis, with what is wrong in it, as the figures of a check draw it."""
+"""A log as recorded and as corrected on one time axis, with its defects, as the figures of a check draw it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -65,12 +65,12 @@ class CheckedLog:
 
     @property
     def time_label(self) -> str:
-        """Of the x axis."""
+        """Label of the x axis."""
         several = len(self.log.trajectories) > 1
         return "time, recordings one after another [s]" if several else "time [s]"
 
     def unit(self, channel: str, joint: int) -> str:
-        """Of a channel in this log's words."""
+        """The unit of a channel in this log."""
         slides = self.robot is not None and self.robot.prismatic[joint]
         if channel == "tau":
             return "A" if self.log.torque_unit == "A" else "N" if slides else "N m"
@@ -79,7 +79,7 @@ class CheckedLog:
         return ("m" if slides else "rad") + {"qd": "/s", "qdd": "/s²"}.get(channel, "")
 
     def logged_unit(self, channel: str, joint: int) -> str:
-        """The same, where nothing says that the channel is in another one."""
+        """The unit of a channel as logged, which is not known if a check found a unit error in it."""
         wrong = any(x.check == "unit_error" and x.channel == channel and x.joint in (None, joint) for x in self.marks)
         return "as logged" if wrong else self.unit(channel, joint)
 

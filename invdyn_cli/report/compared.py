@@ -36,7 +36,7 @@ CURVES_CAPTION = "Measured torque of the test set, what each run predicts of it,
 
 @dataclass(frozen=True)
 class Compared:
-    """A run beside others.
+    """A run among others.
 
     Attributes:
         name: what it is called there.
@@ -52,7 +52,7 @@ class Compared:
 
     @property
     def judged(self) -> str:
-        """The set that it is judged on: as adapted, where it adapts."""
+        """The set on which it is scored: during adaptation, if it adapts."""
         return "test_adapted" if "test_adapted" in self.metrics else "test"
 
     def score(self, kind: str) -> float:
@@ -92,7 +92,7 @@ def page(runs: Sequence[Compared], figures: Sequence[Path], title: str, told: st
 
 
 def summary(runs: Sequence[Compared]) -> str:
-    """Which run has the lowest error, and what to know before believing it."""
+    """Which run has the lowest error, and what to know before trusting it."""
     ranked = sorted((x for x in runs if np.isfinite(x.score("rmse"))), key=lambda x: x.score("rmse"))
     if not ranked:
         return "No run has an error on a test set."
@@ -165,7 +165,7 @@ def bars(runs: Sequence[Compared]) -> Figure:
 
 
 def curves(runs: Sequence[Compared], colours: Mapping[str, str]) -> str:
-    """Plots over time of runs that were judged on the same data: torque and residual of every joint."""
+    """Plots over time of runs with the same test data: torque and residual of every joint."""
     records = [x.record for x in runs if x.record is not None]
     data = records[0].predictions["test"].data
     robot = next((r for r in map(robot_of, records) if r is not None), None)

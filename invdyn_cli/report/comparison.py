@@ -1,5 +1,4 @@
-"""The table of a published experiment, and the paper's statements with what was found and a verdict. Pure functions of
-metrics.json contents: a job is a pair of its labels ({name: value}) and its metrics."""
+"""The table of a published experiment, and the paper's statements with our result and a verdict."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -142,7 +141,7 @@ def band_of(
 
 
 def matches(labels: Mapping[str, str], wanted: Mapping[str, Any]) -> bool:
-    """Whether a job has all wanted labels, each a value or a list of them."""
+    """Whether a job has all wanted labels; each is a value or a list of values."""
     lists = {key: value if isinstance(value, list) else [value] for key, value in wanted.items()}
     return all(labels.get(key) in [str(x) for x in values] for key, values in lists.items())
 
@@ -154,13 +153,13 @@ def markdown(grid: Grid) -> str:
 
 
 def _values(together: Sequence[tuple], wanted: Mapping[str, Any], value: str) -> list[list[float]]:
-    """Of every job that is wanted: the values of all its seeds."""
+    """For every wanted job: the values of all its seeds."""
     found = [[x for m in several for x in _picked(m, value)] for labels, several in together if matches(labels, wanted)]
     return [values for values in found if values]
 
 
 def _picked(metrics: Mapping[str, Any], value: str) -> list[float]:
-    """Of one job: what a statement's `value` says; none where there is no such thing."""
+    """The `value` of a statement for one job; none if it does not exist."""
     kind, _, path = value.partition(".")
     if kind == "load":
         every = metrics.get("adaptation_scores", {}).get("loads", [])

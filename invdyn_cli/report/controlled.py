@@ -1,4 +1,4 @@
-"""What a learned feedforward is worth in a control loop: figure, table, sentences, JSON (invdyn-control/1), CSV."""
+"""The value of a learned feedforward in a control loop: figure, table, sentences, JSON (invdyn-control/1), CSV."""
 
 import csv
 import io
@@ -27,14 +27,14 @@ WIDTHS = {ALONE: 1.6, LEARNED: 4.0, ADAPTED: 1.6}
 OBJECT = {False: "without the object", True: "with the object"}
 
 POOR = 5.0
-"""[deg] Where feedback alone errs by about this much, feedforwards are compared in words."""
+"""[deg] Feedforwards are compared in words at the gain where the error with feedback alone is nearest to this value."""
 
 IN_TIMES, SEEN = 1.2, 1.0
 """Ratio of errors from which they are told in times, below it in per cent; [%] below which they are told as equal."""
 
 
 SAME = "the same"
-"""Of two errors that differ by less."""
+"""Word for two errors that differ by less."""
 
 
 def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
@@ -101,7 +101,8 @@ def table(record: ControlRecord) -> Table:
 
 
 def sentences(record: ControlRecord) -> list[str]:
-    """How much closer the feedforwards are at the gain where feedback alone errs by nearly POOR; what went wrong."""
+    """How much smaller the errors with the feedforwards are at the gain where the error with feedback alone is nearest
+    to POOR; and failures."""
     out = []
     for loaded in (False, True):
         alone = {gain: record.rms(gain, loaded, ALONE) for gain in record.sweep.gains}

@@ -1,4 +1,4 @@
-"""Errors of several methods along a repetition (the paper's Fig. 4), and what a load is taken for on the way."""
+"""Errors of several methods along a repetition (the paper's Fig. 4), and the estimated mass of the load."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -102,7 +102,7 @@ def _curve(axes: Axes, shown: str, look: Mapping[str, Any], picked: Sequence[Cou
 
 
 def _weights(axes: Axes, spec: Mapping[str, Any], picked: Sequence[Course]) -> None:
-    """The load's mass where half of the repetitions believe in one."""
+    """The load's mass where at least half of the repetitions report one."""
     for x in picked[:1]:
         t, every = joined(x, x.mass)
         _, spread = joined(x, x.mass_std)

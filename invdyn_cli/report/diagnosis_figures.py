@@ -1,6 +1,6 @@
-"""The figures of a diagnosis: an overview, and one picture for every cause that shows it to the eye.
+"""The figures of a diagnosis: an overview, and one picture for every cause.
 
-Black is what was measured, less what the other effects explain; vermillion is the fitted term that belongs to it.
+Black is the measurement minus the terms of the other effects; vermillion is the fitted term.
 """
 
 from collections.abc import Callable, Sequence
@@ -60,7 +60,7 @@ PANELS: dict[str, Panel] = {
     "time_shift": channel_laws.misfit_over_shift,
     "clipping": channel_laws.clipping,
 }
-"""What an effect's picture may show (`AbstractEffect.panels`), two of them at most."""
+"""What the picture of an effect may show (`AbstractEffect.panels`), at most two of them."""
 
 JOINTS = "joints"
 """The panel that shows all joints over time."""
@@ -88,7 +88,7 @@ def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = 
 
 
 def draw(exhibit: Exhibit) -> Figure:
-    """The picture that fits the effect; one without a picture of its own is shown over time."""
+    """The picture of the effect; an effect without one is shown over time."""
     names = text_of(exhibit.finding).panels
     if JOINTS in names:
         return all_joints(exhibit)
@@ -157,7 +157,7 @@ def level(exhibit: Exhibit, *, bins: int = 150) -> Figure:
 
 
 def all_joints(exhibit: Exhibit) -> Figure:
-    """Every joint over the stretch of time that tells most: one body must explain all of them."""
+    """Every joint over the stretch of time that shows most: one body must explain all of them."""
     n, signals, finding = len(exhibit.joints), exhibit.signals, exhibit.finding
     rows = telling_window(signals, exhibit.term, range(n), where=finding.trajectory, around=finding.window)
     grid_rows, columns = shape_of(n)
@@ -204,7 +204,7 @@ def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
 
 
 def _stretch(axes: Axes, exhibit: Exhibit) -> None:
-    """Residual and term of the exhibit's joint in the window that tells most."""
+    """Residual and term of the exhibit's joint in the window that shows most."""
     signals, finding = exhibit.signals, exhibit.finding
     rows = telling_window(signals, exhibit.term, [exhibit.column], where=finding.trajectory, around=finding.window)
     _two_curves(axes, signals.t[rows], exhibit.own(exhibit.residual)[rows], exhibit.own(exhibit.term)[rows])

@@ -106,7 +106,7 @@ def page(
     lacks: Mapping[str, Sequence[str]] | None = None,
     record_next: str = "",
 ) -> str:
-    """The report as HTML text: what is wrong and what to do on the first screen, then what it rests on."""
+    """The report as HTML text: what is wrong and what to do on the first screen, then the evidence."""
     drawn = {x.stem: x for x in figures if x.suffix == ".png"}
     found = claims(diagnosis)
     told = f'<p class="sub"><span class="verdict">{escape(_verdict(diagnosis))}</span></p>\n'
@@ -152,7 +152,7 @@ def _title(diagnosis: Diagnosis, robot_name: str) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    """'Partly explained: 4 causes named, 1 ambiguous'."""
+    """A sentence such as 'Partly explained: 4 causes named, 1 ambiguous'."""
     word = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
     named = sum(x.status == "named" for x in diagnosis.findings)
     open_ones = sum(x.status == "ambiguous" for x in diagnosis.findings)
@@ -213,7 +213,7 @@ def _causes(diagnosis: Diagnosis) -> str:
 
 
 def _at(joint: str, finding: Finding) -> str:
-    """Where a gain was made, if it is not plain."""
+    """On which joint a gain was made, if it is not obvious."""
     return "" if joint == finding.joint else f"<small>{escape(joint)}, of {len(finding.gain)} joints</small>"
 
 
@@ -330,7 +330,7 @@ def _term(term: Mapping[str, Any], number: int | None) -> str:
 
 
 def _checks(diagnosis: Diagnosis) -> str:
-    """What the doctor did not find in order, the gravest first, and how many checks were."""
+    """The findings of the checks, most severe first, and the number of checks."""
     order = ("fail", "warn", "note")
     told = [x for kind in order for x in diagnosis.examination.checks if x.severity == kind]
     fine = len({x.check for x in diagnosis.examination.checks if x.severity == "ok"})

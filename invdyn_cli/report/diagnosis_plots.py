@@ -58,7 +58,7 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
 
 
 def _windows(diagnosis: Diagnosis, trajectory: np.ndarray, t: np.ndarray, joint: str) -> list[Mark]:
-    """When the causes act that come and go, of this joint or of the whole arm."""
+    """The times in which causes with a window act, for this joint or the whole arm."""
     marks = []
     for x in claims(diagnosis):
         if x.window is None or x.joint not in (None, joint):

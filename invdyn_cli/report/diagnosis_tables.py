@@ -109,8 +109,8 @@ ERROR_HEADS = (
 
 
 def error_table(diagnosis: Diagnosis) -> Table:
-    """Held-out errors per joint of the nominal and the extended model, and of what a user would try first; beside them
-    the noise floor, and what a learner still finds."""
+    """Held-out errors per joint of the nominal model, the extended model and the usual baselines, beside the noise
+    floor and what a learner still predicts."""
     units = units_of(diagnosis)
     others: dict[str, list[str]] = {}
     for joint, unit in units.items():

@@ -24,7 +24,7 @@ def picture(design: Design) -> Figure:
     robot = design.robot
     figure = Figure(figsize=(WIDTH, ROW * robot.dofs + 0.8), layout="constrained")
     figure.suptitle(
-        plain(f"{robot.name}: a trajectory of {design.t[-1]:.4g} s that tells causes apart"),
+        plain(f"{robot.name}: a trajectory of {design.t[-1]:.4g} s that distinguishes causes"),
         x=0.01, ha="left", fontsize=10.5, fontweight="bold",
     )  # fmt: skip
     axes = figure.subplots(robot.dofs, 2, sharex=True, squeeze=False)

@@ -1,5 +1,5 @@
-"""What the picture of one finding is drawn from: its own share of the torque, what the other effects leave for it, and
-the stretch of time that shows it best."""
+"""The data for the picture of one finding: its term, the residual of all other effects, and the stretch of time that
+shows it best."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

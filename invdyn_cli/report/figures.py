@@ -263,7 +263,7 @@ DRAWINGS: dict[str, Callable[[RunRecord], Figure | None]] = {
 
 
 def _beginning(judged: Prediction, longest: float, most: int) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """The first trajectories that fit into `longest` seconds: name, t (T,) from 0, measured and predicted (T, n)."""
+    """The first trajectories, up to `longest` seconds in total: name, t (T,) from 0, measured and predicted (T, n)."""
     shown, left, row = [], longest, 0
     for x in judged.data.trajectories[:most]:
         t = np.asarray(x.t) - (x.t[0] if len(x.t) else 0.0)

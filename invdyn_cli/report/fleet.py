@@ -124,7 +124,7 @@ def _resized(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
 
 
 def _apart(one: Quantity, other: Quantity) -> bool:
-    """Whether two numbers have intervals that do not meet."""
+    """Whether two numbers have intervals that do not overlap."""
     bounds = []
     for x in (one, other):
         numbers = x.interval95 if isinstance(x.interval95, list | tuple) and len(x.interval95) == 2 else ()
@@ -137,7 +137,7 @@ def _apart(one: Quantity, other: Quantity) -> bool:
 
 
 def _holds(log: Diagnosed, finding: Finding) -> bool:
-    """Whether the log has this cause on this joint, or cannot tell it from what it has."""
+    """Whether the log has this cause on this joint, or cannot distinguish it from one that it has."""
     sets = {(finding.effect,), *finding.alternatives}
     return any(
         x.joint == finding.joint and sets & {(x.effect,), *x.alternatives} for x in log.findings if x.status in CLAIMS
@@ -174,7 +174,7 @@ def fleet_table(logs: Sequence[Diagnosed]) -> Table:
 
 
 def change_lines(logs: Sequence[Diagnosed]) -> list[str]:
-    """'arm, since b.h5 (a.h5 before): new: payload'."""
+    """A sentence such as 'arm, since b.h5 (a.h5 before): new: payload'."""
     every = (change for some in by_robot(logs).values() for change in changes(some))
     return [f"{x.robot or '-'}, since {x.since.log} ({x.before.log} before): {x.text}" for x in every]
 

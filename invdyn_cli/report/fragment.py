@@ -1,4 +1,4 @@
-"""A result that shows itself: as the command line prints it, and as a piece of HTML for a notebook.
+"""A result that displays itself: as text like the command line, and as a piece of HTML for a notebook.
 
 Both are made of the same rich objects. The HTML needs nothing else and leaves the rest of the page as it is.
 """
@@ -29,7 +29,7 @@ STYLE = """.invdyn table { border-collapse: collapse; font-variant-numeric: tabu
 
 
 class Shown(abc.ABC):
-    """What has parts for the terminal has text and HTML."""
+    """An object with parts for the terminal gets text and HTML from them."""
 
     @abc.abstractmethod
     def __rich__(self) -> Group:

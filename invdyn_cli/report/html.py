@@ -1,4 +1,5 @@
-"""What all pages share: one HTML file that needs nothing else, good in light, dark and print, and without its script.
+"""The common frame of all pages: one HTML file that needs nothing else, for light, dark and print, also without
+JavaScript.
 
 Colours are those of Okabe and Ito, by the names that `canvas` has; on a dark ground some are lighter.
 """
@@ -100,12 +101,12 @@ def table(heads: Sequence[str], body: str, style: str = "words") -> str:
 
 
 def folded(label: str, content: str, *, shown: bool = False) -> str:
-    """HTML behind a line (plain text) that opens it."""
+    """HTML that opens on a click on a line (plain text)."""
     return f"<details{' open' * shown}><summary>{escape(label)}</summary>{content}</details>"
 
 
 def pairs(facts: Mapping[str, Any]) -> str:
-    """A two-column table; what is nested comes out as dotted names, what is empty is left out."""
+    """A two-column table; nested values have dotted names, empty ones are left out."""
     rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(facts) if v)
     return f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
 

@@ -20,7 +20,7 @@ SCRIPT, STYLES = (Path(__file__).with_name(name) for name in ("plots.js", "plots
 """What a page with plots has in it once (`html.document`)."""
 
 MOST_VALUES = 150_000
-"""Values of all lines of a figure, 0.4 MB of its page."""
+"""Largest number of values of all lines of a figure: 0.4 MB of its page."""
 
 MOST_POINTS = 2500
 """Points of a cloud."""
@@ -55,7 +55,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Mark:
-    """What is marked in a panel: spans (k, 2) of rows, or single rows (k,) at y (k,), NaN: at the top."""
+    """Marks in a panel: spans (k, 2) of rows, or single rows (k,) at y (k,); NaN: at the top."""
 
     name: str
     colour: str
@@ -109,7 +109,7 @@ class Timeline:
     Attributes:
         t: (T,) [s], of each recording its own.
         names: (row at which it begins, its name) of every recording, in their order.
-        label: what time it is.
+        label: of the time axis.
         stages: (row, name) of what begins within a recording.
     """
 

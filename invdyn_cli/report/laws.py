@@ -1,4 +1,4 @@
-"""Panels that show a law to the eye: what the other effects leave for one, over the quantity that drives it.
+"""Panels that show the law of an effect: the residual without it, over the quantity that drives it.
 
 In all of them the points are samples (sky blue), their medians in bins (black) and the fitted term (vermillion), which
 went through the same filter. A panel takes its axes and an exhibit.
@@ -26,7 +26,7 @@ from invdyn_cli.types import Finding
 
 CLOUD, MEDIAN, TERM = "samples", "median of a bin, bar from 10 to 90 %", "fitted term"
 PERIODS = 6
-"""Periods of a ripple that are shown."""
+"""Number of periods of a ripple that are shown."""
 
 
 def over_velocity(axes: Axes, exhibit: Exhibit) -> None:
@@ -55,8 +55,8 @@ def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
 
 
 def over_shared_velocity(axes: Axes, exhibit: Exhibit) -> None:
-    """Over the velocity of a drive that the joint before turns as well: there the scatter that the joint's own velocity
-    leaves becomes a line."""
+    """Over the velocity of a drive that the joint before also turns: there the scatter over the joint's own velocity
+    becomes a line."""
     driver, ratio = exhibit.finding.parameters.get("driver"), scalar(exhibit.finding, "ratio", 0.0)
     name = str(driver.value) if driver is not None and driver.value in exhibit.joints else ""
     other = exhibit.signals.qd[:, exhibit.joints.index(name)] if name else 0.0
@@ -68,7 +68,7 @@ def over_shared_velocity(axes: Axes, exhibit: Exhibit) -> None:
 
 
 def over_load(axes: Axes, exhibit: Exhibit) -> None:
-    """What acts against the motion, over the size of the torque that the gear carries."""
+    """The part against the motion, over the size of the torque that the gear carries."""
     sign = np.sign(exhibit.own(exhibit.signals.qd))
     load = np.abs(exhibit.own(exhibit.signals.nominal))
     y = sign * exhibit.own(exhibit.residual, moving=True)
@@ -103,21 +103,21 @@ def slope_over_time(axes: Axes, exhibit: Exhibit, *, windows: int = 15) -> None:
 
 
 def over_position(axes: Axes, exhibit: Exhibit) -> None:
-    """Over the joint's own position: a spring is a line, an offset of the encoder a slice of gravity."""
+    """Over the joint's own position: a spring is a line, an encoder offset a part of the gravity curve."""
     law(axes, exhibit.own(exhibit.signals.q), exhibit.own(exhibit.residual), exhibit.own(exhibit.term))
     axes.set_title("over position")
     name_axes(axes, exhibit, f"position of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
 
 
 def loops_over_position(axes: Axes, exhibit: Exhibit) -> None:
-    """Over the joint's own position, as time goes on: what has a memory goes round."""
+    """Over the joint's own position, as time goes on: effects with a memory form loops."""
     _loops(axes, exhibit, exhibit.own(exhibit.signals.q))
     axes.set_title("over position, as time goes on")
     name_axes(axes, exhibit, f"position of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
 
 
 def loops_over_load(axes: Axes, exhibit: Exhibit) -> None:
-    """Over the torque that the gear carries, as time goes on: play shows where it changes its side."""
+    """Over the torque that the gear carries, as time goes on: play shows where the load changes sign."""
     _loops(axes, exhibit, exhibit.own(exhibit.signals.nominal))
     axes.set_title("over the load, as time goes on")
     axes.axvline(0, color=INK, lw=0.8)

@@ -1,4 +1,4 @@
-"""The figure that sums a diagnosis up: errors before and after, what is still unexplained, the worst joint in time."""
+"""The summary figure of a diagnosis: errors before and after, the unexplained share, the worst joint over time."""
 
 import numpy as np
 from matplotlib.axes import Axes

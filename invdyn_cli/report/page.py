@@ -55,10 +55,11 @@ CAPTIONS = {
 }
 
 EXACT = 1e-12
-"""Mean NMSE below which an error is one of rounding: ratios of such errors mean nothing."""
+"""Mean NMSE below which errors are rounding errors: their ratios have no meaning."""
 
 APART = 2.0
-"""Ratio of test to train NMSE from which the two are called different; below it, sets of one kind scatter as much."""
+"""Ratio of test to training NMSE from which the two are called different; below it they differ as much as two sets of
+one kind."""
 
 
 def write_page(record: RunRecord, figures: Iterable[str | Path], path: str | Path) -> Path:
@@ -91,8 +92,8 @@ def page(record: RunRecord, figures: Sequence[Path]) -> str:
 
 
 def summary(record: RunRecord) -> str:
-    """How large the test error is and where it is worst; how it compares with the training error; what adapting makes
-    of it."""
+    """How large the test error is and where it is largest; how it compares with the training error; how adaptation
+    changes it."""
     adapted = record.scores["test_adapted"].mean("nmse") if "test_adapted" in record.scores else math.nan
     more = "" if math.isnan(adapted) else f" During adaptation the mean NMSE is {significant(adapted)}."
     return _as_learned(record) + more
@@ -177,14 +178,14 @@ def _loads(record: RunRecord) -> str:
 
 
 def _worst(values: Sequence[float]) -> int | None:
-    """Row of the largest value, None where the printed digits do not tell it from another."""
+    """Row of the largest value, None if the printed digits do not distinguish it from another."""
     shown = [significant(x) for x in values]
     row = max(range(len(values)), key=lambda i: -math.inf if math.isnan(values[i]) else values[i])
     return row if len(values) > 1 and shown.count(shown[row]) == 1 else None
 
 
 def _fit_facts(record: RunRecord) -> dict[str, Any]:
-    """What can be said of the fit in one line each: of its details the numbers, and arrays with an entry per joint."""
+    """Details of the fit that fit into one line each: numbers, and arrays with an entry per joint."""
     facts: dict[str, Any] = {"parameters learned": record.fit.parameters}
     facts |= {f"seconds, {name}": significant(x) for name, x in record.seconds.items()}
     for name, value in record.fit.details.items():
@@ -226,7 +227,7 @@ def _robot(record: RunRecord) -> str:
 
 
 def _figures(record: RunRecord, figures: Sequence[Path]) -> str:
-    """The PNG files; plots that zoom stand for the torques and the residual over velocity."""
+    """The PNG files; plots that zoom replace those of the torques and of the residual over velocity."""
     drawn = {x.stem: x for x in figures if x.suffix == ".png"}
     live = run_plots(record, CAPTIONS["residual_velocity"]) if "torques" in drawn else ""
     return "".join(

@@ -1,4 +1,4 @@
-"""The page that puts what was found beside the paper: Tables I and II, then an experiment after the other."""
+"""The page that compares our results with the paper: Tables I and II, then one experiment after another."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,8 +41,8 @@ SAMPLES = 4500
 """Samples of a task, in the paper."""
 
 CAPTION = (
-    "Bars: mean NMSE over joints, the median of several seeds; low is good. Boxes: what the statements below allow, "
-    "the paper's words as decades."
+    "Bars: mean NMSE over joints, the median of several seeds; low is good. Boxes: the range that a statement below "
+    "allows; the paper's words are read as decades."
 )
 
 STYLE = """
@@ -89,7 +89,7 @@ def summary(verdicts: Iterable[Grid]) -> str:
     kinds = [kind_of(row[-1]) for grid in verdicts for row in grid.rows]
     parts = [f"{kinds.count(kind)} {said}" for kind, said in SAID.items() if kind in kinds]
     judged = (
-        "Each is judged on every seed and under every reading of what the paper leaves open, by decades, not digits."
+        "Each is judged for every seed and every interpretation of what the paper leaves open, by decades, not digits."
     )
     return f"Of {len(kinds)} statements, the paper's and those marked as ours, {', '.join(parts)}. {judged}"
 

@@ -1,4 +1,4 @@
-"""Estimates as they are read: rounded by their interval, with a unit in proper type."""
+"""Estimates for readers: rounded by their interval, with a unit in proper type."""
 
 import math
 import re
@@ -28,7 +28,7 @@ def unit_text(unit: str) -> str:
 def quantity_text(quantity: Quantity, *, interval: bool = True) -> str:
     """'2.00 N m [1.98, 2.02]'; lists as '(0.00 ± 0.01, 0.02 ± 0.01) m'; names as they are.
 
-    A value ends where the first significant digit of half its interval does, the second where the first is a one.
+    A value is rounded to the first significant digit of half its interval, or to the second if the first is a one.
     """
     value, unit = quantity.value, quantity.unit
     if value is None or isinstance(value, str | bool | Mapping):
@@ -52,7 +52,7 @@ def quantity_text(quantity: Quantity, *, interval: bool = True) -> str:
 
 
 def in_degrees(quantity: Quantity) -> str:
-    """The same estimate in degrees where it is a single angle [rad], else nothing."""
+    """The same estimate in degrees if it is a single angle [rad], otherwise nothing."""
     if quantity.unit != "rad" or np.ndim(quantity.value) > 0 or isinstance(quantity.value, str | None):
         return ""
     bounds = component_intervals(quantity.value, quantity.interval95)
@@ -82,7 +82,7 @@ def component_intervals(value: Any, interval: Any) -> np.ndarray | None:
 def gain_text(gain: Gain) -> str:
     """'0.51 [0.45, 0.57]': by how much an effect lowers the held-out RMSE of a joint.
 
-    An interval without width is none: a single held-out block tells nothing of how gains scatter.
+    An interval without width is left out: a single held-out block does not show the scatter of gains.
     """
     low, high = gain.interval95
     interval = gain.interval95 if high > low else None

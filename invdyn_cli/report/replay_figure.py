@@ -1,4 +1,4 @@
-"""The picture of the better simulation: where the simulated arm gets when it is left free, and where the robot was."""
+"""The picture of the better simulation: the unconstrained simulated arm and the measured motion."""
 
 import numpy as np
 from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""What the extended model leaves, tested: a table of joints and tests, and a picture of every test that failed."""
+"""The tests of the extended model's residual: a table of joints and tests, and a picture of every failed test."""
 
 import math
 from html import escape
@@ -18,7 +18,7 @@ RESIDUAL_TESTS = "residual_tests"
 """What the picture's file is called."""
 
 SHOWN = 9
-"""Tests that are drawn, the largest torques."""
+"""Largest number of failed tests that are drawn, those with the largest torques."""
 
 NOTE = (
     "RMS torque of the part of the residual that each quantity explains. Bold: the test failed, because noise reaches "
@@ -34,7 +34,7 @@ def failing(diagnosis: Diagnosis) -> list[ResidualTest]:
 
 
 def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
-    """The table, what each failed test points at, and the picture."""
+    """The table, the likely causes of each failed test, and the picture."""
     if not diagnosis.tests:
         return ""
     units, body, heads = units_of(diagnosis), "", list(dict.fromkeys(x.against for x in diagnosis.tests))
@@ -63,7 +63,7 @@ def _cell(test: ResidualTest | None) -> str:
 
 
 def tests_figure(diagnosis: Diagnosis) -> Figure:
-    """The residual over what it goes with, a panel a failed test."""
+    """The residual over the quantity of each failed test, one panel each."""
     shown = failing(diagnosis)[:SHOWN]
     columns = min(3, len(shown))
     rows, units = math.ceil(len(shown) / columns), units_of(diagnosis)

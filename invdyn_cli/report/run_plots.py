@@ -56,7 +56,7 @@ def run_plots(record: RunRecord, note: str = "") -> str:
 
 
 def timeline(data: Dataset) -> Timeline:
-    """Of all recordings of a set, with their stages."""
+    """The time axis of all recordings of a set, with their stages."""
     starts = list(accumulate((len(x.t) for x in data.trajectories), initial=0))
     t = np.concatenate([np.asarray(x.t, float) for x in data.trajectories])
     stages: list[tuple[int, str]] = []

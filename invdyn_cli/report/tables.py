@@ -1,6 +1,6 @@
-"""Numbers as they are read: the score table of a run, the table and the CSV of a sweep, a value rounded by its error.
+"""Numbers for readers: the score table of a run, the table and the CSV of a sweep, a value rounded by its error.
 
-Everything here is a pure function of its arguments; the tables are rich objects, and who calls prints them.
+Everything here is a pure function of its arguments; the tables are rich objects, which the caller prints.
 """
 
 import csv
@@ -93,7 +93,7 @@ def score_rows(record: RunRecord, sets: Sequence[str] = ()) -> list[tuple[str, l
 
 
 def member_spread(record: RunRecord) -> str:
-    """A sentence on how far the seeds of one fit lie apart; empty for a fit of one."""
+    """A sentence on the scatter between the seeds of one fit; empty for a fit of one."""
     name = next((x for x in ("test", *scored_sets(record)) if len(record.member_scores.get(x, ())) > 1), None)
     if name is None:
         return ""
@@ -126,7 +126,7 @@ LOAD_HEADS = ("recording", "picked up [s]", "released [s]", "mass [kg]", "centre
 
 
 def load_rows(record: RunRecord) -> list[tuple[str, ...]]:
-    """A row under `LOAD_HEADS` for every load that was believed in along the test set."""
+    """A row under `LOAD_HEADS` for every load that was reported along the test set."""
     if "test_adapted" not in record.predictions:
         return []
     return [
@@ -142,7 +142,7 @@ def load_rows(record: RunRecord) -> list[tuple[str, ...]]:
 
 
 def load_table(record: RunRecord) -> Table | None:
-    """The loads that were believed in; None where there was none."""
+    """The loads that were reported; None if there are none."""
     rows = load_rows(record)
     table = Table(title="Loads", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for head in LOAD_HEADS:

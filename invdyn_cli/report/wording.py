@@ -19,10 +19,10 @@ STATUS_WORDS = {
 }
 NO_BREAK = "\N{NO-BREAK SPACE}"
 SHOWN_RIVALS = 2
-"""Alternatives that a headline names, one more if it is the last; the list has them all."""
+"""Largest number of alternatives in a headline (one more if it is the last); the list has all."""
 
 CLAIMS = ("named", "ambiguous")
-"""Statuses of findings that say something is there; the others say what could not be seen."""
+"""Statuses of findings that claim an effect; the others say what the log cannot show."""
 
 VERDICT_WORDS = {
     "explained": "explained",
@@ -65,7 +65,7 @@ def set_words(effects: Sequence[str]) -> str:
 
 
 def rivals_of(finding: Finding) -> list[str]:
-    """What could replace it on this log, each once, in words; its own name among them is that of another joint."""
+    """The alternatives on this log in words, each once; its own name among them means that of another joint."""
     said = ("the same on another joint" if x == (finding.effect,) else set_words(x) for x in finding.alternatives)
     return list(dict.fromkeys(said))
 
@@ -76,7 +76,7 @@ def shortened(names: Sequence[str], most: int = SHOWN_RIVALS) -> list[str]:
 
 
 def cause(finding: Finding) -> str:
-    """The effect in words; where data leave it open with its alternatives: 'payload or base tilt'."""
+    """The effect in words; an ambiguous one with its alternatives: 'payload or base tilt'."""
     rivals = rivals_of(finding) if finding.status == "ambiguous" else []
     return " or ".join([words(finding.effect), *shortened(rivals)])
 
@@ -87,7 +87,7 @@ def place(finding: Finding) -> str:
 
 
 def when(finding: Finding) -> str:
-    """'8.00 to 14.0 s of trajectory_1': the window of what comes and goes, nothing for what lasts."""
+    """A time window such as '8.00 to 14.0 s of trajectory_1'; empty for an effect that always acts."""
     if finding.window is None:
         return ""
     start, end = map(significant, finding.window)
@@ -112,7 +112,7 @@ def headline_of(finding: Finding) -> str:
 
 
 def claims(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """The findings that say something is there, in their order: those that `Signals.terms` belong to."""
+    """The findings that claim an effect, in their order: those that `Signals.terms` belong to."""
     return tuple(x for x in diagnosis.findings if x.status in CLAIMS)
 
 

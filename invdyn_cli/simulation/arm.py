@@ -1,9 +1,9 @@
 """types.Robot -> MuJoCo: the same joints, frames, inertials and gravity; no friction, no limits, no contacts. A joint
 whose gear yields is two in series on one axis: the motor's, and behind it the gear's.
 
-The compiler of MuJoCo refuses links that no real body could be (no mass, a broken triangle inequality), which URDFs are
-full of. So it is given placeholders, and the true numbers are set behind it: all that the equations of motion need is a
-positive definite mass matrix. Where even that fails, a joint gets the `LEAST_INERTIA` that is missing, with a word.
+MuJoCo's compiler refuses impossible links (no mass, a violated triangle inequality), which are common in URDFs. It
+therefore gets placeholders, and the true numbers are set afterwards: the equations of motion only need a positive
+definite mass matrix. If even that fails, a joint gets the missing `LEAST_INERTIA`, with a note.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -17,13 +17,14 @@ import numpy as np
 from invdyn_cli.types import Robot
 
 LEAST_INERTIA = 1e-6
-"""[kg m^2; kg] Smallest inertia about a joint that is integrated as it is; a wrist's is a hundred times as large."""
+"""[kg m^2; kg] Smallest inertia about a joint that is integrated unchanged; that of a wrist is a hundred times as
+large."""
 
 POSTURES = 64
-"""So many random postures are looked at for the smallest inertia."""
+"""Number of random postures in which the smallest inertia is searched."""
 
 GEAR = "_gear"
-"""Behind a joint's name: the gear's degree of freedom."""
+"""Suffix of a joint's name: the degree of freedom of its gear."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def mass_matrices(model: mujoco.MjModel, gear: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """MuJoCo's warnings of a state that runs away are told by us; it would write them to a file here."""
+    """MuJoCo's warnings of diverging states are replaced by our own; MuJoCo would write them to a file."""
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         yield
@@ -210,7 +211,7 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _least_inertia_added(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, ...]:
-    """Add the inertia that joints lack for a positive definite mass matrix, in place; words on what was added."""
+    """Add in place the inertia that joints lack for a positive definite mass matrix; sentences on what was added."""
     found = mass_matrices(model, gear)
     lack = np.maximum(0.0, LEAST_INERTIA - np.diagonal(found, axis1=1, axis2=2).min(0))
     lack += max(0.0, LEAST_INERTIA / 10 - float(np.linalg.eigvalsh(found + np.diag(lack)).min()))
@@ -219,4 +220,4 @@ def _least_inertia_added(model: mujoco.MjModel, gear: np.ndarray) -> tuple[str, 
     model.dof_armature[:] += lack
     mujoco.mj_setConst(model, mujoco.MjData(model))
     added = ", ".join(f"{model.joint(i).name} {x:.2g}" for i, x in enumerate(lack) if x)
-    return (f"inertia added where links have too little to be moved [kg m^2; kg]: {added}",)
+    return (f"inertia added to joints whose links have too little [kg m^2; kg]: {added}",)

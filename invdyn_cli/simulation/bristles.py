@@ -1,4 +1,4 @@
-"""Friction that is a spring before it slides: Dahl's bristles, whose bending is carried from step to step.
+"""Friction that is a spring before it slides: Dahl's bristles, whose bending is a state of the simulation.
 
 force = stiffness z,   dz/dt = qd - stiffness / coulomb abs(qd) z                            (Dahl, 1968)
 """
@@ -21,10 +21,10 @@ class Bristle:
 
 
 class Bent:
-    """A bristle in motion; mutable, alive for one simulation, straight in the beginning.
+    """A bristle in motion: mutable, used for one simulation, not bent at the beginning.
 
-    A wrist on stiff bristles can be faster than the steps of the physics. What is too fast for them gets as much
-    damping, integrated implicitly, as puts that share of the force at the end of the step: stable for any stiffness.
+    A wrist on stiff bristles can be faster than the steps of the physics. Then a part of the force is evaluated at the
+    end of the step, as damping that is integrated implicitly: this is stable for any stiffness.
 
     Args:
         bristle: it.
@@ -39,7 +39,7 @@ class Bent:
         self._ahead = step * bristle.stiffness * max(0.0, 0.5 * (1 - SOFT / fast))
 
     def damping(self, qd: float) -> float:
-        """[N m s/rad] by which the force grows within the next step, where that has to be counted in."""
+        """[N m s/rad] Damping that includes the change of the force within the next step, if steps are too long."""
         if not self._ahead or not qd:
             return self._ahead
         return self._ahead * min(2.0, max(0.0, 1 - copysign(self.force, self.force * qd) / self._coulomb))

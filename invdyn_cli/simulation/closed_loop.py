@@ -1,7 +1,7 @@
-"""The simulated arm tick by tick, for whoever closes the loop: measure, then apply a torque, held until the next tick.
+"""The simulated arm tick by tick, for any controller: measure, then apply a torque that is held until the next tick.
 
-`plant.simulate` closes it with the simulation's own controller, `control.py` of the package with a learned one: the arm
-and its sensors are the same.
+`plant.simulate` uses the simulation's own controller, `control.py` of the package a learned one, with the same arm and
+sensors.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -21,7 +21,7 @@ EXACT = Noise()
 
 
 class ClosedLoop:
-    """One arm with its sensors; mutable, alive for one simulation.
+    """One arm with its sensors: mutable, used for one simulation.
 
     Args:
         robot: what everybody believes the arm to be.
@@ -81,7 +81,7 @@ class ClosedLoop:
         return self.tick - self.before
 
     def start(self, q: np.ndarray) -> None:
-        """At rest where the encoders read q (n,) but for their noise."""
+        """At rest where the encoders read q (n,), except for their noise."""
         self.drive.start(q - self.made.encoder)
 
     def measure(self, *, link: bool = False) -> np.ndarray:
@@ -90,17 +90,17 @@ class ClosedLoop:
         return stepped(measured, self._quantum) if self._quantum.any() else measured
 
     def apply(self, tau: np.ndarray) -> None:
-        """Torques (n,) [N m; N] until the next tick."""
+        """Apply torques (n,) [N m; N] until the next tick."""
         self.commands[self.tick] = tau
         self.drive.advance(self.commands, self.tick, self.sample / self.rate)
         self.tick += 1
 
     def logged(self, tau: np.ndarray) -> np.ndarray:
-        """Torques (..., n) as they are logged: with noise, in whole steps."""
+        """Torques (..., n) as they are logged: with noise and quantisation."""
         return stepped(tau + self.noises.normal(size=tau.shape) * self._torque_noise, self._torque_quantum)
 
     def hold(self, control: Control, wanted: Motion, ticks: int) -> None:
-        """Start where a motion (T, n) does, and let the simulation's own controller hold the arm there."""
+        """Start at the beginning of a motion (T, n), and let the simulation's own controller hold the arm there."""
         controller = commissioned(control, self.robot, self.made, wanted, self.rate, self.step)
         self.start(np.asarray(wanted.q)[0])
         for _ in range(ticks):

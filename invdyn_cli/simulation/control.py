@@ -8,10 +8,10 @@ of a shoulder's, though: no feedback of this bandwidth holds it against a fricti
 of. Hence the controller is commissioned on the arm as it is, unless it is told to know the nominal one alone. The log
 is right either way: which torque moved the arm does not depend on who asked for it.
 
-Inertia in the feedback has two exceptions, where a motor moves less at first than in the long run, or more. Behind a
-gear that yields it moves its rotor alone: with the inertia of the whole link in the feedback, and samples of T seconds,
-it would swing. And gains that just hold a light wrist would let go of what it picks up unannounced: the feedback is
-tuned for the arm with its loads. In both cases M in the feedback becomes S M S, M of the laden arm, with
+The inertia in the feedback has two exceptions, where a motor moves less at first than in the long run, or more. Behind
+a compliant gear a motor moves only its rotor: with the inertia of the whole link in the feedback, and samples of T
+seconds, it would oscillate. And gains that just hold a light wrist could not hold an unexpected load: the feedback is
+tuned for the arm with its loads. In both cases M in the feedback becomes S M S, with M of the loaded arm and
 
     S_i = min(1, sqrt(J_i / (4 D w T) / M_ii)),   J_i the least that motor i moves,
 
@@ -34,7 +34,7 @@ FASTEST = 4.0
 """[Hz] bandwidth without delays; a position noise of 1e-5 rad then makes torques of 0.5 N m rms in a shoulder."""
 
 LATE = 0.06
-"""[-] Bandwidth [Hz] times delay [s] beyond which the feedback would swing: 3 Hz at 20 ms."""
+"""[-] Bandwidth [Hz] times delay [s] beyond which the feedback would oscillate: 3 Hz at 20 ms."""
 
 SMOOTH = 0.005
 """[rad/s; m/s] Speeds at which the friction that is compensated fades in and out."""
@@ -42,7 +42,7 @@ SMOOTH = 0.005
 
 @dataclass(frozen=True)
 class Control:
-    """The controller's numbers.
+    """The parameters of the controller.
 
     Attributes:
         frequency: w / 2 pi [Hz], the bandwidth of the feedback; None: FASTEST, less where torques come late.
@@ -77,7 +77,7 @@ class Control:
 
 
 class Controller:
-    """One controller at work; mutable, alive for one simulation.
+    """A controller in use: mutable, used for one simulation.
 
     Args:
         control: its numbers.
@@ -122,7 +122,7 @@ class Controller:
         self._velocity = np.zeros(model.nv)
 
     def torque(self, row: int, q: np.ndarray) -> np.ndarray:
-        """What it asks for at a row of the reference, where it measures q (n,): (n,) [N m; N]."""
+        """The torque (n,) [N m; N] that it commands at a row of the reference, at measured positions q (n,)."""
         build = self._build
         self._velocity += self._follow * ((q - self._last) * self._rate - self._velocity)
         self._last = q

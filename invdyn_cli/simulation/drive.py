@@ -1,8 +1,9 @@
-"""From the commanded torque to the next state: the channel in between, and what MuJoCo does not integrate by itself.
+"""From the commanded torque to the next state: the channel in between, and the effects that MuJoCo does not integrate
+itself.
 
-A tick is so many steps of constant command. Where an effect changes from step to step, torques, friction and damping
-are set before each step; else MuJoCo takes all steps of a tick at once. Arrays (n,) are of the motors unless they are
-said to be of the links.
+A tick is a number of steps with constant command. If an effect changes from step to step, torques, friction and damping
+are set before each step; otherwise MuJoCo takes all steps of a tick at once. Arrays (n,) belong to the motors unless
+they are said to belong to the links.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -19,11 +20,12 @@ from invdyn_cli.simulation.hidden import Build
 
 
 class Drive:
-    """One arm in motion; mutable, alive for one simulation.
+    """One arm in motion: mutable, used for one simulation.
 
-    MuJoCo steps by semi-implicit Euler: torques push, and then the arm moves on with the new velocity. A tick therefore
-    begins half a step before `qpos`, in the middle of that way: half of the way, the push, the other half. Read so, the
-    steps are of second order, `qvel` is the velocity of that instant, and a torque acts from when it is logged.
+    MuJoCo uses semi-implicit Euler steps: torques change the velocity, and then the arm moves with the new velocity. A
+    tick therefore begins half a step before `qpos`, in the middle of that motion: half of the motion, the torques, the
+    other half. In this way the steps are of second order, `qvel` is the velocity at that time, and a torque acts from
+    the time at which it is logged.
     """
 
     def __init__(self, arm: Arm, build: Build, substeps: int, *, sense: bool = False) -> None:
@@ -66,7 +68,8 @@ class Drive:
         return self._of(self._qvel, link)
 
     def advance(self, commands: np.ndarray, k: int, t: float) -> None:
-        """One tick from t [s] on, under commands[k] (n,) and what came before it in commands (..., n)."""
+        """Simulate one tick from t [s] on, with the command commands[k] (n,) and the earlier ones in commands (...,
+        n)."""
         model, data = self.model, self.data
         if not self._stepwise:
             self._applied[self._motor] = self._delivered(commands[k], t)
@@ -108,14 +111,14 @@ class Drive:
         return links
 
     def _of(self, state: np.ndarray, link: bool) -> np.ndarray:
-        """Of positions or velocities (nv,) those of the motors or the links (n,)."""
+        """Positions or velocities (n,) of the motors or the links, from those of all degrees of freedom (nv,)."""
         own = state[self._motor]
         if link and len(self.arm.gear):
             own[self.arm.geared] += state[self.arm.gear]
         return own
 
     def _arriving(self, commands: np.ndarray, k: int, step: int) -> np.ndarray:
-        """Commands behind delays and lags: the mean over this step."""
+        """Commands after delays and lags: the mean over this step."""
         if self._late.any():
             rows = np.maximum(k * self.substeps + step - self._late, 0) // self.substeps
             now = commands[rows, self._columns]
@@ -128,7 +131,7 @@ class Drive:
         return now + self._share * lead
 
     def _delivered(self, arriving: np.ndarray, t: float) -> np.ndarray:
-        """Gain, then limits, then what is taken away, in the step from t [s] on."""
+        """Gain, then limits, then the offsets, in the step from t [s] on."""
         if self._gains:
             arriving = self.build.gain * arriving
         if self._stage is not None:
@@ -145,8 +148,8 @@ class Drive:
         self.model.dof_frictionloss[self._motor] = friction
 
     def _under_laws(self, torque: np.ndarray, t: float) -> np.ndarray:
-        """What is left of a torque (n,) by forces that depend on the state, for the step from t [s] on; sets damping
-        that does."""
+        """A torque (n,) minus the forces that depend on the state, for the step from t [s] on; also sets damping that
+        depends on it."""
         build, torque = self.build, torque.copy()
         q, qd = self._of(self._qpos, False), self.qd()
         damping = build.damping.copy()

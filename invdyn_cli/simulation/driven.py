@@ -21,8 +21,8 @@ STEP = 1e-3
 class Segment:
     """A measured stretch without gaps on an even clock: t (T,) [s], the others (T, n) [rad, rad/s, N m; m, m/s, N].
 
-    `held`: a torque acts from its t until the next one, as a controller gives it out; else it acts at its t, and in
-    straight lines between.
+    `held`: a torque acts from its t until the next one, as a controller applies it; otherwise torques are linear
+    between samples.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Segment:
         return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
 
     def torque(self, times: np.ndarray) -> np.ndarray:
-        """(K, n) at times (K,) [s]; the ends go on."""
+        """(K, n) at times (K,) [s]; constant beyond the ends."""
         rows = (np.asarray(times) - self.t[0]) / self.period
         if self.held:
             return self.tau[np.clip(np.floor(rows + 1e-9).astype(int), 0, len(self.t) - 1)]
@@ -58,7 +58,7 @@ class Segment:
 
 
 class Driven:
-    """The arm of a file on the clock of a stretch; mutable, alive for one replay."""
+    """The arm of a file on the clock of a stretch: mutable, used for one replay."""
 
     def __init__(self, mjcf: str, stretch: Segment) -> None:
         self.stretch, n = stretch, stretch.q.shape[1]
@@ -101,7 +101,7 @@ class Driven:
         return self.data.qvel[self.columns].copy()
 
     def start(self, row: int) -> None:
-        """As measured at a row, gears loaded by the torque, motors with what they remember."""
+        """Set the arm to the measured state at a row, gears loaded by the torque, motors with their memory."""
         model, data, stretch = self.model, self.data, self.stretch
         mujoco.mj_resetData(model, data)
         data.qpos[self.rows] = stretch.q[row] + self.step / 2 * stretch.qd[row]
@@ -122,7 +122,7 @@ class Driven:
             data.act[model.actuator_actadr[i]] = self._lagged(now - model.actuator_delay[i] + self.step / 2, int(i))
 
     def _lagged(self, now: float, i: int) -> float:
-        """What a first-order motor gives at a time [s], after all that went before."""
+        """The output of a first-order motor at a time [s], given the torques before it."""
         lag = self.model.actuator_dynprm[i, 0]
         ages = self.step * np.arange(max(1, round(8 * lag / self.step)))
         weights = np.exp(-ages / lag)
@@ -134,13 +134,13 @@ class Driven:
         return (self.stretch.torque(times - quarter)[:, i] + self.stretch.torque(times + quarter)[:, i]) / 2
 
     def hold(self, stiffness: np.ndarray, damping: np.ndarray) -> None:
-        """From now on, a spring and a damper (n,) between each joint and the measured motion; MuJoCo integrates the
-        damper implicitly, so that it may be strong beside a wrist's inertia."""
+        """From now on, put a spring and a damper (n,) between each joint and the measured motion. MuJoCo integrates the
+        damper implicitly, so that it may be strong compared with a wrist's inertia."""
         self._hold = stiffness, damping
         self.model.dof_damping[self.columns] += damping
 
     def advance(self, row: int) -> None:
-        """From a row to the next, under the logged torques."""
+        """Simulate from a row to the next, under the logged torques."""
         q, qd = self.stretch.q, self.stretch.qd
         for k in range(self.substeps):
             if self._hold is not None:

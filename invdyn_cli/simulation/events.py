@@ -1,6 +1,7 @@
-"""What comes and goes in a recording: a drive that weakens, a load that is picked up, a hand on the arm.
+"""Events in a recording: a drive that becomes weaker, a load that is picked up, a contact.
 
-The controller knows nothing of it. Times are those of the log; each step of the physics is within a window or not.
+The controller does not know of them. Times are those of the log; each step of the physics is inside a window or
+outside.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -24,7 +25,7 @@ class Window:
     ramp: float = 0.0
 
     def share(self, t: float) -> float:
-        """How much of it is there at t [s], 0 to 1."""
+        """Its weight at t [s], 0 to 1."""
         if not self.ramp:
             return float(self.start <= t < self.end)
         return float(np.clip(min(t - self.start, self.end - t) / self.ramp + 0.5, 0.0, 1.0))
@@ -68,13 +69,13 @@ class Events:
         return bool(self.gains or self.loads or self.contacts)
 
     def bodies(self) -> list[Body]:
-        """Bodies without mass that the arm is to be built with: the loads, then the points that are pushed."""
+        """Bodies without mass with which the arm is built: the loads, then the points of contact."""
         absent = [Body(0.0, x.body.com, x.body.radius) for x in self.loads]
         return absent + [Body(0.0, (0.0, 0.0, 0.0), 0.0, x.joint) for x in self.contacts]
 
 
 class Stage:
-    """The events of one simulation at work in its arm; mutable.
+    """The events of one simulation, applied to its arm; mutable.
 
     Args:
         events: the events.
@@ -103,7 +104,7 @@ class Stage:
             self._data.xfrc_applied[body, :3] = contact.window.share(t) * contact.force
 
     def delivered(self, torque: np.ndarray, t: float) -> np.ndarray:
-        """What the drives make of a torque (n,) in a step around t [s]."""
+        """The torque (n,) that the drives deliver in a step around t [s]."""
         for change in self._events.gains:
             if change.window.share(t):
                 torque = torque.copy()
@@ -133,7 +134,7 @@ def refuse_outside(effect: str, end: float, duration: float) -> None:
 
 
 def refuse_trajectory(effect: str, name: str | None, names: Iterable[str]) -> None:
-    """Raise a UsageError for an event in a recording that is not made."""
+    """Raise a UsageError for an event in a recording that is not simulated."""
     names = list(names)
     if name is not None and name not in names:
         raise UsageError(f"{effect}: no trajectory {name!r}{closest(name, names)}; allowed: {listed(names)}")

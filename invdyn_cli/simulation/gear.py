@@ -1,8 +1,8 @@
-"""Joints whose gear yields: the motor and the link turn on one axis, with play or a spring between them.
+"""Joints with a compliant gear: motor and link turn on one axis, with play or a spring between them.
 
-The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's is the
-link's angle less the motor's, and carries the link: MuJoCo's joint limits stop it at either end of the play, or teeth
-that yield push it back; MuJoCo's spring pulls it back.
+The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's degree
+of freedom is the link's angle minus the motor's, and carries the link. At the ends of the play MuJoCo's joint limits
+stop it, or compliant teeth push it back; MuJoCo's spring pulls it back.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -25,10 +25,10 @@ DAMPED = 0.02
 """[-] Damping ratio of a link on its spring where no damping is given: steel, grease and bearings."""
 
 RESOLVED = 0.3
-"""[rad] of a tooth's swing that a step of the physics may take."""
+"""[rad] Largest phase of a tooth's oscillation within a step of the physics."""
 
 NEAR = 1e-3
-"""[-] Share of the play within which a tooth lies on: there it is held even where it does not move yet."""
+"""[-] Share of the play within which teeth count as in contact: they are held there even if they do not move yet."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def put(arm: Arm, gears: Sequence[Gear]) -> None:
 
 
 def loaded(arm: Arm, gears: Sequence[Gear], data: Any) -> None:
-    """Put the gears where the weight of the links holds them at rest, the motors being where they are."""
+    """Put the gears where the weight of the links holds them at rest, with the motors in their present position."""
     for _ in range(10 if gears else 0):  # a spring yields by a hundredth of a radian: each round leaves a hundredth
         mujoco.mj_forward(arm.model, data)
         for dof, gear in zip(arm.gear, gears, strict=True):
@@ -97,11 +97,11 @@ def loaded(arm: Arm, gears: Sequence[Gear], data: Any) -> None:
 
 
 class Stops:
-    """The ends of all plays; mutable, alive for one simulation.
+    """The ends of all plays: mutable, used for one simulation.
 
-    MuJoCo stops a joint when it is beyond its limit, by then up to a step's way. So before each step the limit is
-    moved to where the joint is, if it would pass the end within the step, with the damping that takes it just there.
-    Teeth that yield push by their own force.
+    MuJoCo stops a joint only when it is beyond its limit, by up to the motion of one step. Therefore, if the joint
+    would pass the end within the next step, the limit is moved to its present position, with the damping that takes it
+    exactly to the end. Compliant teeth push with their own force.
 
     Raises:
         UsageError: if teeth are too stiff for the steps of the physics.

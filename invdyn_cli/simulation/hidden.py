@@ -1,8 +1,8 @@
-"""What can be built into the arm: effects by name, with the parameters and signs of docs/plant.md.
+"""The effects that can be hidden in the arm, by name, with the parameters and signs of docs/plant.md.
 
-Logged torque = nominal torque + the effect's term: the joint receives what is logged less the term. `assemble` turns
-effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies, gears),
-and into the few laws and events that it does not have, which `drive` puts into every step.
+Logged torque = nominal torque + the effect's term: the joint receives the logged torque minus the term. `assemble`
+turns effects into numbers per joint that MuJoCo integrates itself (damping, dry friction, springs, inertias, bodies,
+gears), and into the few laws and events that it does not have, which `drive` applies in every step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,8 +27,8 @@ STANDARD_GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Kind:
-    """What an effect takes: parameters with what is allowed, those with a default, and whether it names a joint (None:
-    it may)."""
+    """The parameters of an effect: those that are needed and the optional ones, with the allowed values, and whether it
+    names a joint (None: it may)."""
 
     needed: Mapping[str, str]
     optional: Mapping[str, str] = field(default_factory=dict)
@@ -73,10 +73,10 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect that is built into the arm.
+    """One effect that is hidden in the arm.
 
-    `custom` stands for whatever the catalogue lacks, from Python only: its `force(t, q, qd)` gives the term [N m; N] at
-    t [s], of the joint's own true angle and velocity, or of all joints' (n,) where `joint` is None.
+    `custom` is any effect that the catalogue lacks, from Python only: its `force(t, q, qd)` gives the term [N m; N] at
+    t [s], for the joint's own true angle and velocity, or for those of all joints (n,) if `joint` is None.
 
     Attributes:
         effect: its name, one of `KINDS`.
@@ -84,8 +84,8 @@ class Hidden:
             that moves the link.
         parameters: by name, in the units of docs/plant.md. payload: also `radius` [m] of the sphere that it is (0.02).
             link_inertia_error: `mass` [kg] and `com` (3,) [m, in the joint's frame] are what is added to the nominal
-            ones, `inertia` [-] is the relative change of the inertia about the centre of mass. What comes and goes
-            has a `window` (2,) [s], and a `trajectory` if it is not in all.
+            ones, `inertia` [-] is the relative change of the inertia about the centre of mass. An effect in
+            a time window has `window` (2,) [s], and `trajectory` if it is not in all.
     """
 
     effect: str
@@ -109,11 +109,11 @@ class Build:
         levels: (joint, law(qd, load) -> dry friction [N m]), load: torque [N m] that the joint transmits.
         drags: (joint, law(t, qd) -> damping [N m s/rad]).
         forces: (joint, law(t, q, qd) -> term [N m]), known to a commissioned controller.
-        customs: likewise, (None: all joints at once), known to nobody.
+        customs: likewise, (None: all joints at once), unknown to any controller.
         bristles: friction that is a spring before it slides.
         couplings: drives that turn with two joints.
         gears: play and springs between motor and link, one on a joint at most.
-        events: what comes and goes, known to nobody.
+        events: effects in time windows, unknown to any controller.
     """
 
     inertial: np.ndarray
@@ -237,7 +237,8 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
                 build.bristles.append(Bristle(i, **p))
         case "coupled_friction":
             if robot.parents[i] < 0:
-                raise UsageError(f"coupled_friction on {one.joint}: no joint is before it; allowed: one further out")
+                got = f"coupled_friction on {one.joint}: it is the first joint"
+                raise UsageError(f"{got}; allowed: a joint further from the base")
             build.couplings.append(Coupling(i, robot.parents[i], **{"armature": 0.0, **p}))
         case "backlash" | "joint_elasticity":
             if any(x.joint == i for x in build.gears):
@@ -278,7 +279,7 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
 
 
 def _put_event(events: Events, one: Hidden, i: Any, p: dict[str, Any]) -> None:
-    """Add what comes and goes, in place."""
+    """Add an effect with a time window, in place."""
     window = window_of(one.effect, one.parameters["window"], p.get("ramp", 0.0))
     match one.effect:
         case "torque_gain_change":

@@ -1,8 +1,9 @@
-"""A robot with effects as an MJCF file that plain MuJoCo loads, and a sentence for everything that the format lacks.
+"""A robot with effects as an MJCF file that plain MuJoCo loads, and a sentence for everything that the format cannot
+contain.
 
-There is a motor for every joint, called like it, in the robot's order: `data.ctrl` takes what the log calls torque, and
-`data.qpos` gives what it calls position. In the order of `drive`: ctrl comes late (delay), slow (filterexact), is
-multiplied (gain), limited (forcerange) and less by the offset (bias).
+There is a motor for every joint, with its name, in the robot's order: `data.ctrl` takes what the log calls torque, and
+`data.qpos` gives what it calls position. In the order of `drive`, ctrl is delayed (delay), low-pass filtered
+(filterexact), multiplied (gain), limited (forcerange) and reduced by the offset (bias).
 
 The text is written here and not by `MjSpec.to_xml`, which keeps six digits: a mass matrix would be off by 1e-6.
 """
@@ -35,16 +36,16 @@ STICK = {"solreffriction": (2 * TIMESTEP, 1), "solimpfriction": (0.9999, 0.9999,
 """Friction as stiff as the solver goes: a joint that sticks creeps at 1e-6 rad/s."""
 
 STOP = {"solreflimit": (4 * TIMESTEP, 1), "solimplimit": (0.99, 0.999, 0.0001, 0.5, 2)}
-"""Teeth that meet give way by a ten-thousandth of a radian."""
+"""Teeth in contact yield by a ten-thousandth of a radian."""
 
 GEAR = "_gear"
-"""What is behind the name of a joint's second, unmotored joint: gear play, or a spring between motor and link."""
+"""Suffixes of the name of a joint's second, unmotored joint: gear play, or a spring between motor and link."""
 
 ROTOR = 0.03
-"""[-] Rotor inertia that is written where a gear yields and none is known, of what the joint carries."""
+"""[-] Rotor inertia of a compliant gear if it is unknown, as a share of what the joint carries."""
 
 RINGING = 0.02
-"""[-] Damping ratio of a link on its gear's spring, where nothing is known of it: steel and grease."""
+"""[-] Damping ratio of a link on its gear's spring if it is unknown: steel and grease."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def written(robot: Robot, parts: Sequence[Part] = ()) -> tuple[str, tuple[str, .
 
 
 def _put(made: _Numbers, part: Part, i: int) -> None:
-    """Put an effect into the numbers, and a sentence for what is not held of it, in place."""
+    """Add an effect to the numbers, and a sentence for what the file cannot contain of it, in place."""
     terms, lost = part.terms, [part.terms.lost]
     if terms.joint.get("lag") and made.joint["lag"][i]:
         lost.append("is combined with another one in series into one lag with the sum of their time constants")
@@ -112,7 +113,8 @@ def _put(made: _Numbers, part: Part, i: int) -> None:
 
 
 def _make_consistent(made: _Numbers) -> None:
-    """Bodies that can be, rotors where a gear yields, and inertia that joints lack; in place, with a sentence each."""
+    """Make bodies physically consistent, add rotors to compliant gears and missing inertia to joints; in place, with a
+    sentence each."""
     made.inertial[-1] += sum((x for x in made.loads if not _solid(x)), np.zeros(10))
     made.loads = [x for x in made.loads if _solid(x)]
     for i, name in enumerate(_links(made.robot)):

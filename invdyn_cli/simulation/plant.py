@@ -1,7 +1,7 @@
-"""The arm that plays the real one: a reference, hidden effects and sensors go in, a trajectory of a log comes out.
+"""The arm that replaces the real one: a reference, hidden effects and sensors give a trajectory of a log.
 
-What is logged at t is what the controller measured then, and the torque that it asked for from then on, held until the
-next tick (zero-order hold): a torque is on average half a tick younger than its t.
+At t the log has the measurement of the controller, and the torque that it commands from then on, held until the next
+tick (zero-order hold): a torque is on average half a tick later than its t.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ from invdyn_cli.types import Motion, Robot
 SOURCE = f"simulated arm (invdyn, MuJoCo {mujoco.__version__})"
 USUAL = Control()
 LOOK_EVERY = 50
-"""Ticks between two looks at whether the arm is still under control."""
+"""Ticks between two checks of whether the arm is still under control."""
 
 
 def simulate(
@@ -147,7 +147,7 @@ def refuse_clock(duration: float, rate: float, substeps: int) -> None:
 
 
 def refuse_link_encoder(link_encoder: bool, position_side: str) -> None:
-    """Raise a UsageError for links' angles beside angles that are not said to be the motors'."""
+    """Raise a UsageError for a link encoder if the logged angles are not those of the motors."""
     if link_encoder and position_side != "motor":
         got = f"link_encoder=True with position_side={position_side}"
         raise UsageError(f"{got}; allowed: position_side=motor, where q is the motor's angle and q_link the link's")
@@ -164,7 +164,7 @@ def refuse_events(hidden: Sequence[Hidden], duration: float, names: Sequence[str
 
 
 def _second_encoder(q: np.ndarray, noise: Noise, seed: int) -> np.ndarray:
-    """Link angles (T, n) as an encoder of their own measures them, no worse than the motors'."""
+    """Link angles (T, n) as measured by a separate encoder with the same noise as the motors'."""
     n = q.shape[1]
     measured = q + np.random.default_rng([seed, 2]).normal(size=q.shape) * noise.of("position", n)
     return stepped(measured, noise.of("position_quantum", n))

@@ -1,4 +1,4 @@
-"""A reference that was written down: a csv of positions over time, as `invdyn excite` makes it."""
+"""A reference from a file: a csv of positions over time, as `invdyn excite` writes it."""
 
 import csv
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.types import Motion, Robot
 
 BEYOND = 1e-6
-"""[rad; m] by which rounding may carry a position over its limit."""
+"""[rad; m] By how much rounding may move a position beyond its limit."""
 
 TOO_FAST = 1.05
-"""Of the velocity limit: the spline swings a little over between samples."""
+"""Factor of the velocity limit: the spline overshoots a little between samples."""
 
 
 @dataclass(frozen=True)

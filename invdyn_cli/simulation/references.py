@@ -1,4 +1,4 @@
-"""What the simulated arm is asked to do: motions from rest to rest, inside its joint and velocity limits."""
+"""References of the simulated arm: motions from rest to rest, inside its joint and velocity limits."""
 
 import abc
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.types import Motion, Robot
 
 UNLIMITED = 2.0
-"""[rad] to either side of zero for joints without limits."""
+"""[rad] Range on both sides of zero of joints without limits."""
 UNLIMITED_SLIDE = 0.5
 """[m] likewise for sliding joints."""
 UNLIMITED_SPEED = 3.0
@@ -24,8 +24,7 @@ class AbstractReference(abc.ABC):
 
     @abc.abstractmethod
     def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
-        """The motion (T, n) of `duration` [s], T = duration rate, at 0, 1/rate, …; what is left to chance comes from
-        the seed."""
+        """The motion (T, n) of `duration` [s], T = duration rate, at 0, 1/rate, …; random choices by the seed."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Multisine(AbstractReference):
     Attributes:
         amplitude: share of half the joint's range that it swings to either side, at most.
         speed: share of the joint's velocity limit, at most; the stricter of the two decides.
-        harmonics: so many, from the base frequency on.
+        harmonics: their number, from the base frequency on.
         base: [Hz]; the motion repeats after 1/base seconds.
         ramp: [s] of fading in, and out.
     """
@@ -112,7 +111,7 @@ class PickPlace(AbstractReference):
 
 
 STAGES = ("approach", "grasp", "place", "retract")
-"""Of a manipulation (paper, section V-A.3)."""
+"""Stages of a manipulation (paper, section V-A.3)."""
 
 POSTURES = {
     "home": (0.0, -0.3, 0.0, 0.3, 0.0, 0.2, 0.0),
@@ -125,8 +124,8 @@ POSTURES = {
 
 @dataclass(frozen=True)
 class Manipulation(AbstractReference):
-    """Approach an object, grasp and lift it, carry it to a target and put it there, retract: every repetition a little
-    different.
+    """Approach an object, grasp and lift it, carry it to a target and put it there, retract: each repetition differs a
+    little.
 
     Attributes:
         spread: of the postures, rms [rad; m]; of the moves' durations, rms, as a share of them, three times as much.
@@ -175,7 +174,7 @@ class Manipulation(AbstractReference):
         return Motion(q, qd, qdd)
 
     def _durations(self, seed: int) -> np.ndarray:
-        """Of the first rest and the four moves [s]."""
+        """Durations [s] of the first rest and the four moves."""
         draw = np.random.default_rng([4, seed])
         return np.array([0.3, 2.5, 1.3, 2.8, 1.3]) * (1 + 3 * self.spread * draw.normal(size=5))
 
@@ -269,7 +268,7 @@ def _smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _move(
     motion: tuple[np.ndarray, ...], t: np.ndarray, start: float, takes: float, here: np.ndarray, there: np.ndarray
 ) -> None:
-    """Let q, qd, qdd (T, n) go from `here` to `there` from `start` on, and stay."""
+    """Move q, qd, qdd (T, n) from `here` to `there` from `start` on; they stay there."""
     q, qd, qdd = motion
     x, x1, x2 = _smooth((t - start) / takes)
     rows = t >= start

@@ -1,10 +1,9 @@
-"""The arm of an MJCF file beside the measured motion: left free under the logged torques for a moment at a time, and
+"""The arm of an MJCF file beside the measured motion: unconstrained under the logged torques for short windows, and
 held by a weak spring for a whole stretch.
 
-Free: every window begins with the measured positions and velocities, and the logged torques move the arm from there on.
-Nothing pulls it back, so that the error at the end tells what the model gets wrong. Held: a spring and a damper, the
-same for every model, pull each joint to the measured motion; a right model needs nothing of it, and stays where the
-robot was.
+Unconstrained: every window begins with the measured positions and velocities, and the logged torques move the arm from
+there. Nothing pulls it back, so that the error at the end shows the error of the model. Held: a spring and a damper,
+the same for every model, pull each joint to the measured motion; with a correct model they exert no torque.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -24,19 +23,21 @@ LENGTH = 0.2
 """[s] of a window: long enough for friction and masses to show, short enough for a start that is not quite known."""
 
 MEMORY = 0.1
-"""[s] of torque before the first window: what a late or lagging motor still has to give."""
+"""[s] of torque before the first window, because a late or lagging motor still delivers it."""
 
 LOST = np.pi
-"""[rad; m] Errors count at most so much: an arm that is half a turn off is lost, and by how much means nothing."""
+"""[rad; m] Largest error that counts: when an arm is half a turn away, the exact error has no meaning."""
 
 FREQUENCY, DAMPING = 3.0, 1.0
-"""[Hz], [-] of what holds the arm, for the least inertia that a joint of the nominal arm has."""
+"""[Hz], [-] Frequency and damping ratio of the spring and damper that hold the arm, for the least inertia that a joint
+of the nominal arm has."""
 
 REACH = 0.2
-"""[rad; m] within which a joint's typical torque is held: what suits a wrist's inertia alone would let a load fall."""
+"""[rad; m] Deflection of that spring under a joint's typical torque, at most: a spring for a wrist's inertia alone
+would let a load fall."""
 
 POSTURES = 64
-"""Postures of the log in which that inertia is looked for."""
+"""Number of postures of the log in which that inertia is searched."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Traces:
 
 @dataclass(frozen=True)
 class Replay:
-    """How far the simulated arm gets from the measured motion, with the nominal and the better model; (n,) each.
+    """Deviation of the simulated arm from the measured motion, with the nominal and the better model; (n,) each.
 
     Attributes:
         joints: names.
@@ -148,7 +149,7 @@ def replay(
     """
     total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
     if not total > 0:
-        raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and what a motor remembers")
+        raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and the memory of a motor")
     every = max(total / most, length)
     found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     where: list[tuple[Segment, int]] = []
@@ -185,7 +186,7 @@ def replay(
 
 
 def window_starts(stretch: Segment, length: float = LENGTH, every: float = LENGTH) -> np.ndarray:
-    """First rows of windows of `length` [s], one `every` [s], behind what a motor remembers."""
+    """First rows of windows of `length` [s], one `every` [s], after the memory of a motor."""
     first, last = round(MEMORY / stretch.period), len(stretch.t) - 1 - round(length / stretch.period)
     return np.arange(first, last + 1, max(1, round(every / stretch.period)))
 

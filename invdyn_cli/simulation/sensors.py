@@ -1,4 +1,4 @@
-"""What the encoders and the torque channel of the simulated arm add to the truth: white noise, then whole steps."""
+"""Sensor errors of the simulated arm's encoders and torques: white noise, then quantisation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Noise:
 
 
 def stepped(x: np.ndarray, quantum: np.ndarray) -> np.ndarray:
-    """x (..., n) rounded to whole steps of quantum (n,); as it is where that is 0."""
+    """x (..., n) rounded to whole steps of quantum (n,); unchanged where that is 0."""
     return np.where(quantum > 0, np.round(x / np.where(quantum > 0, quantum, 1.0)) * quantum, x)
 
 

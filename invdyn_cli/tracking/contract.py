@@ -1,4 +1,4 @@
-"""The contract of a tracker: it hands a finished run on to a tool that keeps experiments."""
+"""The contract of a tracker: it gives a finished run to a tool that stores experiments."""
 
 import abc
 import importlib.util
@@ -15,7 +15,7 @@ from invdyn_cli.errors import UsageError
 
 @dataclass(frozen=True)
 class Tracked:
-    """A finished run, in plain values.
+    """A finished run as plain values.
 
     Attributes:
         name: of the run: date, time and job.
@@ -35,7 +35,7 @@ class Tracked:
 
 
 class AbstractTracker(abc.ABC):
-    """Keeps finished runs in a tool; a frozen dataclass whose fields are the options of its YAML."""
+    """Stores finished runs in a tool; a frozen dataclass whose fields are the options of its YAML."""
 
     library: ClassVar[str] = ""
     """The module that it needs; "" for none."""
@@ -43,14 +43,14 @@ class AbstractTracker(abc.ABC):
     """The extra of invdyn that installs it."""
 
     def refuse_missing(self) -> None:
-        """Raise a UsageError where its library is not installed, before anything is learned."""
+        """Raise a UsageError if its library is not installed, before anything is learned."""
         if self.library and importlib.util.find_spec(self.library) is None:
             got = f"tracker={self.extra} needs the library {self.library}, which is not installed"
             raise UsageError(got, advice=f"pip install 'invdyn[{self.extra}]', or tracker=none")
 
     @abc.abstractmethod
     def track(self, run: Tracked) -> None:
-        """Hand the run on. It is complete already: whatever is raised here becomes a warning."""
+        """Give the run to the tool. The run is already complete: an exception here becomes a warning."""
 
 
 def flat(tree: Any, place: str = "") -> Iterator[tuple[str, Any]]:

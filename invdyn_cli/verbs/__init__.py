@@ -1,4 +1,4 @@
-"""What the command line does: a module for each verb, and what they share."""
+"""The command line: a module for each verb, and what they share."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""invdyn check: what the doctor says of a measured log, as a table, as check.json and as a page."""
+"""invdyn check: the checks of a measured log, as a table, as check.json and as a page."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def task(config: DictConfig) -> None:
-    """Read, examine, write, tell; exit code 1 where a check failed under strict=true."""
+    """Read, examine, write and report; exit code 1 if a check failed under strict=true."""
     for option in ("strict", "correct"):
         if not isinstance(config[option], bool):
             raise UsageError(f"{option}={config[option]}; allowed: true or false")
@@ -49,11 +49,11 @@ def task(config: DictConfig) -> None:
 
 
 def refuse_target(config: DictConfig, source: AbstractSource) -> None:
-    """Raise a UsageError where `write` is no new log."""
+    """Raise a UsageError if `write` is not the path of a new log."""
     if config.write is None:
         return
     if not config.correct:
-        raise UsageError(f"write={config.write} needs correct=true", advice="leave one of both out")
+        raise UsageError(f"write={config.write} needs correct=true", advice="only one of the two")
     target = Path(str(config.write)).expanduser()
     sources = {Path(str(x)).expanduser().resolve() for x in getattr(source, "path", ())}
     if not isinstance(config.write, str) or target.suffix not in (".h5", ".hdf5"):
@@ -63,8 +63,8 @@ def refuse_target(config: DictConfig, source: AbstractSource) -> None:
 
 
 def written(result: checking.CheckResult, config: DictConfig) -> tuple[str, ...]:
-    """Write the corrected log where one is asked for, what was corrected as its history; of several logs one, LOG/NAME
-    called LOG.NAME. What became of it, in a sentence.
+    """Write the corrected log if it is asked for, with the corrections as its history. If there are several logs, they
+    become one, with LOG/NAME called LOG.NAME. Returns a sentence on the result.
 
     Raises:
         LogError: if it cannot be written.
@@ -81,5 +81,5 @@ def written(result: checking.CheckResult, config: DictConfig) -> tuple[str, ...]
 
 
 def relative(folder: Path) -> Path:
-    """The folder as it is called from here."""
+    """The path of the folder relative to the working directory."""
     return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder

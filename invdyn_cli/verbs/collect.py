@@ -118,7 +118,7 @@ def _read(folder: Path) -> tuple[Row, set[str], Mapping[str, Any]]:
 
 
 def _options(config: str) -> Any:
-    """The values of a YAML without aliases, a few of which stand for any amount of text."""
+    """The values of a YAML without aliases, because a few aliases can stand for any amount of text."""
     if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(config)):
         raise RunFileError(f"the config in {store.RUN} has YAML aliases; allowed: plain values")
     return yaml.safe_load(config)
@@ -143,8 +143,8 @@ def _plain(value: Any) -> Any:
 
 
 def _shown(rows: Sequence[Row]) -> Table:
-    """Only what differs, and the numbers that some run has; the lowest test NMSE is marked, and folders are told below
-    the one that all lie in."""
+    """Only options that differ, and numbers that some run has; the lowest test NMSE is marked, and folders are shown
+    relative to the one that contains all of them."""
     above = os.path.commonpath([Path(row["run"]).parent for row in rows])
     rows = [{**row, "run": os.path.relpath(row["run"], above or ".")} for row in rows]
     names = [name for name in rows[0] if name not in SCORES and len({str(row[name]) for row in rows}) > 1]

@@ -113,7 +113,7 @@ def verbs() -> list[str]:
 
 
 def candidates(words: Sequence[str]) -> list[str]:
-    """What may stand in the place of the last word, the verb being the first; [] for a file name."""
+    """The candidates for the last word, if the verb is the first; [] for a file name."""
     verb, current = words[0] if words else "", words[-1] if words else ""
     if len(words) < 2:
         return _beginning([*verbs(), "--help", "--version"], current)
@@ -169,7 +169,7 @@ def _of_config(verb: str, overrides: Sequence[str], current: str) -> list[str]:
 
 
 def _to_next_dot(names: Iterable[str], current: str) -> list[str]:
-    """Names that begin so, each up to its next dot: "data." stands for all options of the data."""
+    """Names with this beginning, each up to its next dot: "data." stands for all options of the data."""
     found = []
     for name in _beginning(names, current):
         at = name.find(".", len(current))

@@ -30,7 +30,7 @@ def task(config: DictConfig) -> None:
 
 
 def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
-    """Config -> objects -> the arm in closed loop -> files in `folder`; tells on `console` what came out."""
+    """Config -> objects -> the arm in closed loop -> files in `folder`; prints the result on `console`."""
     screen.use_compilation_cache()
     refuse_options(config)
     if config.data._target_ != f"{PickPlace.__module__}.{PickPlace.__name__}":

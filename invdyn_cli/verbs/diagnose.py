@@ -76,8 +76,8 @@ def _one_of_many(config: DictConfig, folder: Path) -> None:
 
 
 def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = False) -> Diagnosis:
-    """Config -> objects -> diagnosis -> files in `folder`; tells the result on `console`, and its progress if that is
-    not quiet or `shows` is true."""
+    """Config -> objects -> diagnosis -> files in `folder`; prints the result on `console`, and shows progress unless
+    `console` is quiet, or always if `shows` is true."""
     screen.use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.diagnosis.design, bool):
@@ -118,7 +118,7 @@ def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = 
 
 
 def options_of(config: DictConfig) -> Options:
-    """What config.diagnosis says of causes and conditioning.
+    """The causes and the conditioning from config.diagnosis.
 
     Raises:
         UsageError: for what is out of range.
@@ -151,7 +151,7 @@ def options_of(config: DictConfig) -> Options:
 
 
 def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:
-    """The catalogue and, beside it, the user's own effects; one of a catalogue's name takes its place."""
+    """The catalogue with the user's own effects; one with the name of a catalogue's effect replaces it."""
     nodes = config.diagnosis.effects
     made: dict[str, AbstractEffect] = dict(EFFECTS)
     if not isinstance(nodes, ListConfig):
@@ -168,7 +168,7 @@ def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:
 
 
 def learner_of(config: DictConfig) -> AbstractModel | None:
-    """The model that measures what is left; None: the built-in nets."""
+    """The model that is fitted to the residual; None: the built-in networks."""
     node = config.diagnosis.learner
     if node is None:
         return None

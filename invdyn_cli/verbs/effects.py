@@ -1,4 +1,4 @@
-"""invdyn effects [NAME]: the physical effects that a diagnosis looks for, and all that one of them says of itself."""
+"""invdyn effects [NAME]: the physical effects that a diagnosis looks for, and all details of one of them."""
 
 import ast
 import textwrap
@@ -23,7 +23,7 @@ ROBOT = "apollo_arm"
 
 
 class Place(NamedTuple):
-    """Where an effect's class stands: its name on the command line, and `module.Class`."""
+    """The name of an effect on the command line, and its class, `module.Class`."""
 
     name: str
     target: str
@@ -40,7 +40,7 @@ def names() -> list[str]:
 
 
 def own() -> list[Place]:
-    """The effects of the Python files in the working directory, none of which is run for that."""
+    """The effects of the Python files in the working directory; none of these files is run."""
     return [place for path in sorted(Path.cwd().glob("*.py")) for place in _in_file(path, path.stem)]
 
 
@@ -61,7 +61,7 @@ def _in_file(path: Path, module: str) -> list[Place]:
 
 
 def _written(node: ast.ClassDef) -> dict[str, Any]:
-    """The class attributes of plain values, as they are written in the source."""
+    """The class attributes with plain values, as written in the source."""
     found = {}
     for one in node.body:
         if isinstance(one, ast.Assign) and isinstance(one.targets[0], ast.Name):
@@ -127,7 +127,7 @@ def made(name: str) -> Any:
 
 
 def one_in_words(name: str) -> Iterator[str]:
-    """All that an effect says of itself."""
+    """All details of an effect."""
     from invdyn_cli.diagnosis.checks.excitation import NEEDS
     from invdyn_cli.robots import load_urdf
 

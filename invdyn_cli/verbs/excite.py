@@ -1,4 +1,4 @@
-"""invdyn excite: a reference trajectory that tells rivals apart, as a csv that is ready to play."""
+"""invdyn excite: a reference trajectory that distinguishes rivals, as a csv for a controller."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -27,12 +27,12 @@ from invdyn_cli.verbs.run import make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 
 TRAJECTORY, DESIGN, FIGURE = "trajectory.csv", "design.json", "trajectory.png"
-"""What the files are called; design.json is written last."""
+"""Names of the files; design.json is written last."""
 
 SCHEMA = "invdyn-design/1"
 
 LONGEST, FASTEST = 600.0, 2000.0
-"""[s] and [Hz] of a trajectory, at most: what a search holds in memory."""
+"""[s] and [Hz] Largest values of a trajectory: a search holds it in memory."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -46,8 +46,8 @@ def task(config: DictConfig) -> None:
 
 
 def execute(config: DictConfig, folder: Path, console: Screen) -> Design | None:
-    """Config -> questions -> trajectory.csv, trajectory.png and design.json in `folder`; tells on `console` what the
-    trajectory tells apart. None, and no trajectory: no motion can be designed for what is asked."""
+    """Config -> questions -> trajectory.csv, trajectory.png and design.json in `folder`; prints on `console` what the
+    trajectory distinguishes. Returns None, and writes no trajectory, if no motion can be designed for the question."""
     screen.use_compilation_cache()
     for name, low, high in (("duration", 5.0, LONGEST), ("rate", 20.0, FASTEST)):
         _refuse_number(config, name, low, high)
@@ -82,7 +82,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Design | None:
 
 
 def questions_of(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ...]], list[str]]:
-    """What is to be told apart, from `effects` or from a diagnosis, and a line for all for which no motion can be
+    """The causes to distinguish, from `effects` or from a diagnosis, and a line for each for which no motion can be
     designed."""
     effects = _listed(config, "effects")
     if effects and config.diagnosis is not None:
@@ -134,7 +134,7 @@ def findings_of(path: Path) -> list[Finding]:
 
 
 def _finding(one: Mapping[str, Any]) -> Finding:
-    """A claim as diagnosis.json has it; ValueError, TypeError, KeyError or AttributeError for what is none."""
+    """A claim as in diagnosis.json; ValueError, TypeError, KeyError or AttributeError if it is not one."""
     alternatives = tuple(map(tuple, one["alternatives"]))
     for name in (one["effect"], *(x for names in alternatives for x in names)):
         if not isinstance(name, str):
@@ -174,7 +174,7 @@ def write(made: Design, folder: Path) -> None:
 
 
 def as_dict(made: Design) -> dict[str, Any]:
-    """design.json: what is told apart by how much, with which sizes, and how much of its limits each joint uses."""
+    """design.json: the distances between causes, their sizes, and how much of its limits each joint uses."""
     names, q, qd = made.robot.joints, np.asarray(made.motion.q), np.asarray(made.motion.qd)
     used = {
         name: {
@@ -219,7 +219,7 @@ def shown(made: Design) -> Table:
 
 
 def advice(made: Design) -> list[str]:
-    """A line for every two that no motion tells apart, or not this one."""
+    """A line for every two causes that no motion distinguishes, or not this one."""
     lines = []
     for p in made.pairs:
         what = f"{words(p.true)} (true) and {words(p.rival)} (assumed)"
@@ -254,7 +254,7 @@ def _listed(config: DictConfig, name: str) -> list[Any]:
 
 
 def _cause(one: Any, robot: Robot, option: str) -> Cause | str:
-    """A cause as the command line has it; a line where no motion can be designed for it."""
+    """A cause from the command line; a line if no motion can be designed for it."""
     if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str):
         raise UsageError(f"{option} has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}")
     name, joint = one["effect"], one.get("joint")

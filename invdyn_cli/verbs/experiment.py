@@ -21,7 +21,7 @@ workers: 1     # processes that work at the same time
 fresh: false   # true: run jobs again that have finished
 docs: false    # true: put the table and the figures into the pages of this checkout
 """
-"""The options of every experiment that is a class, as NAME.yaml has its own; it may have another default of them."""
+"""The options of every experiment that is a class, as in its own YAML, which may set another default."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Shared:
 
 
 def main(argv: Sequence[str]) -> int:
-    """List the experiments, tell the options of one, or run one; the exit code."""
+    """List the experiments, print the options of one, or run one; the exit code."""
     name, *rest = argv or ["--help"]
     if name in ("-h", "--help"):
         print(_list(), end="")
@@ -159,7 +159,7 @@ def usual(spec: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _value(text: str, usual: Any) -> Any:
-    """A value as the default has it: a list has commas, text stays text."""
+    """A value of the type of the default: a list is separated by commas, text stays text."""
     if isinstance(usual, list):
         texts = [x.strip() for x in text.strip("[]").split(",") if x.strip()]
         return [_value(x, usual[0] if usual else "") for x in texts]

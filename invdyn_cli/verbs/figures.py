@@ -1,4 +1,4 @@
-"""invdyn figures: the figures of experiments/*.yaml, and the page that puts all of it beside the paper."""
+"""invdyn figures: the figures of experiments/*.yaml, and the page that compares all of them with the paper."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

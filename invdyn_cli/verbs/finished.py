@@ -13,9 +13,8 @@ REPORT = "report.html"
 
 
 def finished(folders: Sequence[Path], names: Sequence[str], beside: Path, trust: Sequence[str] = ()) -> list[Compared]:
-    """The finished runs among these folders, called by `names`, for a page in the folder `beside`. Those with the
-    lowest errors are read whole, for curves over time; what cannot be read is left out.
-    """
+    """The finished runs among these folders, with the given `names`, for a page in the folder `beside`. Those with the
+    lowest errors are read completely, for curves over time; unreadable ones are left out."""
     found = [x for x in map(_measured, folders, names, [beside] * len(names)) if x is not None]
     ranked = sorted(found, key=lambda x: x.score("rmse") if x.score("rmse") >= 0 else float("inf"))
     whole = {x.name for x in ranked[:MOST_CURVES]}
@@ -42,6 +41,6 @@ def _with_record(one: Compared, path: Path, trust: Sequence[str]) -> Compared:
 
 
 def page_of(run: Path, folder: Path) -> str:
-    """Of a run's own page, as seen from a folder."""
+    """The link to a run's own page, relative to a folder."""
     page = run / REPORT
     return Path(os.path.relpath(page, folder)).as_posix() if page.is_file() else ""

@@ -22,11 +22,11 @@ from invdyn_cli.verbs.sweep import STATUS, run_side_by_side
 class Fleet(Callback):
     """Prints the table of all logs when a sweep of diagnoses ends, and writes report.html and fleet.csv.
 
-    Raises SystemExit with the command's exit code 2 where a log was not diagnosed.
+    Raises SystemExit with exit code 2 if a log was not diagnosed.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Jobs that run side by side take a thread each."""
+        """Jobs that run in parallel use one thread each."""
         run_side_by_side(config)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
@@ -50,7 +50,7 @@ class Fleet(Callback):
 
 
 def _diagnosed(folder: Path) -> Diagnosed:
-    """What a job left; one that was killed, or left something else, has failed."""
+    """The result of a job; a job that was killed, or left something else, has failed."""
     number, robot, log = 0, "", folder.name
     try:
         left = untrusted.read_json(folder / STATUS, RunFileError)
@@ -65,7 +65,7 @@ def _diagnosed(folder: Path) -> Diagnosed:
 
 
 def _finding(tree: Mapping[str, Any]) -> Finding:
-    """A finding of diagnosis.json, as far as a page of many needs it."""
+    """A finding of diagnosis.json, with the fields that a page of many logs needs."""
     return Finding(
         effect=str(tree["effect"]),
         joint=None if tree["joint"] is None else str(tree["joint"]),

@@ -1,4 +1,4 @@
-"""What folders of results are called, and outputs/latest, which leads to the newest finished one."""
+"""Names of result folders, and outputs/latest, which links to the newest finished one."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -25,12 +25,12 @@ def safe(text: Any, most: int = LONGEST_PART) -> str:
 
 
 def job_name(choices: Mapping[str, Any], seed: Any) -> str:
-    """What the folder of a run is called after: model, data, adaptation and seed."""
+    """The parts of a run folder's name: model, data, adaptation and seed."""
     return "-".join([*(safe(choices[group]) for group in GROUPS if choices.get(group)), f"seed{safe(seed)}"])
 
 
 def log_name(path: Any) -> str:
-    """What the folder of a diagnosis is called after: the log, the first of several, or the source that has none."""
+    """The name of a diagnosis folder: that of the log, of the first of several, or of the source without a log."""
     paths = [str(x) for x in path] if isinstance(path, list | tuple | ListConfig) else [str(path)]
     more = f"+{len(paths) - 1}" if len(paths) > 1 else ""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in Path(paths[0]).stem) + more
@@ -64,7 +64,7 @@ def job_folder(number: int, overrides: Sequence[str], fixed: Sequence[str]) -> s
 
 
 def _value(key: str, value: str) -> str:
-    """A choice as it stands, a file by its name, a number behind the name of its option."""
+    """A value in a folder's name: a choice as it is, a file by its name, a number after the name of its option."""
     name = key.rpartition(".")[2]
     if name == "path":
         return safe(Path(value.strip("'\"")).stem)
@@ -72,7 +72,7 @@ def _value(key: str, value: str) -> str:
 
 
 def of_jobs(argv: Sequence[str]) -> list[str]:
-    """The override that tells `job_folder` which keys are the same for all jobs of a sweep; [] without a sweep."""
+    """The override that tells `job_folder` which options are equal in all jobs of a sweep; [] without a sweep."""
     if not {"-m", "--multirun"} & set(argv):
         return []
     fixed = []

@@ -22,7 +22,7 @@ Maps = list[tuple[Path, ColumnMap]]
 
 
 def show_all(source: Any, console: Screen) -> Maps:
-    """Tell of every file of a source that is no invdyn log how it is read."""
+    """Report for every file of a source that is not an invdyn log how it is read."""
     if not isinstance(source, RealLog):
         return []
     maps = []
@@ -36,7 +36,7 @@ def show_all(source: Any, console: Screen) -> Maps:
 
 
 def keep(maps: Maps, folder: Path, console: Screen) -> None:
-    """Write the maps into the folder of the results, where there are any: a refused command leaves none."""
+    """Write the maps into the folder of the results if there are any; a refused command leaves no folder."""
     for path, columns in maps:
         saved = write_file(folder / f"{path.stem}.columns.yaml", to_yaml(columns, path.name, folder))
         console.whole(f"column map: {saved} (data.columns= takes it)")

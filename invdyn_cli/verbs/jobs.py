@@ -30,7 +30,7 @@ KEPT = "jobs"
 def run_all(
     experiment: AbstractExperiment, folder: Path, *, workers: int, fresh: bool, progress: Progress
 ) -> tuple[list[Any], int]:
-    """Run the plan but for jobs whose rows `folder` holds already (all of it, if `fresh`).
+    """Run the jobs of the plan whose rows are not in `folder` yet (all of them, if `fresh`).
 
     Returns:
         The rows in the order of the plan, and how many jobs failed; what failed is told on stderr.
@@ -78,7 +78,7 @@ def _rows(experiment: AbstractExperiment, folder: Path, job: tuple) -> list[Any]
 
 
 def _tell_failure(job: tuple, error: BaseException) -> None:
-    """One line for wrong use, the traceback for an error of ours; a process that died stops everything."""
+    """One line for wrong use, the traceback for an error of invdyn; a process that died ends the whole run."""
     if isinstance(error, BrokenProcessPool):
         raise UsageError("a process of the experiment was killed; finished jobs are kept", advice="workers=1")
     if isinstance(error, InvdynError):
@@ -88,7 +88,7 @@ def _tell_failure(job: tuple, error: BaseException) -> None:
 
 
 class _Here(Executor):
-    """Runs a job at once, in this process."""
+    """Runs a job immediately, in this process."""
 
     def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
         """The future of a call that is over."""
@@ -102,7 +102,7 @@ class _Here(Executor):
 
 @contextmanager
 def _executor(workers: int) -> Iterator[Executor]:
-    """Processes of their own where there are several; Ctrl-C and errors end them."""
+    """A pool of processes if there are several workers; Ctrl-C and errors end them."""
     if workers == 1:
         use_compilation_cache()
         yield _Here()

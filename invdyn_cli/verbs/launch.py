@@ -1,4 +1,5 @@
-"""The door to Hydra: where configs lie, how a config becomes objects, how failures of use are told in one line."""
+"""The only module that calls Hydra: where configs are, how a config becomes objects, how wrong use is reported in one
+line."""
 
 import contextlib
 import difflib
@@ -40,7 +41,7 @@ TRACEBACK = "traceback.txt"
 
 
 def config_folder() -> Path:
-    """conf/, inside the package where it was installed from a wheel, beside it in a checkout."""
+    """The folder conf/: inside an installed package, beside the package in a checkout."""
     package = Path(__file__).parents[1]
     for folder in (package / "conf", package.parent / "conf"):
         if (folder / "run.yaml").is_file():
@@ -120,7 +121,7 @@ def search_path(argv: Sequence[str]) -> list[str]:
 
 
 def told(verb: str, error: Exception, argv: Sequence[str]) -> str:
-    """What a failure of use is told as; "" for an error of ours."""
+    """The message for wrong use; "" for an error of invdyn."""
     if isinstance(error, InvdynError):
         return str(error)
     if isinstance(error, HydraException | OmegaConfBaseException):
@@ -152,7 +153,7 @@ def _raised_by(error: Exception) -> str:
 
 
 def _own_error(error: Exception, folder: Path | None) -> int:
-    """Keep the traceback of an error of ours, in the run's folder if it can be written, and say where."""
+    """Write the traceback of an error of invdyn to a file, in the run's folder if possible, and say where it is."""
     text = "".join(traceback.format_exception(error))
     kept = "no place to write its traceback to"
     for place in (folder or Path(), Path(tempfile.gettempdir())):
@@ -202,7 +203,7 @@ def _remove_one(folder: Path, before: set[Path]) -> None:
 
 
 def _refuse_no_choice(overrides: Sequence[str]) -> None:
-    """A group of configs is chosen from by name: null or a number is none, and Hydra has no line for it."""
+    """A group of configs is chosen by name: refuse null or a number, for which Hydra has no clear message."""
     parser = OverridesParser.create()
     for text in overrides:
         try:
@@ -217,7 +218,7 @@ def _refuse_no_choice(overrides: Sequence[str]) -> None:
 
 
 def _refuse_no_options(config: Any, usual: Any, place: str = "") -> None:
-    """Options that belong together (figures.formats) are given one by one: nothing else can stand in their place."""
+    """Options that belong together (figures.formats) are given one by one: refuse any other value in their place."""
     for name, options in usual.items():
         if name in ("defaults", "hydra") or not isinstance(options, dict):
             continue
@@ -320,14 +321,14 @@ def in_sweep() -> bool:
 
 
 def _cause(error: BaseException) -> BaseException:
-    """The failure that started it all, or the first that is told in our own words."""
+    """The original failure, or the first one that has a message of invdyn."""
     while error.__cause__ is not None and not isinstance(error, InvdynError):
         error = error.__cause__
     return error
 
 
 def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
-    """Hydra's and OmegaConf's many lines as one, with what is allowed and the nearest match."""
+    """The many lines of Hydra and OmegaConf as one line, with the allowed values and the nearest match."""
     text = str(error)
     if isinstance(error, MissingConfigException) and error.options:
         group, wanted = error.missing_cfg_file.rsplit("/", 1) if error.missing_cfg_file else ("", "")

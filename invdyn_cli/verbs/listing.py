@@ -1,4 +1,4 @@
-"""The experiments that there are: experiments/NAME.yaml in the package or the checkout, and beside the user."""
+"""The available experiments: experiments/NAME.yaml in the package or the checkout, and in the working folder."""
 
 import sys
 from importlib.machinery import ModuleSpec
@@ -19,7 +19,7 @@ CLASS = ("title", "_target_")
 
 
 def places() -> list[Path]:
-    """The folders of experiments; the package's own comes first, so that nobody's folder changes it."""
+    """The folders of experiments; the package's own comes first, so that no other folder changes it."""
     return [config_folder().with_name("experiments"), Path.cwd() / "experiments"]
 
 
@@ -41,7 +41,7 @@ def path_of(name: str) -> Path:
 
 
 def read(name: str) -> dict[str, Any]:
-    """What the YAML of an experiment says.
+    """The contents of the YAML of an experiment.
 
     Raises:
         UsageError: if there is no such experiment, or its file lacks something.
@@ -67,7 +67,7 @@ def _jobs(spec: Any) -> list:
 
 
 def admit(folders: list[Path]) -> None:
-    """Let `experiments.NAME` be imported from these folders, the first of which has precedence."""
+    """Make `experiments.NAME` importable from these folders; the first one has precedence."""
     package = sys.modules.get("experiments")
     if package is None:
         spec = ModuleSpec("experiments", None, is_package=True)

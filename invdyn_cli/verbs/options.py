@@ -1,7 +1,7 @@
-"""What every option means, without importing what it configures.
+"""The meaning of every option, without importing what it configures.
 
-The line of an option stands in one place: in the docstring (`Attributes:` or `Args:`) of the object that its config
-node builds (`_target_`), or, if the option builds none, in the comment behind it in the verb's YAML.
+The text of an option is in one place: in the docstring (`Attributes:` or `Args:`) of the object that its config node
+builds (`_target_`) or, if the option builds none, in the comment behind it in the verb's YAML.
 """
 
 import ast
@@ -45,7 +45,7 @@ class Described(NamedTuple):
 
 
 def described(verb: str, overrides: Sequence[str] = ()) -> Described:
-    """All options of a verb as these overrides leave them.
+    """All options of a verb with these overrides.
 
     Raises:
         HydraException: for overrides that do not compose.
@@ -94,7 +94,7 @@ def headline(path: Path) -> str:
 
 
 def first_sentence(text: str) -> str:
-    """Up to the first full stop before a capital letter, without it."""
+    """The text up to the first full stop before a capital letter, without it."""
     return re.split(r"\.(?=\s+[A-Z0-9`])|\.$", " ".join(text.split()), maxsplit=1)[0]
 
 
@@ -198,7 +198,7 @@ def _options(node: DictConfig, place: str, texts: Mapping[str, str]) -> Iterator
 
 
 def _shown(value: Any) -> str:
-    """A value as the command line takes it."""
+    """A value in the syntax of the command line."""
     if OmegaConf.is_config(value):
         value = OmegaConf.to_container(value, resolve=True)
     if isinstance(value, Mapping):

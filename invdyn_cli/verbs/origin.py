@@ -15,7 +15,7 @@ import jax
 PACKAGES = ("invdyn", "jax", "jaxlib", "flax", "optax", "numpy", "scipy", "pin", "hydra-core", "h5py")
 PACKAGE = Path(__file__).parents[1]
 SHOWING = ("cli.py", "verbs", "report", "diagnosis", "testing.py", "store.py")
-"""What of the package no figure of a run depends on."""
+"""Parts of the package on which no result of a run depends."""
 
 
 def origin(started: datetime.datetime) -> dict[str, Any]:
@@ -32,7 +32,8 @@ def origin(started: datetime.datetime) -> dict[str, Any]:
 
 @functools.cache
 def fingerprint() -> str:
-    """A hash of all of the package that a run's figures depend on: while it is the same, a complete run stays so."""
+    """A hash of the parts of the package on which the results of a run depend: as long as it is the same, a complete
+    run stays valid."""
     return hash_of(x for x in PACKAGE.rglob("*.py") if x.relative_to(PACKAGE).parts[0] not in SHOWING)
 
 

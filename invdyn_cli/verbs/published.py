@@ -1,4 +1,4 @@
-"""The experiments of experiments/*.yaml: what each asks for, run where it is not complete, and its table."""
+"""The experiments of experiments/*.yaml: their jobs, which are run if they are not complete, and their tables."""
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ from invdyn_cli.verbs import listing, run, screen, sweep
 
 @dataclass(frozen=True)
 class Published:
-    """An experiment that was run: what its file says, its jobs and the folder of each, its table, and the paper's
+    """An experiment that was run: the contents of its file, its jobs and their folders, its table, and the paper's
     statements with a verdict each (None where it has none)."""
 
     name: str
@@ -107,7 +107,7 @@ def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid
 
 
 def _noise_floor(path: Path, first: str, again: str) -> list[float]:
-    """RMS of half the difference [N m] of a trajectory and its repetition, read as everything else is."""
+    """RMS of half the difference [N m] between a trajectory and its repetition, read in the same way as the data."""
     splits = RealLog(str(path), train=(first,), test=(again,), validation_share=0).load(None)
     one, other = splits.train, splits.tests["test"]
     return metrics.noise_floor(one.motion.q, one.tau, other.motion.q, other.tau).tolist()

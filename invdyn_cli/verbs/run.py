@@ -59,10 +59,10 @@ def execute(
     view: Any = None,
     prepared: experiment.Prepared | None = None,
 ) -> RunRecord:
-    """Config -> objects -> experiment -> files in `folder`; tells the result on `console` where there is one.
+    """Config -> objects -> experiment -> files in `folder`; prints the result on `console` if there is one.
 
-    `view` is Hydra's view of the job (choices, overrides) where it is not the running one; `prepared` are data and fit,
-    where these are there already.
+    `view` is Hydra's view of the job (choices, overrides) if it is not the running one; `prepared` are data and fit if
+    they exist already.
     """
     console = console or Screen(quiet=True)
     screen.use_compilation_cache()
@@ -92,7 +92,7 @@ def execute(
 
 
 def make_tracker(config: DictConfig) -> AbstractTracker:
-    """The tracker that the config describes, its library being there.
+    """The tracker that the config describes, after a check that its library is installed.
 
     Raises:
         UsageError: for anything else.
@@ -108,7 +108,7 @@ def make_tracker(config: DictConfig) -> AbstractTracker:
 
 
 def track(tracker: AbstractTracker, record: RunRecord, config: DictConfig, folder: Path, progress: Progress) -> str:
-    """Hand the run on to the tracker; why that was not possible, or ""."""
+    """Give the run to the tracker; returns why that failed, or ""."""
     progress(0.0, type(tracker).__name__)
     plain = OmegaConf.to_container(config, resolve=True)
     metrics = json.loads((folder / store.METRICS).read_text(encoding="utf-8"))
@@ -125,10 +125,8 @@ def track(tracker: AbstractTracker, record: RunRecord, config: DictConfig, folde
 
 
 def make_robot(config: DictConfig, header: Header | None, *, optional: bool, console: Screen) -> Robot | None:
-    """The robot of the config; what it leaves open (path, joints) the data fill in.
-
-    None where nobody knows any, or where it is `optional` and the URDF that the data name cannot be used, with a word.
-    """
+    """The robot of the config; the data supply what it leaves open (path, joints). None if nothing names a robot, or if
+    it is `optional` and the URDF that the data name is not usable, with a message."""
     node = config.robot
     if not isinstance(node, DictConfig) or "path" not in node:
         raise UsageError(f"robot={node}; allowed: {{path: arm.urdf, …}}", advice="robot=urdf robot.path=arm.urdf")
@@ -156,7 +154,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
 
 
 def refuse_options(config: DictConfig) -> None:
-    """What belongs to no group, and groups that were emptied."""
+    """Refuse values outside of any group, and empty groups."""
     for group in ("robot", "data", "model", "adaptation"):
         if config[group] is None or "_target_" not in config[group]:
             raise UsageError(f"{group}={config[group]}; allowed: a choice of the group, see invdyn run --help")
@@ -172,13 +170,13 @@ def size_limit(config: DictConfig) -> float:
 
 
 def refuse_seed(seed: Any) -> None:
-    """Seeds that JAX's random keys cannot be made from."""
+    """Refuse seeds for which JAX has no random keys."""
     if type(seed) is not int or not 0 <= seed < 2**63:
         raise UsageError(f"seed={seed}; allowed: a whole number from 0 to 2^63 - 1")
 
 
 def refuse_formats(option: str, formats: Any) -> None:
-    """Formats of figures that there are not."""
+    """Refuse unknown formats of figures."""
     if not isinstance(formats, Sequence) or not set(formats) <= set(FORMATS):
         raise UsageError(f"{option}={formats}; allowed: a list of {listed(FORMATS)}")
 
@@ -208,7 +206,7 @@ def make_object(config: DictConfig, group: str, kind: type) -> Any:
 
 
 def _with_origin(record: RunRecord, config: DictConfig, started: datetime.datetime, view: Any) -> RunRecord:
-    """The record with where it came from: choices, config, overrides, versions, machine, times."""
+    """The record with its provenance: choices, config, overrides, versions, machine, times."""
     choices = {group: view.runtime.choices.get(group) for group in ("model", "data", "adaptation", "robot")}
     return replace(
         record,

@@ -1,4 +1,5 @@
-"""What a verb shows while it works (progress on stderr), and the compilation cache that makes the second run quick."""
+"""What a verb shows while it works (progress on stderr), and the cache of compiled programs that makes the second run
+faster."""
 
 import os
 import sys
@@ -24,7 +25,7 @@ SWITCH = "INVDYN_PROGRESS"
 
 
 class Screen(Console):
-    """A terminal that shows text as it stands: names from a file are never read as markup."""
+    """A terminal that shows text literally: names from a file are never interpreted as markup."""
 
     def __init__(self, *, stderr: bool = False, quiet: bool = False, width: int | None = None) -> None:
         super().__init__(stderr=stderr, quiet=quiet, width=width, markup=False, emoji=False, highlight=False)
@@ -34,11 +35,11 @@ class Screen(Console):
         self.print(line, style="dim")
 
     def warn(self, line: str) -> None:
-        """What a reader should not pass over."""
+        """Print a line that the reader should notice."""
         self.print(line, style="yellow")
 
     def whole(self, line: object) -> None:
-        """A line that is not broken at the terminal's width: a path, say."""
+        """Print a line that is not wrapped at the terminal's width, for example a path."""
         self.print(str(line), soft_wrap=True)
 
     def on_broken_pipe(self) -> None:
@@ -81,8 +82,8 @@ def stages(*, quiet: bool = False) -> Iterator[Callable]:
 
 
 class Clock:
-    """How long a step has taken, and how long it will take yet: told in proportion when its share changes, counted down
-    until it changes again, and not told any more where that time is over."""
+    """The time that a step has taken, and an estimate of the time left: estimated when the share changes, counted down
+    until it changes again, and not shown any more after that time is over."""
 
     def __init__(self) -> None:
         self.began = self.told = time.monotonic()
@@ -112,7 +113,7 @@ class Clock:
 class Lines:
     """Progress as lines on stderr, for pipes and files: the step, its share, the time; no control characters.
 
-    A thread of its own writes them: a compiled program that reports nothing for minutes is told of, too.
+    A separate thread writes them, so that there are lines even while a compiled program reports nothing for minutes.
     """
 
     def __init__(self) -> None:

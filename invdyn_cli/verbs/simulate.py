@@ -1,4 +1,4 @@
-"""invdyn simulate: the log of a simulated arm that plays the real one, and beside it the truth about what is hidden."""
+"""invdyn simulate: the log of a simulated arm that replaces the real one, and the truth about its hidden effects."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ def write(log: Log, source: Plant, robot: Robot, folder: Path) -> None:
 
 
 def truth(source: Plant, robot: Robot) -> dict[str, Any]:
-    """What is hidden, and all that the recording was made with."""
+    """The hidden effects, and all settings of the recording."""
     effects = []
     for x in source.told():
         where = {name: x["parameters"][name] for name in ("trajectory", "window") if name in x["parameters"]}

@@ -30,7 +30,7 @@ SIDE_BY_SIDE = ("joblib", "submitit_local")
 """Launchers that run several jobs on this machine at once."""
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
-"""What keeps a process to one thread; processes that are started afterwards inherit it."""
+"""Environment variables that limit a process to one thread; processes that start later inherit them."""
 
 
 def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
@@ -45,7 +45,8 @@ def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
 
 
 def is_complete(config: DictConfig, folder: Path) -> bool:
-    """Whether the folder holds this very job, finished, and nothing changed since: its logs, its URDF, the code."""
+    """Whether the folder contains exactly this job, complete, and nothing has changed since: its logs, its URDF, the
+    code."""
     done = folder / store.METRICS
     if not done.is_file() or not (folder / store.RUN).is_file():
         return False
@@ -63,7 +64,7 @@ def is_complete(config: DictConfig, folder: Path) -> bool:
 def keep_status(
     folder: Path, number: int, overrides: Sequence[str], status: str, message: str = "", **facts: str
 ) -> None:
-    """Leave in a job's folder its number, what was asked of it and how it went: started, ran, kept, failed."""
+    """Write a job's number, its overrides and its outcome (started, ran, kept, failed) into its folder."""
     left = {"job": number, "overrides": list(overrides), "status": status, "message": message, **facts}
     write_file(folder / STATUS, json.dumps(left))
 
@@ -91,7 +92,7 @@ def objective(folder: Path) -> float:
 
 @contextmanager
 def prepared(found: Mapping[int, Prepared]) -> Iterator[None]:
-    """While it lasts, `prepared_for` knows what is there already for jobs of these numbers."""
+    """Within it, `prepared_for` returns the prepared data and fits for jobs with these numbers."""
     token = _prepared.set(found)
     try:
         yield
@@ -111,7 +112,7 @@ class Summary(Callback):
     """Prints the table of all jobs when a sweep ends, and writes sweep.csv and report.html beside them; whatever
     launcher ran them.
 
-    Raises SystemExit with the command's exit code 2 where a job failed.
+    Raises SystemExit with exit code 2 if a job failed.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:

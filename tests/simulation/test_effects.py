@@ -278,7 +278,7 @@ WRONG = (
     (Hidden("custom", "arm_joint_1", {"force": 3.0}), "allowed: a function"),
     (
         Hidden("coupled_friction", "arm_joint_1", {"coulomb": 1.0, "damping": 0.1, "ratio": 1.0}),
-        "arm_joint_1: no joint is before it",
+        "arm_joint_1: it is the first joint",
     ),
 )
 

@@ -1,4 +1,4 @@
-"""What single channels can tell: their resolution, flat tops, whether a joint moves, and copies of other channels."""
+"""Checks of single channels: their resolution, torques at a limit, joints at rest, and copies of other channels."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,7 +16,7 @@ from invdyn_cli.types import Check, Robot
 
 
 def lattice(x: np.ndarray, most: int = 100_000) -> float:
-    """The step on whose multiples the values of x (T,) lie, 0 where they lie on none (T is cut to `most`)."""
+    """The step of which all values of x (T,) are multiples, 0 if there is none (T is cut to `most`)."""
     values = np.unique(x[:most])
     if len(values) < 3 or len(values) > 0.9 * min(len(x), most):
         return 0.0
@@ -32,7 +32,7 @@ def lattice(x: np.ndarray, most: int = 100_000) -> float:
 
 @dataclass(frozen=True)
 class Quantisation(AbstractCheck):
-    """Values on a lattice, and whether its step is coarse for what shall be computed from it.
+    """Values that are multiples of a step, and whether this step is too coarse for what is computed from the channel.
 
     Rounding to a step s is white noise of variance s^2 / 12 (Widrow 1956); a zero-phase low-pass at f leaves of it,
     after two derivatives, s / sqrt(12) (2 pi)^2 sqrt(f^5 / 5 / (rate / 2)).
@@ -93,9 +93,9 @@ class Quantisation(AbstractCheck):
                         value=step,
                         threshold={"channel": "tau", "steps": self.levels},
                         seen=f"tau comes in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
-                        meaning="what is smaller than a step cannot be told from rounding",
+                        meaning="what is smaller than a step cannot be distinguished from rounding",
                         advice="a logger that keeps more digits, or motion that asks more torque of this joint",
-                        source="ours: rounding then is above 1 % of the range",
+                        source="own choice: rounding is then above 1 % of the range",
                     )
                 )
         return found
@@ -105,7 +105,8 @@ class Quantisation(AbstractCheck):
 class Saturation(AbstractCheck):
     """Torques that stay at one extreme value while the arm moves, or at the URDF's effort limit.
 
-    They stay there in a row, or, where noise is larger than what moves, come back to it more often than to any other.
+    They stay there in successive rows or, if the noise is larger than the motion, return to this value more often than
+    to any other.
 
     Attributes:
         run: samples with the very same extreme value, in a row, or times as many as any other value has (ours: noise
@@ -142,7 +143,7 @@ class Saturation(AbstractCheck):
         return found
 
     def _flat(self, log: Log, raw, joint: int, side: int) -> tuple[float, float, str]:
-        """(share of samples, torque, trajectory) of flat tops on one side."""
+        """(share of samples, torque, trajectory) of values at the extreme on one side."""
         x = side * newton_metres(log, raw)[:, joint]
         top = np.nanmax(x)
         at = x >= top - 1e-6 * max(np.ptp(x), 1e-300)
@@ -169,9 +170,9 @@ class Saturation(AbstractCheck):
             value=value,
             threshold=self.share,
             seen=f"the torque is at {what}, {value:.4g}, in {100 * share:.2g} % of the samples",
-            meaning="the drive, the sensor or the message ends there: the true demand is not in the log",
+            meaning="the drive, the sensor or the message is limited to this value: the true torque is not in the log",
             advice="slower or less loaded motion, or leaving these stretches out",
-            source="ours: noise does not repeat a maximum",
+            source="own choice: noise does not repeat a maximum",
         )
 
 
@@ -214,13 +215,13 @@ class NotMoving(AbstractCheck):
             seen=f"{what}: q ranges over {value:.2g}",
             meaning="nothing can be learned of its friction, drive or inertia",
             advice="a motion that moves it there and back",
-            source="ours: what a controller wobbles while it holds",
+            source="own choice: a controller that holds a joint moves it less",
         )
 
 
 @dataclass(frozen=True)
 class CommandCopiesMeasurement(AbstractCheck):
-    """Channels that should be measured and are copies: q_ref of q, the torque of the model's own inverse dynamics.
+    """Channels that should be measured but are copies: q_ref of q, or the torque of the model's own inverse dynamics.
 
     Attributes:
         equal: [rad; m] (ours: below the resolution of any encoder).
@@ -250,7 +251,7 @@ class CommandCopiesMeasurement(AbstractCheck):
                         seen=f"q_ref and q are the same to {apart:.1g}",
                         meaning="one is a copy of the other: the command was logged as the position, or the reverse",
                         advice="the topic or field that q is taken from",
-                        source="ours: no controller tracks better than its encoder resolves",
+                        source="own choice: no controller tracks better than its encoder resolves",
                     )
                 )
         if all(raw.q_ref is None for raw in log.trajectories):
@@ -273,7 +274,7 @@ class CommandCopiesMeasurement(AbstractCheck):
                     seen=f"the torque is the nominal model's inverse dynamics, to {missed.max():.1g} of its variance",
                     meaning="this torque was computed, not measured: nothing can be learned from it about the robot",
                     advice="the measured torque or current in its place",
-                    source="ours: no measured torque of an arm agrees with its URDF like that",
+                    source="own choice: no measured torque agrees with a URDF so closely",
                 )
             )
         return found

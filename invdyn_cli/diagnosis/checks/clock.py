@@ -25,11 +25,11 @@ from invdyn_cli.types import Check, Robot
 
 @dataclass(frozen=True)
 class Duplicates(AbstractCheck):
-    """Stamps that stand still or run backwards, and rows that repeat the one before while the arm moves.
+    """Time stamps that repeat or run backwards, and rows that repeat the one before while the arm moves.
 
-    A row counts as repeated where q and tau of all joints are the very numbers of the row before, though a joint moves
-    by more than `moving` in the `reach` rows around: two noisy samples of a moving arm do not agree by chance. A
-    clock that starts anew is another trajectory, not a defect of single rows (`rows.clock_pieces`).
+    A row counts as repeated if q and tau of all joints equal those of the row before exactly, although a joint moves by
+    more than `moving` in the `reach` rows around it: two noisy samples of a moving arm do not agree by chance. A clock
+    that restarts is another trajectory, not a defect of single rows (`rows.clock_pieces`).
 
     Attributes:
         share: of repeated rows that is worth a warning (ours: at 1 % linear interpolation still restores them).
@@ -76,13 +76,13 @@ class Duplicates(AbstractCheck):
                         "the arm moves",
                         meaning="the log is written faster than its source, or samples were lost and held",
                         advice="logging at the source's own rate",
-                        source="ours: noise on all channels does not repeat by chance",
+                        source="own choice: noise on all channels does not repeat by chance",
                     )
                 )
         return found
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """Drop such rows; part a trajectory where its clock starts anew."""
+        """Drop such rows; divide a trajectory where its clock starts anew."""
         where, notes = {c.trajectory for c in found}, []
 
         def change(raw: RawTrajectory) -> list[RawTrajectory]:
@@ -113,7 +113,7 @@ class Duplicates(AbstractCheck):
 
 @dataclass(frozen=True)
 class ClockJitter(AbstractCheck):
-    """How regular the clock ticks, and whether it ticks at the nominal rate.
+    """How regular the clock is, and whether it has the nominal rate.
 
     Attributes:
         note, warn: standard deviation of the steps in median steps (first order: linear interpolation over a step errs
@@ -149,8 +149,8 @@ class ClockJitter(AbstractCheck):
                         seen=f"steps of {1e3 * step:.3g} ms vary by {1e3 * jitter * step:.2g} ms (standard deviation), "
                         f"{1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
                         meaning="reading puts it on a uniform clock by linear interpolation; fast signals lose there",
-                        advice="stamps from the controller, not from the program that writes",
-                        source="ours: half a step of doubt is as much as a controller's hold",
+                        advice="time stamps from the controller, not from the program that writes the log",
+                        source="own choice: half a step, as much as the hold of a controller",
                     )
                 )
             off = log.rate * step - 1
@@ -165,13 +165,13 @@ class ClockJitter(AbstractCheck):
                         seen=f"the nominal rate is {log.rate:g} Hz, the median step says {1 / step:.4g} Hz",
                         meaning="the rate attribute or the stamps are wrong; the stamps are believed",
                         advice="the log's rate attribute",
-                        source="ours: data.real_log believes the median step from 20 % on",
+                        source="own choice: from 20 % on data=real_log uses the median step",
                     )
                 )
         return found
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """The median rate in place of a nominal one that cannot be."""
+        """The median rate instead of an impossible nominal one."""
         rates = [1 / median_step(raw.t) for raw in log.trajectories if np.isfinite(median_step(raw.t))]
         if (np.isfinite(log.rate) and log.rate > 0) or not rates:
             return log, []
@@ -214,7 +214,7 @@ class Gaps(AbstractCheck):
                     f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time",
                     meaning="nothing is interpolated across a gap: the trajectory is parted there",
                     advice="a buffer or a faster disk for the logger" if missing > self.share else "",
-                    source="ours: as data.max_gap",
+                    source="own choice, as data.max_gap",
                 )
             )
         return found
@@ -263,7 +263,7 @@ class TooShort(AbstractCheck):
                     seen=f"{total:.3g} s of motion in the whole log",
                     meaning="too little to compute with",
                     advice="a recording of a minute or more in which all joints move back and forth",
-                    source="ours: less than one slow movement of an arm",
+                    source="own choice: less than one slow movement of an arm",
                 )
             )
         return found

@@ -23,7 +23,7 @@ from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.rows import each, present
 from invdyn_cli.types import Check, Robot
 
-SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; ours: odds of e^8"
+SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; own choice: odds of e^8"
 NO_MOTION = "no motion, or a torque that never changes"
 POSITIONS = ("q", "qd", "qdd", "q_ref", "q_link")
 
@@ -247,7 +247,7 @@ class SignError(AbstractCheck):
             joint=log.joints[j],
             value=value,
             threshold={"channel": "tau", "correlation": -self.correlation},
-            seen=f"correlation of torque and nominal torque, friction taken out: {value:.2f}",
+            seen=f"correlation of torque and nominal torque, without friction: {value:.2f}",
             meaning=f"the torque of {log.joints[j]} runs against the URDF's, and a spring, or another inertia than the "
             "URDF's, explains it as well as an opposite sign: it is left as it is",
             advice="the sign convention of this torque; a motion in which gravity loads the joint tells",

@@ -1,4 +1,4 @@
-"""The commanded positions q_ref beside the measured ones: unit, sign and lag together, one lag for a recording."""
+"""The commanded positions q_ref compared with the measured ones: unit, sign and lag together, one lag per recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,15 +26,16 @@ WIDEST = 5.0
 """[s] of lags that are tried, and no more than a third of a stretch."""
 
 EXPLAINED = 0.95
-"""Least share of the variance of q (median over joints) that q_ref explains at the best lag; below, nothing is said."""
+"""Least share of the variance of q (median over joints) that q_ref explains at the best lag; below it nothing is
+reported."""
 
 MOVED = 0.02
 """[rad; m] RMS of q about its mean below which a joint is not used."""
 
 PEAKS, ALIKE = 6, 4.0
-"""Best lags of the first scan that are looked at closely; and by how much another may leave more of q and still count
-as alike. Of lags alike the one with the same sign of q_ref and q is taken, then the shortest: half a period later a
-sine fits with the opposite sign."""
+"""Number of best lags of the first scan that are examined closely; and by how much another lag may leave more of q
+unexplained and still count as equally good. Of equally good lags the one with the same sign of q_ref and q is taken,
+then the shortest: half a period later a sine fits with the opposite sign."""
 
 COARSE = 25.0
 """[Hz] of the first scan; the second, around its best lag, has every sample."""
@@ -60,7 +61,7 @@ class Following:
 
 @once_for_a_log
 def following(log: Log) -> list[Following]:
-    """One for each recording that has q_ref and in which a joint moves."""
+    """The result for each recording that has q_ref and in which a joint moves."""
     if all(raw.q_ref is None for raw in log.trajectories):
         return []
     parts = [x for x in stretches(log) if "q_ref" in x.extra]
@@ -110,7 +111,7 @@ class _Peak:
 
 
 def _near(q: np.ndarray, ref: np.ndarray, lag: int, step: int, most: int) -> _Peak:
-    """The best lag within a step of one."""
+    """The best lag within a step of a given one."""
     fine = np.arange(max(-most, lag - step), min(most, lag + step) + 1)
     missed = _missed(q, ref, fine, 1)
     pooled = np.mean(np.log(missed), axis=1)
@@ -217,7 +218,7 @@ class CommandSigns(AbstractCheck):
                         seen=f"q is {one.factor[j]:.3g} times q_ref at a lag of {1e3 * one.lag:.4g} ms",
                         meaning="q_ref has the opposite sign of q on this joint",
                         advice="the sign convention of the commanded positions",
-                        source="ours: a controller tracks well-moved joints to 10 %",
+                        source="own choice: a controller tracks moving joints to 10 %",
                     )
                 )
         return found
@@ -268,7 +269,7 @@ class CommandLag(AbstractCheck):
                     threshold={"channel": "q_ref", "seconds": limit},
                     seen=seen,
                     meaning=_meaning(one.lag, limit),
-                    source="ours",
+                    source="own choice",
                 )
             )
         return found
@@ -278,17 +279,17 @@ def _meaning(lag: float, limit: float) -> str:
     if abs(lag) <= limit:
         return ""
     if lag < 0 or lag > 0.5:
-        return "longer than a controller lags, or the wrong way: q_ref and q have different clocks or buffers"
-    return "the controller's tracking lag, or different clocks; commanded positions are no measured ones"
+        return "longer than the lag of a controller, or q leads: q_ref and q have different clocks or buffers"
+    return "the controller's tracking lag, or different clocks; commanded positions are not measured"
 
 
 def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Check]]:
-    """The recordings whose q follows q_ref, and of the others why the check was skipped."""
+    """The recordings whose q follows q_ref, and why the check was skipped for the others."""
     if all(raw.q_ref is None for raw in log.trajectories):
         return [], [check.skipped("q_ref is not logged", "q_ref")]
     fits = following(log)
     if not fits:
-        return [], [check.skipped("no joint moves beside q_ref", "q_ref")]
+        return [], [check.skipped("no joint with q_ref moves", "q_ref")]
     skipped = [check.skipped(_unlike(one), "q_ref", one.trajectory) for one in fits if one.explained < EXPLAINED]
     return [one for one in fits if one.explained >= EXPLAINED], skipped
 

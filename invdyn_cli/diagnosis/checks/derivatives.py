@@ -104,7 +104,7 @@ class DerivativeConsistency(AbstractCheck):
         joint = log.joints[moving[worst]] if off and not clock else None
         value = common if clock else float(slopes[worst])
         of = {"qd": "dq/dt", "qdd": "d2q/dt2"}[channel]
-        meaning = "a lag of a filter or an observer; with both channels in one fit, phases do not agree"
+        meaning = "a filter or an observer delays it; in a fit that uses both channels the phases do not agree"
         if clock:
             meaning = f"all joints agree on about {common:.3g}: {CLOCK}"
         elif off:
@@ -120,7 +120,7 @@ class DerivativeConsistency(AbstractCheck):
                 seen=f"{channel} is {value:.3g} times {of}, {100 * rest[worst]:.2g} % rest, {lag} samples later",
                 meaning=meaning,
                 advice="data.derivatives=positions" if not clock else "the clock t of this log",
-                source="ours: a tenth of the variance; lag, first order: hold and difference quotient",
+                source="own choice: a tenth of the variance; lag: a hold and a difference quotient",
             )
         ]
 
@@ -145,9 +145,9 @@ class DerivativeConsistency(AbstractCheck):
             raw.name,
             value=None,
             threshold={"channel": "q"},
-            seen="from row to row the positions jump as far as they range",
-            meaning="these are poses, or rows in no order: there is no motion to differentiate",
-            advice="recordings of motions; poses tell gravity alone",
+            seen="the positions change from row to row by as much as their whole range",
+            meaning="these are single poses, or rows without order: there is no motion to differentiate",
+            advice="recordings of motions; single poses show gravity only",
             source="variance of white noise's differences, first and second: 2 and 6",
         )
 

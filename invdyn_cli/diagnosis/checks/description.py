@@ -78,11 +78,11 @@ class Description(AbstractCheck):
         origins = [name for name in solid if name not in zero and not np.any(_triple(links[name]))]
         yield from self._line("warn", none, "no mass", "its weight and inertia are missing in every torque", carried)
         yield from self._line("warn", zero, "zero inertia", "a body with a mass has an inertia", carried)
-        why = "a placeholder, no body's: torques of acceleration are off"
+        why = "a placeholder, not the inertia of a body: acceleration torques are wrong"
         yield from self._line("note", equal, "equal moments of inertia on all axes", why, carried)
-        why = "the same part twice, or a placeholder: then torques of acceleration are off"
+        why = "the same part twice, or a placeholder: then acceleration torques are wrong"
         yield from self._line("note", alike, "the same inertia as another link", why, carried)
-        why = "a centre of mass on the joint's axis carries no gravity torque: rarely so"
+        why = "with the centre of mass on the joint's axis gravity makes no torque: this is rare"
         yield from self._line("note", origins, "the centre of mass at the link's origin", why, carried)
         if moving and not any(x.find("dynamics") is not None for x in moving):
             yield Check(
@@ -130,7 +130,7 @@ class Description(AbstractCheck):
         columns, wanted = np.concatenate(rows), np.concatenate(target)
         known = np.asarray(robot.gravity, float)
         if np.linalg.norm(known) == 0 or np.linalg.matrix_rank(columns, tol=1e-3 * np.linalg.norm(columns, 2)) < 3:
-            return [self.skipped("gravity's direction does not show: too few joints change their load")]
+            return [self.skipped("the direction of gravity is not known: the load changes on too few joints")]
         fitted, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
         after = float(np.sum((wanted - columns @ fitted) ** 2))
         cosine = fitted @ known / max(np.linalg.norm(fitted) * np.linalg.norm(known), 1e-300)
@@ -160,10 +160,11 @@ class Description(AbstractCheck):
                 value=angle,
                 threshold={"degrees": self.tilt, "ratio": self.better},
                 seen=f"gravity fits best along {np.round(fitted, 2).tolist()} m/s^2 in the base frame, {angle:.3g} "
-                f"degrees from {np.round(known, 2).tolist()}; what stays of the torque falls by {before / after:.3g}",
-                meaning="the base is mounted otherwise than the URDF says",
+                f"degrees from {np.round(known, 2).tolist()}; the unexplained torque falls by a factor of "
+                f"{before / after:.3g}",
+                meaning="the base is not mounted as the URDF says",
                 advice="robot.gravity or robot.base_rpy",
-                source="ours: inertials that are off make less",
+                source="own choice: wrong inertials make less",
             )
         ]
 
@@ -194,7 +195,7 @@ class Description(AbstractCheck):
                 f"{deviation:.2g} kg)",
                 meaning=f"{why}, or a link before it is off by as much",
                 advice="the URDF with the tool that was mounted, or robot.payload",
-                source="ours: cables and screws make less",
+                source="own choice: cables and screws weigh less",
             )
         ]
 

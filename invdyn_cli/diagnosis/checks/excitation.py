@@ -1,6 +1,7 @@
-"""What a log excites: ranges, reversals, speeds, loads, the regressor's condition; and what it so cannot show.
+"""What a log excites: ranges, reversals, speeds, loads, the condition of the regressor; and therefore what it cannot
+show.
 
-Effects say what they need of a joint's motion (`AbstractEffect.needs`); the thresholds are fields here.
+Effects declare what they need of a joint's motion (`AbstractEffect.needs`); the thresholds are fields here.
 """
 
 from collections.abc import Iterator, Mapping
@@ -97,7 +98,8 @@ class Excitation:
         moves: bool,
         seconds: float,
     ) -> Iterator[tuple[str, str]]:
-        """(need, why not) of what this joint's motion lacks; of one that stands still, motion."""
+        """(need, reason) for each need that this joint's motion does not meet; for a joint at rest only the need of
+        motion."""
         if not moves:
             yield "motion", f"it moves by {numbers['peak_to_peak']:.2g} rad only"
             return
@@ -112,7 +114,7 @@ class Excitation:
         if ratio < self.speeds:
             yield "speeds", f"nearly one speed (90th over 10th percentile {ratio:.2g}): slopes look like constants"
         if ratio < self.curved:
-            yield "curvature", f"speeds spread by {ratio:.2g} only: a square looks like a slope"
+            yield "curvature", f"fastest over slowest speed is only {ratio:.2g}: a square looks like a slope"
         if numbers["creep_share"] < 0.01:
             seen = f"{100 * numbers['creep_share']:.2g} % of the time"
             yield "creep", f"{seen} between {self.rest:g} and {self.slow:g} rad/s"
@@ -133,10 +135,13 @@ class Excitation:
                 yield "torque", f"the nominal torque varies by {100 * varied:.2g} %: a factor looks like an offset"
             low, high = np.quantile(nominal, [0.02, 0.98])
             if low * high > 0:
-                yield "load_zeros", f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank carries all"
+                yield (
+                    "load_zeros",
+                    f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank of a gear stays free",
+                )
         rate = float(np.sqrt(np.mean(qdd**2) / max(np.mean(speed**2), 1e-12)) / (2 * np.pi))
         if rate < self.agile:
-            yield "frequency", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly bends"
+            yield "frequency", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly deflects"
 
 
 NEEDS: Mapping[str, str] = {
@@ -155,15 +160,16 @@ NEEDS: Mapping[str, str] = {
     "minutes": "the recording lasts for minutes",
     "warming": "the recording lasts for as long as friction takes to warm up",
 }
-"""What effects may need of a joint's motion."""
+"""Requirements of effects on a joint's motion."""
 
 
 OF_ROBOT = ("load", "torque", "load_zeros")
-"""Of these, those that the nominal torque tells: with a robot alone."""
+"""Those of them that follow from the nominal torque: they need a robot."""
 
 
 def cannot_show(lacks: Mapping[str, str], effects: Mapping[str, AbstractEffect]) -> dict[str, str]:
-    """{effect: why not} for the effects that need what a joint's motion `lacks`; the first need counts."""
+    """{effect: reason} for the effects that need what a joint's motion `lacks`; the first missing need is the
+    reason."""
     missing = {name: next((lacks[x] for x in effect.needs if x in lacks), "") for name, effect in effects.items()}
     return {name: why for name, why in missing.items() if why}
 

@@ -1,14 +1,15 @@
-"""How well torque columns fit joints: the log marginal likelihood of each column on each joint, sign and unit.
+"""How well torque columns fit joints: the log marginal likelihood of each column on each joint, with each sign and
+unit.
 
     s tau_i = u (m_j + Y_j dphi + g m_j + d dm_j/dt)
               + coulomb sign(qd) + viscous qd + armature qdd + stiffness q + offset
 
-m_j is the URDF's torque. Inertial parameters are off by a share of their scales (`maths.standard.link_scales`) and by a
-tool that the URDF lacks, gains by g, time by d, all Gaussian; friction, offset, spring and rotor have flat priors, and
-friction and rotor are positive: the posterior chance of that is part of the likelihood. So neither a spring nor an
-inertia of a placeholder can pass for a sign. Gravity that is taken out is that of a model of its own: errors of the
-inertial parameters show through gravity then, too. A row counts for 1 / autocorrelation time of what is left, or of the
-torque. A column that no rigid body explains is as likely on every joint (`LOST`).
+m_j is the URDF's torque. Inertial parameters are wrong by a share of their scales (`maths.standard.link_scales`) and by
+a tool that the URDF lacks, gains by g, time by d, all Gaussian. Friction, offset, spring and rotor have flat priors;
+friction and rotor are positive, and the posterior probability of this is part of the likelihood, so that neither a
+spring nor a placeholder inertia looks like a change of sign. If gravity was subtracted, it was that of another model,
+so that errors of the inertial parameters then also show in gravity. A row counts as 1 / autocorrelation time of the
+residual, or of the torque. A column that no rigid body explains is equally likely on every joint (`LOST`).
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +25,8 @@ from invdyn_cli.maths.statistics import autocorrelation_time
 from invdyn_cli.types import Array, Motion, Robot
 
 SHARES = (0.1, 0.3)
-"""By which inertial parameters are off, of their scales: a URDF from CAD, and a drawing (Swevers 2007)."""
+"""Relative errors of inertial parameters, in units of their scales: for a URDF from CAD, and from a drawing (Swevers
+2007)."""
 
 GAIN, DELAY = 0.2, 0.03
 """Standard deviations of a joint's torque gain [-] and delay [s] (ours: drives differ by less)."""
@@ -33,26 +35,27 @@ GAINS = (0.5, 2.0)
 """Factors of a drive's gain that a torque in the common unit may have at most (ours)."""
 
 TOOL, REACH = 0.1, 0.15
-"""Mass of a tool that the URDF lacks, over the arm's, and the distance [m] of its centre: standard deviations."""
+"""Mass of a tool that the URDF lacks, over the arm's mass, and the distance [m] of its centre: standard deviations."""
 
 EXCITED = 0.03
-"""Least RMS of a joint's nominal torque, friction taken out, of what random states ask of it (ours: below it friction
-and model errors rule)."""
+"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
+errors dominate)."""
 
 LOST = 0.03
-"""Chance that a joint's torque is none that its rigid body explains: a hose, a wrong topic, a contact."""
+"""Probability that rigid-body dynamics do not explain a joint's torque at all: a hose, a wrong topic, a contact."""
 
 FEWEST = -10.0
-"""Log chance of negative friction, or of a negative rotor inertia: other errors look like them so often."""
+"""Log probability of a negative friction, or of a negative rotor inertia: other errors have this effect that often."""
 
 HEAVY = -25.0
-"""Log chance of a negative inertia about a joint's axis, rotor and links together, friction and spring beside it."""
+"""Log probability of a negative inertia about a joint's axis (rotor and links together), with friction and spring
+fitted."""
 
 MOST_ROWS = 100.0
-"""Independent rows that a joint counts for at most (ours)."""
+"""Largest number of independent rows of a joint (ours)."""
 
 NOISE = np.geomspace(1e-4, 2.0, 16)
-"""Variances of what is left, over that of the torque."""
+"""Variance of the residual over that of the torque."""
 
 THIN = 3
 """Every third of the regressor's rows is used: a joint has 100 independent ones at most."""

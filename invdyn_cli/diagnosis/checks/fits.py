@@ -1,10 +1,10 @@
-"""Small least squares on one joint's torque: what columns explain, and what is left when they are taken out."""
+"""Small least-squares fits on one joint's torque: how much columns explain, and the residual without them."""
 
 import numpy as np
 
 
 def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """What is left of y (R,) or (R, m) when the columns (R, k), those that are zero or alike too, are fitted to it."""
+    """The residual of y (R,) or (R, m) after a fit of the columns (R, k); some may be zero or equal."""
     basis = span(columns)
     return y - basis @ (basis.T @ y)
 
@@ -38,7 +38,7 @@ def correlation(y: np.ndarray, x: np.ndarray) -> float:
 
 
 def lowest(x: np.ndarray, y: np.ndarray) -> float:
-    """Where y over the evenly spaced x is lowest, refined by a parabola inside."""
+    """The position of the minimum of y over the evenly spaced x, refined by a parabola in the interior."""
     k = int(np.argmin(y))
     if not 0 < k < len(y) - 1:
         return float(x[k])

@@ -1,4 +1,4 @@
-"""Whether the robot description can be the one of this log."""
+"""Whether the robot description can belong to this log."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,10 +17,10 @@ from invdyn_cli.types import Check, Robot
 class ModelMismatch(AbstractCheck):
     """A log of another robot, a wrong URDF, or a torque that never changes.
 
-    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. Where that is poor
-    on most joints, all inertial parameters are fitted anew (with friction, and rotor inertias) on every other block of
-    the log, and judged on the blocks between: another payload, another hand, wrong inertials then fit; another robot's
-    kinematics do not.
+    Per joint: the share of the torque's variance that friction and a scaled nominal torque explain. If it is low on
+    most joints, all inertial parameters (with friction, and rotor inertias) are fitted to every other block of the log
+    and tested on the blocks between. This fit is good with another payload, another hand or wrong inertials, but not
+    with the kinematics of another robot.
 
     Attributes:
         nominal: median share below which the refit is made, and a warning due.
@@ -37,7 +37,7 @@ class ModelMismatch(AbstractCheck):
     blocks: int = 16
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """The value is the share of variance explained, or what a joint has of torque or travel."""
+        """The value is the explained share of variance, or the torque or travel of a joint."""
         if not log.trajectories:
             return []
         found = self._dead(log)
@@ -65,14 +65,14 @@ class ModelMismatch(AbstractCheck):
                 value=refit if fails else float(np.median(nominal)),
                 threshold=self.refit if fails else self.nominal,
                 seen=f"nominal torque and friction explain {np.median(nominal):.2g} of the torque's variance (median "
-                f"of {len(judged)} joints), all inertials fitted anew {refit:.2g} on data that they were not fitted to",
-                meaning="the kinematics are not this robot's, or the torque is no torque"
+                f"of {len(judged)} joints), refitted inertials {refit:.2g} on held-out data",
+                meaning="the kinematics are not this robot's, or this channel is not a torque"
                 if fails
                 else "the URDF's inertials are far from this robot's, or a heavy tool is missing in it",
                 advice="the URDF of the logged robot, the order of its joints, the topic of the torque"
                 if fails
                 else "robot.payload, the URDF of the arm with its tool, or model=pest",
-                source="ours: noise in place of a torque is explained to below 0 on held-out data",
+                source="own choice: of noise the model explains nothing on held-out data",
             )
         )
         return found
@@ -118,7 +118,7 @@ class ModelMismatch(AbstractCheck):
                     seen=f"q goes {past[joint]:.3g} rad past the URDF's limits",
                     meaning="another zero, another sign of the axis, or another robot",
                     advice="the joint's zero and direction in the URDF",
-                    source="ours: more than a homing error",
+                    source="own choice: more than a homing error",
                 )
             )
         return found

@@ -92,7 +92,7 @@ class TimeOffset(AbstractCheck):
             weights = [sum(x.gains.values()) for x in sure]
             value = float(np.average([x.common for x in sure], weights=weights))
             told = f"the {len(sure)} of {len(session)}" if len(sure) < len(session) else f"all {len(session)}"
-            seen = f"the torque comes {_apart(value)}, alike in {told} recordings of this session that tell it: "
+            seen = f"the torque comes {_apart(value)}, the same in {told} recordings of this session: "
             seen += ", ".join(f"{x.trajectory} {1e3 * x.common:.3g} ms" for x in sure)
             found.append(self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session)))
         else:
@@ -142,7 +142,7 @@ class TimeOffset(AbstractCheck):
             seen=seen,
             meaning="the torque may come late or early, or the URDF's inertials are wrong; nothing is changed",
             advice="a recording with faster motion, or the clocks of both channels",
-            source="ours: the joints' scatter",
+            source="own choice: the scatter of the joints",
         )
 
     def _late(self, trajectory: str | None, value: float, limit: float, seen: str, names: tuple[str, ...]) -> Check:
@@ -171,7 +171,7 @@ class TimeOffset(AbstractCheck):
                 threshold={"channel": "tau", "seconds": limit},
                 seen=f"this joint's torque comes {_apart(s)}; that of the others {_apart(x.common)}",
                 meaning="a delay or a lag of its drive, or gear play: an effect, not a defect of the log",
-                source="ours",
+                source="own choice",
             )
             for joint, s in x.offsets.items()
             if 2 * limit < abs(s - x.common) < self.drive and x.gains[joint] > 2 * self.sharp and len(x.offsets) > 2

@@ -1,4 +1,4 @@
-"""Which inertias of a robot were neither measured nor computed: zero, equal on all axes, the same on several links."""
+"""Inertias of a robot that were neither measured nor computed: zero, equal on all axes, or equal on several links."""
 
 from collections.abc import Sequence
 
@@ -12,14 +12,16 @@ ZERO, EQUAL, SAME = "zero", "equal on all axes", "the same as another link's"
 def doubtful_inertias(robot: Robot) -> np.ndarray:
     """(n,) bool: bodies whose rotational inertia about the centre of mass is that of no CAD program.
 
-    Fixed links are merged into the body that carries them, so of several placeholders in one body the sum is judged.
+    Fixed links are merged into the body that carries them; if a body contains several placeholders, their sum is
+    judged.
     """
     rows = np.asarray(robot.inertial, float)
     return np.array([kind is not None for kind in kinds_of([about_centre(row) for row in rows], rows[:, 0])])
 
 
 def kinds_of(inertias: Sequence[np.ndarray], masses: Sequence[float] | np.ndarray) -> list[str | None]:
-    """ZERO, EQUAL or SAME, or None for what a body may have, of inertias (3, 3) about centres of mass [kg m^2]."""
+    """For inertias (3, 3) about centres of mass [kg m^2]: ZERO, EQUAL or SAME for a placeholder, None for a possible
+    body."""
     moments = [np.linalg.eigvalsh((x + x.T) / 2) for x in inertias]
     return [_kind(k, moments, float(mass)) for k, mass in enumerate(masses)]
 

@@ -1,4 +1,4 @@
-"""What the costly checks look at: a few thousand rows of a log's stretches beside the nominal model's torque."""
+"""The data of the expensive checks: a few thousand rows of a log's stretches, and the nominal model's torque."""
 
 from dataclasses import dataclass, replace
 
@@ -11,10 +11,11 @@ from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Motion, Robot
 
 ROWS = 4096
-"""Rows that regressions see, one shape to compile: 17 a second of a four-minute log, thinner where it is longer."""
+"""Number of rows that regressions use, one shape to compile: 17 a second of a four-minute log, fewer for a longer
+one."""
 
 SIZE = 1024
-"""Rows that go through a compiled program at once: always as many, so that each is compiled once."""
+"""Number of rows that a compiled program takes at once: always the same, so that each program is compiled once."""
 
 SLOW = 0.02
 """[rad/s; m/s] below which the sign of a velocity is noise: sign(qd) is a ramp there, as in `maths.regression`."""
@@ -39,13 +40,13 @@ class Samples:
     reach: np.ndarray
 
     def columns(self, joint: int) -> np.ndarray:
-        """(R, 3) what friction and offsets may add to the torque of a joint: ramped sign(qd), qd, 1."""
+        """(R, 3) columns of friction and offset of a joint: ramped sign(qd), qd, 1."""
         qd = self.motion.qd[:, joint]
         return np.stack([np.clip(qd / SLOW, -1, 1), qd, np.ones_like(qd)], axis=1)
 
 
 def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] | None = None) -> Samples | None:
-    """The samples of a log; None where nothing in it is a time series of at least a few hundred milliseconds."""
+    """The samples of a log; None if no trajectory is a time series of at least a few hundred milliseconds."""
     parts = stretches(log) if parts is None else parts
     lengths = np.array([len(x.q) for x in parts], int)
     if not lengths.sum():
@@ -96,7 +97,7 @@ def regressor_rows(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray
 
 
 def _nameless(robot: Robot) -> Robot:
-    """The robot without its words: programs compiled for one chain then serve all of its length."""
+    """The robot without its texts: programs compiled for one chain then serve all of its length."""
     return replace(robot, name="", urdf="", notes=(), joints=tuple(map(str, range(robot.dofs))))
 
 

@@ -171,7 +171,7 @@ class TorqueUnits(AbstractCheck):
             seen=seen,
             meaning=f"{what}: gains, payloads and friction would all be off by it",
             advice="torques in N m, or torque_unit=A with data.drive_gain=[…] in N m/A",
-            source="likelihood of exact ratios of units, gains and payloads 25 % off (ours)",
+            source="likelihood of exact ratios of units, gains and payloads 25 % off (own choice)",
         )
 
 

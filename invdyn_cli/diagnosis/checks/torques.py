@@ -1,7 +1,7 @@
-"""What the torque columns are: how well each follows the nominal model's torque, and whether gravity is in them.
+"""The torque columns: how well each follows the nominal model's torque, and whether gravity is in them.
 
-Friction (ramped sign(qd), qd, 1) is taken out of both before they are compared; a joint is judged where its nominal
-torque varies by a fair part of what this arm can ask of it.
+Friction (ramped sign(qd), qd, 1) is removed from both before they are compared. A joint is judged if its nominal torque
+varies by a considerable part of what is possible on this arm.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from invdyn_cli.log import Log
 from invdyn_cli.types import Check, Robot
 
 EXCITED = 0.03
-"""Least RMS of a joint's nominal torque, friction taken out, of what random states ask of it (ours: below it friction
-and model errors rule)."""
+"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
+errors dominate)."""
 
 
 def matched(samples: Samples, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,11 +64,11 @@ def _without_gravity(samples: Samples, robot: Robot) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class GravityRemoved(AbstractCheck):
-    """Torques that have gravity taken out already, as some drivers' "external" or "feedback" torques have.
+    """Torques from which gravity is already subtracted, as some drivers' "external" or "feedback" torques.
 
-    The URDF without gravity has to be likelier than with it (`fitness`: with errors in its inertials, and as it
-    stands), and the torque must hardly follow gravity on the joints that it loads. Where neither is likelier, that is
-    said once orders and signs are right.
+    The URDF without gravity must be more likely than with it (`fitness`: with errors in its inertials, and unchanged),
+    and the torque must hardly follow gravity on the joints that it loads. If neither is more likely, this is reported
+    once orders and signs are right.
 
     Attributes:
         slope: median slope of torque on gravity torque that still is none (ours: with gravity in it, a payload or a
@@ -112,7 +112,7 @@ class GravityRemoved(AbstractCheck):
         return [self._seen(slopes, gain)]
 
     def _slopes(self, samples: Samples) -> list[float]:
-        """Slope of torque on gravity torque, friction and the URDF's other torque taken out, of the joints on which
+        """Slope of torque over gravity torque, without friction and the other nominal torque, for the joints on which
         gravity varies."""
         slopes = []
         for joint in range(samples.tau.shape[1]):
@@ -129,11 +129,12 @@ class GravityRemoved(AbstractCheck):
         )
         sure = gain > self.odds
         if sure:
-            seen += f"the URDF without gravity is likelier, log of the ratio {gain:.3g}"
-            meaning = "gravity is taken out of this torque already: an external or a feedback torque"
+            seen += f"the URDF without gravity is more likely, log of the likelihood ratio {gain:.3g}"
+            meaning = "gravity is already subtracted from this torque: it is an external or a feedback torque"
         else:
-            seen = f"ambiguous: {seen}the URDF with other masses explains that as well, log of the ratio {gain:.3g}"
-            meaning = "gravity may be taken out of this torque already; nothing is changed"
+            seen = f"ambiguous: {seen}the URDF with other masses explains this as well, log of the "
+            seen += f"likelihood ratio {gain:.3g}"
+            meaning = "gravity may already be subtracted from this torque; nothing is changed"
         return Check(
             self.name,
             "fail" if sure else "note",
@@ -141,13 +142,13 @@ class GravityRemoved(AbstractCheck):
             threshold=self.slope,
             seen=seen,
             meaning=meaning,
-            advice="attribute compensated=gravity in the log, or the driver's whole torque",
-            source="ours: with gravity in it, payloads and gains make 0.5 to 2",
+            advice="attribute compensated=gravity in the log, or the whole torque from the driver",
+            source="own choice: with gravity, payloads and gains change the slope by a factor of 2 at most",
         )
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Declare it, where it is certain."""
         if "gravity" in log.compensated or all(one.severity != "fail" for one in found):
             return log, []
-        note = "torques are taken to have gravity compensated, as they follow none"
+        note = "gravity is assumed to be compensated, because the torques do not follow it"
         return replace(log, compensated=(*log.compensated, "gravity")), [note]

@@ -206,7 +206,7 @@ class MotionUnits(AbstractCheck):
         most = float(size.max(where=which, initial=0))
         seen = f"q reaches {most:.4g}, far beyond the limits; {how}"
         found = self._seen("q", raw.name, factor or most, factor, unit, seen)
-        found = replace(found, advice="positions in rad; of counts the counts of a turn, the gear's ratio and the zero")
+        found = replace(found, advice="positions in rad; for encoder counts: counts per turn, gear ratio and zero")
         names = [None] if which[turning].all() else [log.joints[j] for j in np.flatnonzero(which)]
         return [replace(found, joint=name) for name in names]
 
@@ -287,7 +287,7 @@ class MotionUnits(AbstractCheck):
             others = near[np.isfinite(ratios) & (np.arange(len(ratios)) != j)]
             if factor is None or channel != "qd" or not len(others) or others.mean() < 0.5:
                 continue
-            seen = f"qd of {log.joints[j]} is {ratios[j]:.5g} times the derivative of its q, of most other joints once"
+            seen = f"qd of {log.joints[j]} is {ratios[j]:.5g} times the derivative of its q, on most other joints once"
             if factor in TURNS:
                 one = self._seen("q", trajectory, 1 / factor, 1 / factor, "revolutions", seen)
             elif factor == 1 / DEGREE and (degrees := self._in_degrees(log, robot, trajectory, int(j))) is not False:

@@ -93,7 +93,7 @@ class NotFinite(AbstractCheck):
             value=rows,
             threshold={"channel": channel, "rows": 0},
             seen=seen,
-            meaning="rows without a value cannot be computed with",
+            meaning="rows without a value cannot be used",
             advice="a logger that leaves a row out rather than write NaN",
             source="arithmetic",
         )
@@ -180,13 +180,13 @@ class Outliers(AbstractCheck):
             name,
             value=len(rows),
             threshold={"channel": channel, "deviations": self.deviations},
-            seen=f"in {channel} {count} more than {self.deviations:g} robust standard deviations off the neighbours, "
-            f"first at t = {at:.3f} s: {value:.4g}",
-            meaning="so many that they are its noise; they stay"
+            seen=f"{count} of {channel} more than {self.deviations:g} robust standard deviations from their "
+            f"neighbours, first at t = {at:.3f} s: {value:.4g}",
+            meaning="so many that they are noise of this channel; they are kept"
             if noise
             else "likely transmission errors; a single one can distort a least-squares fit",
             advice="the bus or the driver that this channel comes from",
-            source="Hampel 1974; Pearson 2002; 20 instead of 3: ours, torque noise has heavy tails",
+            source="Hampel 1974; Pearson 2002; 20 instead of 3 is an own choice: torque noise has heavy tails",
         )
 
     def rows_of(self, raw: RawTrajectory, channel: str, joint: int) -> np.ndarray:

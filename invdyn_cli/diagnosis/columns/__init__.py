@@ -1,1 +1,1 @@
-"""From a log to evidence: rows on one clock, and the columns of every effect beside the logged torque."""
+"""From a log to evidence: rows on one clock, and the torque columns of every effect."""

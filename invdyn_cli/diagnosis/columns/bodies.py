@@ -1,4 +1,4 @@
-"""Columns of effects that make all joints feel another arm: bodies, gravity, the motion itself, forces from outside."""
+"""Columns of effects that act on all joints: bodies, gravity, the motion itself, forces from outside."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,17 +21,17 @@ from invdyn_cli.interfaces import (
 from invdyn_cli.maths import rigid_body
 
 ZEROS = (-0.04, 0.04)
-"""[rad] Encoder offsets at which the torque is taken anew: far from zero it is no straight line of the offset."""
+"""[rad] Encoder offsets at which the torque is computed anew: far from zero it is not linear in the offset."""
 
 STEP = 1e-3
 """[rad; m] Step of finite differences in an encoder's zero."""
 
 MOST = 0.3
-"""[rad; m] What an encoder's zero is hardly off by."""
+"""[rad; m] Prior scale of an encoder offset."""
 
 
 class Bodies(AbstractKind[AbstractBodyEffect]):
-    """The torque is linear in inertials and in gravity: a column for each direction in which an effect moves them."""
+    """The torque is linear in inertials and in gravity: a column for each direction in which an effect changes them."""
 
     at_once = True
 
@@ -74,7 +74,7 @@ class Bodies(AbstractKind[AbstractBodyEffect]):
 
 
 class Motions(AbstractKind[AbstractMotionEffect]):
-    """The slope of all torques over what the motion is off by."""
+    """The derivative of all torques by the error of the motion."""
 
     at_once = True
 
@@ -96,7 +96,7 @@ class Motions(AbstractKind[AbstractMotionEffect]):
 
 
 class Forces(AbstractKind[AbstractForceEffect]):
-    """Torques that hold the arm against unit forces."""
+    """Torques that balance unit forces on the arm."""
 
     def gathered(self, evidence: Evidence, effects: Sequence[AbstractForceEffect]) -> list[Candidate]:
         places = [(e, j) for e in effects for j in (range(evidence.dofs) if e.of_joint else (None,))]
@@ -133,8 +133,8 @@ def _slope(evidence: Evidence, effect: AbstractMotionEffect, joint: int) -> Cand
 def _linearised(
     evidence: Evidence, effect: AbstractEffect, joint: int | None, at: Parameters, about: Candidate | None = None
 ) -> Candidate:
-    """An effect beside parameters that were found already: the change so far is fixed, its slopes are those `about`
-    zero."""
+    """An effect in addition to parameters that were already found: the change so far is fixed, its derivatives are
+    those `about` zero."""
     base, made = about or known(evidence, effect, joint), change(evidence, EffectInstance(effect, joint, at))
     columns = {j: (evidence.append(j, [made[j]]), free) for j, (_, free) in base.columns.items()}
     return replace(base, shape=at, columns=columns)
@@ -142,7 +142,7 @@ def _linearised(
 
 @jax.jit
 def body_columns(kinematics, gravity, moves, q, qd, qdd):
-    """Torque (k, n, T) of unit moves (k, 10 n) of the inertials."""
+    """Torque (k, n, T) of unit changes (k, 10 n) of the inertials."""
     robot = rebuilt(kinematics, jnp.zeros((q.shape[0], 10)), gravity)
     rows = rigid_body.regressor(robot, q, qd, qdd)
     return jnp.tensordot(moves, rows.reshape(-1, *rows.shape[2:]), 1)
@@ -150,7 +150,7 @@ def body_columns(kinematics, gravity, moves, q, qd, qdd):
 
 @jax.jit
 def gravity_columns(kinematics, inertial, falls, q, qd, qdd):
-    """Torque (k, n, T) at rest of unit moves (k, 3) of gravity."""
+    """Torque (k, n, T) at rest of unit changes (k, 3) of gravity."""
     still = jnp.zeros_like(q)
     return jax.vmap(lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still))(
         falls

@@ -1,6 +1,4 @@
-"""Candidates: the trials of all effects beside the logged torque. Each kind of effects makes its columns in a file of
-its own; `KINDS` is the table of them.
-"""
+"""Candidates: the trials of all effects, as columns beside the logged torque."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -27,7 +25,7 @@ KINDS: dict[str, AbstractKind[Any]] = {
     "torque": JointTorques(),
     "channel": Channels(),
 }
-"""By the point at which effects act."""
+"""Kinds by the point at which their effects act."""
 
 
 def kind_of(effect: AbstractEffect) -> AbstractKind[Any]:
@@ -38,7 +36,8 @@ def kind_of(effect: AbstractEffect) -> AbstractKind[Any]:
 def gather(
     robot: Robot, recording: Recording, effects: Sequence[AbstractEffect], side: str, position_side: str = "unknown"
 ) -> Evidence:
-    """The evidence of a recording for all lasting effects that show on this torque side and this position side."""
+    """The evidence of a recording for all effects without a time window that this torque side and position side
+    show."""
     evidence = started(robot, recording)
     falls = np.linalg.norm(robot.gravity) > 0
     shown = [e for e in effects if side in e.sides and position_side in e.position_sides and not e.passing]
@@ -52,15 +51,15 @@ def gather(
 
 
 def trial_at(evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()) -> Candidate:
-    """The candidate of an effect at parameters that were found, beside others: its nonlinear ones tried there and
-    nowhere else."""
+    """The candidate of an effect at parameters that were found, together with others: its nonlinear parameters are
+    tried only there."""
     if acting.when is not None:
         return passing_candidate(evidence, acting.effect, acting.joint, acting.when)
     return kind_of(acting.effect).refined(evidence, acting.effect, acting.joint, acting.parameters, beside)
 
 
 def passing_candidate(evidence: Evidence, effect: AbstractEffect, joint: int | None, when: TimeWindow) -> Candidate:
-    """What comes and goes, in a window."""
+    """The candidate of an effect in a time window."""
     columns = passing_columns(evidence, effect, joint, when)
     felt = range(evidence.dofs) if effect.reaches_others or joint is None else (joint,)
     where = {j: ((), evidence.append(j, list(columns[:, j]))) for j in felt}
@@ -70,7 +69,7 @@ def passing_candidate(evidence: Evidence, effect: AbstractEffect, joint: int | N
 def passing_columns(
     evidence: Evidence, effect: AbstractEffect, joint: int | None, when: TimeWindow | None
 ) -> np.ndarray:
-    """Columns (k, n, R) of what comes and goes, in a window; None: of what it would be always."""
+    """Columns (k, n, R) of an effect in a time window; None: of the effect without one."""
     recording = evidence.recording
     shares = [weight(when, recording.stretch(piece)) for piece in recording.pieces]
     parts = _passing(evidence, effect, joint)
@@ -78,7 +77,7 @@ def passing_columns(
 
 
 def passing_torque(evidence: Evidence, acting: EffectInstance, factors: np.ndarray) -> list[np.ndarray]:
-    """(n, T) of every piece: what comes and goes, of its columns' factors (k,)."""
+    """(n, T) of every piece: the torque of an effect in a time window, for the factors (k,) of its columns."""
     recording = evidence.recording
     parts = _passing(evidence, acting.effect, acting.joint)
     return [
@@ -88,7 +87,7 @@ def passing_torque(evidence: Evidence, acting: EffectInstance, factors: np.ndarr
 
 
 def _passing(evidence: Evidence, effect: AbstractEffect, joint: int | None) -> list[np.ndarray]:
-    """Columns (k, n, T) of every piece of what comes and goes, kept."""
+    """Columns (k, n, T) of every piece for an effect in a time window, cached."""
     if (effect.name, joint) not in evidence.kept:
         pieces, kind = range(len(evidence.recording.pieces)), kind_of(effect)
         evidence.kept[effect.name, joint] = [kind.basis(evidence, effect, joint, number) for number in pieces]

@@ -13,7 +13,8 @@ STEP = 1e-3
 """Relative step of finite differences in a channel's parameters."""
 
 FAR_LESS = 0.5
-"""Of the least limit that is tried anyway, below which that of a drive always at its limit is tried as well."""
+"""Share of the smallest limit that is tried anyway; below it, a limit that the drive reaches most of the time is tried
+as well."""
 
 
 class Channels(AbstractKind[AbstractChannelEffect]):
@@ -77,7 +78,7 @@ def _shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: int) -> li
 
 
 def _noise_reduction(evidence: Evidence, effect: AbstractChannelEffect, joint: int, trial: Parameters) -> float:
-    """Share of white noise that a channel effect takes away from a joint's logged torque."""
+    """Share of white noise that a channel effect removes from a joint's logged torque."""
     rate, noise = evidence.recording.filter.rate, np.random.default_rng(0)
     before, after = [], []
     for p in evidence.recording.pieces:

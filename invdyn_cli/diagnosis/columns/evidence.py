@@ -1,8 +1,8 @@
-"""Evidence: every candidate cause as columns beside the logged torque, filtered alike, as Gram matrices of blocks.
+"""Evidence: every candidate cause as columns beside the logged torque, all filtered alike, as Gram matrices of blocks.
 
-Row j of the arm has a table X_j (rows, columns). Column 0 is the logged torque less the nominal one. A candidate is a
-set of columns: fixed ones, which enter with factor one (a delay of 6 ms, tried), and free ones, whose factors are to be
-fitted (its small correction). All that the search asks can be answered from the tables' Gram matrices, by blocks.
+Row j of the arm has a table X_j (rows, columns). Column 0 is the logged torque minus the nominal one. A candidate is a
+set of columns: fixed ones with factor one (a trial delay of 6 ms), and free ones whose factors are fitted (its small
+correction). Everything in the search is computed from the Gram matrices of the tables, by blocks.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,19 +35,19 @@ BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
 blocks, of SHORTEST at least, to have FEWEST of them; long ones have longer blocks, to have no more than MOST."""
 
 REST_SPEED, REST_SHARE = 0.004, 0.02
-"""Speed [rad/s; m/s], and share of a joint's usual speed (its 90 % quantile), below which the joint rests if it stays
-so for REST_TIME; its friction can then be anything."""
+"""Speed [rad/s; m/s], and share of a joint's usual speed (its 90 % quantile), below which the joint counts as resting
+if it stays so for REST_TIME; its friction is then indeterminate."""
 
 HELD = 0.01
-"""Range [rad; m] within which a joint is held: it creeps, and its friction holds what it likes."""
+"""Range [rad; m] within which a joint counts as held: it creeps, and its friction is indeterminate."""
 
 REST_TIME = 0.05
 
 SPARE = 64
-"""Columns for which there is room before a table is copied."""
+"""Number of columns for which there is space before a table is copied."""
 
 ADJOINING = 0.1
-"""[s] between two pieces of a trajectory within which what remembers goes on."""
+"""[s] Longest gap between two pieces of a trajectory across which the state of an effect with a memory continues."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +71,12 @@ class Candidate:
 
     @cached_property
     def key(self) -> tuple:
-        """The effect's name and its joint; behind them, of what comes and goes, which one it is."""
+        """The effect's name and its joint; for an effect in a time window also its number."""
         return EffectInstance(self.effect, self.joint, {}, self.when).key
 
     @property
     def is_trial(self) -> bool:
-        """Whether some of its columns are fixed: it does something by itself, whatever the coefficients."""
+        """Whether some of its columns are fixed: they have an effect for any coefficients."""
         return any(fixed for fixed, _ in self.columns.values())
 
 
@@ -110,7 +110,7 @@ class Evidence:
     given: tuple[Candidate, ...] = ()
 
     def residual(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
-        """(R, n) what candidates with these coefficients leave of the logged torque less the nominal one."""
+        """(R, n) residual of the logged torque minus the nominal one, for candidates with these coefficients."""
         out = np.column_stack([table[:, 0] for table in self.tables])
         for c, own in shared_out(candidates, theta):
             for j, (fixed, free) in c.columns.items():
@@ -173,7 +173,7 @@ def _of(table: np.ndarray, columns: tuple[int, ...]) -> np.ndarray:
 
 
 def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[tuple[Candidate, np.ndarray]]:
-    """Every candidate with its own of all coefficients (k,)."""
+    """Every candidate with its own part of all coefficients (k,)."""
     start = 0
     for c in candidates:
         yield c, theta[start : start + len(c.precision)]
@@ -181,7 +181,7 @@ def shared_out(candidates: Sequence[Candidate], theta: np.ndarray) -> Iterator[t
 
 
 def started(robot: Robot, recording: Recording) -> Evidence:
-    """The evidence of a recording before anybody has an idea: what was logged, and what the nominal model says."""
+    """The evidence of a recording before any candidate: the logged and the nominal torque."""
     n = robot.dofs
     rows, states, nominal = [], [], []
     total = sum(p.t[-1] - p.t[0] for p in recording.pieces)
@@ -224,7 +224,7 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording, parents
 
 
 def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:
-    """(n, rows) where no rest is within the filter's reach."""
+    """(n, rows) bool: rows that no rest reaches through the filter."""
     slow = np.abs(piece.qd) < np.maximum(rest_speed, 4 * piece.motion_noise)[:, None]
     length = max(2, round(REST_TIME * recording.filter.rate))
     rest = np.zeros_like(slow)

@@ -1,4 +1,4 @@
-"""Columns of gears that yield to what they carry."""
+"""Columns of gears that deflect under their load."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,15 +22,15 @@ ANGLE_STEP = 1e-3
 """[rad; m] Step of the slope of a torque over a joint's angle."""
 
 STRAIGHT = 0.005
-"""[rad] As far as a gear may yield for torques to go with its angle as a line does."""
+"""[rad] Largest deflection of a gear up to which torques are linear in its angle."""
 
 YIELD = 0.1
-"""Relative step of finite differences in how far a gear yields: play shows at its edges, which move by samples."""
+"""Relative step of finite differences in the compliance of a gear: play shows at its edges, which move by samples."""
 
 
 class Gears(AbstractKind[AbstractGearEffect]):
-    """A gear that yields so far to what it carries with others: what that changes (fixed), and the change with its
-    compliance (free)."""
+    """A gear with a compliance: the torque change that it makes together with other effects (fixed), and the derivative
+    by its compliance (free)."""
 
     def gathered(self, evidence: Evidence, effects: Sequence[AbstractGearEffect]) -> list[Candidate]:
         made = []
@@ -51,7 +51,7 @@ class Gears(AbstractKind[AbstractGearEffect]):
         beside: Beside = (),
         exact: bool = False,
     ) -> Candidate:
-        """`exact`: the fixed column as it is, however small."""
+        """`exact`: the fixed column from the full formula, also for a small deflection."""
         fixed, slope, far = _columns(evidence, effect, joint, trial, beside)
         if exact or far > STRAIGHT:
             fixed = change(evidence, EffectInstance(effect, joint, trial), beside)
@@ -111,8 +111,8 @@ def _columns(
 
 
 def _carried(evidence: Evidence, joint: int, beside: Beside = ()) -> list[tuple[Array, Array]]:
-    """Of every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
-    kept."""
+    """For every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
+    cached."""
     key = ("carried", joint, identity(beside))
     if key not in evidence.kept:
         robot, recording = evidence.robot, evidence.recording
@@ -123,7 +123,8 @@ def _carried(evidence: Evidence, joint: int, beside: Beside = ()) -> list[tuple[
 
 
 def _answers(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Of every piece the torques (n, T) for unit acceleration of a joint, and their change with its angle; kept."""
+    """For every piece the torques (n, T) for unit acceleration of a joint, and their derivative by its angle;
+    cached."""
     if ("answers", joint) not in evidence.kept:
         robot, own = evidence.robot, (np.arange(evidence.dofs) == joint)[:, None]
         evidence.kept["answers", joint] = [

@@ -1,8 +1,8 @@
-"""The time between torque and motion that belongs to no joint: a controller holds its command for a sample, a logger
-reads one channel after the other.
+"""The common time between torque and motion: a controller holds its command for a sample, a logger reads one channel
+after the other.
 
-Half a sample of it looks like a negative viscous friction on the heaviest joint. It is taken out before anything is
-named, and what is left of a joint beyond it may then be called a delay.
+Half a sample of it looks like a negative viscous friction on the heaviest joint. It is removed before anything is
+named; only a joint's remaining time can then be called a delay.
 """
 
 from dataclasses import replace
@@ -20,7 +20,8 @@ from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Robot
 
 MOST = 1.05
-"""Samples of the log that count as the log's own: holding takes half of one, reading in turn up to one."""
+"""Largest number of samples that count as a property of the log: holding takes half of one, reading in turn up to
+one."""
 
 
 def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -64,8 +65,8 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
 def remove_common_delay(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
     """The recording with the common time between torque and motion taken out, and that time [s].
 
-    It is the weighted median of the joints' own, as long as it stays within MOST samples; otherwise every joint has a
-    delay of its own, and half a sample is taken (none for a sensor behind the gear).
+    It is the weighted median of the joints' own times, if it is within MOST samples; otherwise every joint has its own
+    delay, and half a sample is used (zero for a sensor behind the gear).
     """
     lead, error = offsets(robot, recording)
     weight = 1 / np.maximum(error, 0.02 * recording.period) ** 2 * np.isfinite(error)
@@ -76,7 +77,7 @@ def remove_common_delay(robot: Robot, recording: Recording, side: str) -> tuple[
 
 
 def moved(recording: Recording, lead: float) -> Recording:
-    """The recording with torques later by `lead` [s]."""
+    """The recording with torques delayed by `lead` [s]."""
     pieces = tuple(
         replace(p, tau=np.stack([shifted(x, -lead * recording.filter.rate) for x in p.tau])) for p in recording.pieces
     )

@@ -1,4 +1,4 @@
-"""Columns of effects that add to one joint's torque: what `basis` says, for every trial of the nonlinear parameters."""
+"""Columns of effects that add to one joint's torque: those of `basis`, for every trial of the nonlinear parameters."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
     def candidate(
         self, evidence: Evidence, effect: AbstractTorqueEffect, joint: int, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
-        """The columns are added to the joint's table; those of a coupled effect to that of the joint before it, too,
+        """The columns are added to the joint's table; those of a coupled effect also to that of the joint before it,
         with the same coefficients."""
         parts, precision = [], np.zeros(len(effect.basis(evidence.states[0][joint], trial)))
         for s in evidence.states:
@@ -55,8 +55,8 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
 
 
 def reversal_columns(evidence: Evidence, one: EffectInstance) -> list[dict[int, np.ndarray]]:
-    """What an effect of a joint that jumps lacks where its jumps come late or spread (`about_reversals`): a column (R,)
-    for every joint that feels it, of each."""
+    """The corrections of an effect that jumps, for jumps that are late or spread (`about_reversals`): for each a column
+    (R,) on every joint that the effect acts on."""
     assert one.joint is not None
     parents, rate = evidence.robot.parents, evidence.recording.filter.rate
     terms = [np.asarray(sum(joint_terms([one], one.joint, states, parents))) for states in evidence.states]

@@ -1,4 +1,4 @@
-"""What the diagnosis asks of a kind of effects: how they become columns beside the logged torque."""
+"""What the diagnosis needs of a kind of effects: how they become columns beside the logged torque."""
 
 import abc
 from collections.abc import Sequence
@@ -21,34 +21,34 @@ class AbstractKind(abc.ABC, Generic[E]):
     """How effects that act at one point become columns; `kinds.KINDS` lists all of them."""
 
     at_once: bool = False
-    """Whether `gathered` takes all effects of the kind at a time, and before those of others."""
+    """Whether `gathered` processes all effects of the kind together, before those of other kinds."""
 
     @abc.abstractmethod
     def gathered(self, evidence: Evidence, effects: Sequence[E]) -> list[Candidate]:
-        """Every trial of lasting effects, wherever they show."""
+        """Every trial of effects without a time window, on all joints where they are observable."""
 
     @abc.abstractmethod
     def candidate(self, evidence: Evidence, effect: E, joint: Any, trial: Parameters, beside: Beside = ()) -> Candidate:
-        """The trial of an effect at these parameters, beside others."""
+        """The trial of an effect at these parameters, together with others."""
 
     def refined(self, evidence: Evidence, effect: E, joint: Any, at: Parameters, beside: Beside = ()) -> Candidate:
-        """The candidate of an effect at parameters that were found, beside others."""
+        """The candidate of an effect at parameters that were found, together with others."""
         return self.candidate(evidence, effect, joint, at, beside)
 
     def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int) -> np.ndarray:
-        """Columns (k, n, T) of a piece, of an effect that may come and go; UsageError for one that cannot."""
+        """Columns (k, n, T) of a piece, for an effect that may act in a time window; UsageError for one that cannot."""
         got = f"{effect.name} acts on {effect.point}, and cannot be passing"
         raise UsageError(f"{got}; allowed for effects that come and go: bodies, forces, and channels with a factor")
 
     def slope(
         self, evidence: Evidence, effect: E, joint: Any, before: Parameters, after: Parameters, beside: Beside
     ) -> np.ndarray | None:
-        """(n, R) how the torque changes from one set of parameters to another nearby; None where the formula itself
-        shows it best."""
+        """(n, R) change of the torque from one set of parameters to a near one; None where the formula itself gives it
+        best."""
         return None
 
     def step(self, effect: AbstractEffect, name: str, value: float) -> float:
-        """By how much a parameter is moved to see what it changes."""
+        """The step of a parameter in finite differences."""
         if name == effect.late_by:
             return 2e-4
         if name in ("velocity", "stiffness"):
@@ -57,7 +57,7 @@ class AbstractKind(abc.ABC, Generic[E]):
 
 
 def known(evidence: Evidence, effect: AbstractEffect, joint: int | None) -> Candidate:
-    """The candidate of an effect that is tried once, at no parameters."""
+    """The candidate of an effect that is tried once, without parameters."""
     return next(c for c in evidence.candidates if c.key == (effect.name, joint) and not c.shape)
 
 
@@ -67,7 +67,7 @@ def nominal(states: Sequence[JointState]) -> np.ndarray:
 
 
 def change(evidence: Evidence, acting: EffectInstance, beside: Beside = ()) -> np.ndarray:
-    """(n, R) what an effect that reaches other joints changes of the torque with others."""
+    """(n, R) torque change by an effect that acts on several joints, together with others."""
     robot, recording = evidence.robot, evidence.recording
     changes = []
     for piece, states in zip(recording.pieces, evidence.states, strict=True):

@@ -1,4 +1,5 @@
-"""The same evidence with links as a log has them: gears give way to, and load friction grows with, what links weigh."""
+"""The same evidence with the links' inertials from the log: gears and load-dependent friction depend on the weight of
+the links."""
 
 from dataclasses import replace
 
@@ -11,8 +12,8 @@ from invdyn_cli.effects.composition import rigid_torque
 
 
 def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
-    """An evidence whose robot has other inertials (n, 10), with columns anew for the effects that hang on what a joint
-    transmits; tables, and what is logged beside the nominal torque, stay."""
+    """An evidence whose robot has other inertials (n, 10), with new columns for the effects that depend on the torque
+    that a joint transmits; tables, and the logged minus the nominal torque, stay."""
     robot, pieces = replace(evidence.robot, inertial=inertial), evidence.recording.pieces
     torques = [rigid_torque(robot, piece.motion) for piece in pieces]
     made = replace(

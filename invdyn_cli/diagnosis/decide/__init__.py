@@ -1,1 +1,1 @@
-"""What may be said of what was found: named, ambiguous, refused or not to be seen, with sizes and gains."""
+"""The statements about what was found: named, ambiguous, refused or not observable, with sizes and gains."""

@@ -1,4 +1,5 @@
-"""Bodies in words: whether a change of the last link is a payload or another link, and what of it can be known."""
+"""Sentences about bodies: whether a change of the last link is a payload or a link error, and which of its parameters
+are identifiable."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -18,17 +19,18 @@ LIGHTER = 0.5
 """Share of the last link's nominal mass up to which an added mass may as well be an error of its inertials."""
 
 FARTHEST_TOOL = 1.0
-"""[m] from the last link's frame, beyond which there is no payload's centre of mass."""
+"""[m] Largest distance of a payload's centre of mass from the last link's frame."""
 
 HEAVIER = 1.0
-"""Of a link's mass, by which it may be wrong and still be called so."""
+"""Largest relative error of a link's mass that is reported as one."""
 
 MANY_LINKS = 3
-"""Links with wrong inertials from which the model as a whole is in doubt."""
+"""Number of links with wrong inertials from which on the whole model is in doubt."""
 
 
 def as_link(robot: Robot, acting: EffectInstance) -> EffectInstance:
-    """A payload that is no body, or farther than any tool, as the error of the last link's inertials that it is."""
+    """A payload that is physically impossible, or farther away than any tool, becomes an error of the last link's
+    inertials."""
     if not acting.effect.load or acting.effect.passing:  # links are not wrong for a time
         return acting
     mass, com = acting.parameters["mass"], acting.parameters["com"]
@@ -41,12 +43,13 @@ def as_link(robot: Robot, acting: EffectInstance) -> EffectInstance:
 
 
 def may_be_payload(ends: Mapping[str, tuple]) -> bool:
-    """Whether a mass within its interval would make a body within reach of these first moments."""
+    """Whether some mass within its interval gives a possible body with these first moments."""
     return float(np.linalg.norm(ends["moment"][0])) <= FARTHEST_TOOL * float(ends["mass"][2])
 
 
 def told(finding: Finding, acting: EffectInstance, robot: Robot, ends: Mapping[str, tuple]) -> Finding:
-    """Payloads and link errors: which of the two a change of the last link is, and what of it can be known."""
+    """Payloads and link errors: which of the two a change of the last link is, and which of its parameters are
+    identifiable."""
     effect, joint = acting.effect, acting.joint
     if effect.load:
         finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
@@ -75,7 +78,7 @@ def told(finding: Finding, acting: EffectInstance, robot: Robot, ends: Mapping[s
 
 
 def other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
-    """Where many links seem wrong, none of them is named: the whole model may be another robot's."""
+    """If many links seem wrong, none of them is named: the model may belong to another robot."""
     links = [f for f in claims if f.effect == LINK]
     if len(links) < MANY_LINKS:
         return claims, ()

@@ -1,4 +1,4 @@
-"""How sure the sizes are: intervals that blocks of the log give the parameters that were refined."""
+"""The uncertainty of the sizes: intervals of the refined parameters from the scatter between blocks of the log."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.effects.composition import EffectInstance
 
 BOUNDLESS = 1e100
-"""Beyond it nothing is known of a parameter (the place of no mass), and squares overflow."""
+"""Beyond this value a parameter is unknown (the centre of a body without mass), and squares overflow."""
 
 SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 """Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the

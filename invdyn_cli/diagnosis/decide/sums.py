@@ -13,7 +13,7 @@ from invdyn_cli.interfaces import AbstractEffect
 
 @dataclass(frozen=True)
 class Sum:
-    """Such an effect, and where its parts stand in the hypothesis."""
+    """Such an effect, and the positions of its parts in the hypothesis."""
 
     effect: AbstractEffect
     places: tuple[int, ...]
@@ -22,7 +22,7 @@ class Sum:
 def standing(
     effects: Mapping[str, AbstractEffect], hypothesis: Hypothesis, ends: Sequence[Mapping[str, tuple]]
 ) -> list[Sum]:
-    """The sums of effects that stand beside each other on a joint, where the sum's parameters are possible."""
+    """The sums of effects on the same joint, if the parameters of the sum are possible."""
     keys = [c.key for c in hypothesis]
     made = []
     for effect in effects.values():
@@ -37,7 +37,7 @@ def standing(
 
 
 def sizes_of(effect: AbstractEffect, sizes: Sequence[Any]) -> dict[str, Any]:
-    """Parameters of a sum from those of its parts, one each."""
+    """Parameters of a sum from those of its parts, one of each."""
     parts = list(zip(effect.sum_of.values(), sizes, strict=True))
     return {name: sum(share[name] * x for share, x in parts) for name in effect.parameters}
 

@@ -1,7 +1,7 @@
-"""What is left: how much of the residual a learner still predicts on data that it has not seen.
+"""The unexplained part: how much of the residual a learner predicts on data that it has not seen.
 
-Stretches of time are learned from and judged in turn, so that both have seen the same postures; a cause that the
-catalogue lacks then shows, while noise does not.
+Training and test stretches alternate in time, so that both contain the same postures; a cause that the catalogue lacks
+then shows, and noise does not.
 """
 
 import jax
@@ -15,16 +15,16 @@ from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.types import Dataset, Motion, Trajectory
 
 ROWS = 4096
-"""Rows that the built-in nets learn from: one shape for all logs (one compilation)."""
+"""Number of rows from which the built-in networks learn: one shape for all logs (one compilation)."""
 
 FLOOR = 1e-3
-"""Share of the torque's RMS that is nothing: what is predictable below it explains no robot."""
+"""Share of the torque's RMS below which a predictable residual is negligible."""
 
 STRETCH = 0.5
-"""[s] of stretches that are learned from and judged in turn."""
+"""[s] Length of the stretches that are training and test data in turn."""
 
 LOUDER = 5.0
-"""Times the usual, above which what comes back in time is more than noise."""
+"""Multiple of the RMS that noise and clocks usually leave, above which a recurring residual is more than noise."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 

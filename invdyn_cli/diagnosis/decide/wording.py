@@ -8,8 +8,8 @@ from invdyn_cli.diagnosis.decide.findings import Made
 from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.15
-"""What is left counts as explained where the learner predicts less than this share of the residual's variance, or less
-than this share of the nominal model's error, in N m."""
+"""The residual counts as explained if the learner predicts less than this share of its variance, or less than this
+share of the nominal model's error, in N m."""
 
 
 TEST_WORDS = {
@@ -20,7 +20,7 @@ TEST_WORDS = {
     "torque_slope": "torque rate",
     "neighbours": "neighbouring joints",
 }
-"""What tables and sentences call residual tests, where their names alone do not say it."""
+"""Names of residual tests in tables and sentences, if they differ from the tests' own."""
 
 
 def verdict(
@@ -91,7 +91,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
 
 
 def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Claims that stand in the table of what every arm has: named terms of the standard model."""
+    """The claims in the table of standard terms: named terms of the standard model."""
     rows = ((joint, terms) for joint, terms in diagnosis.standard.items() if joint != "inertials")
     there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"]}
     lasting = (x for x in diagnosis.findings if x.status == "named" and x.window is None)
@@ -99,7 +99,7 @@ def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 
 def _rest(diagnosis: Diagnosis) -> str:
-    """What remains in the residual and is not noise, "" if there is nothing."""
+    """A sentence on the structured part of the residual, "" if there is none."""
     shares = {j: share for j, share in diagnosis.unexplained.items() if share > PREDICTABLE}
     swings = [j for j in diagnosis.details.get("beyond_noise", ()) if j not in shares]
     said = []
@@ -122,7 +122,7 @@ def _rest(diagnosis: Diagnosis) -> str:
 
 
 def test_words(against: str) -> str:
-    """What a residual test looks at, in words."""
+    """What a residual test examines, in words."""
     return TEST_WORDS.get(against, against.replace("_", " "))
 
 

@@ -1,1 +1,1 @@
-"""Which few causes explain the evidence together: search on Gram matrices and exact refinement in turn."""
+"""Which few causes explain the evidence together: alternating search on Gram matrices and exact refinement."""

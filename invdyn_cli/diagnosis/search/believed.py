@@ -1,9 +1,9 @@
-"""By how much the links of a worn arm are off, and the anomalies that its search begins with: both at once.
+"""The size of the link errors of a worn arm, and the anomalies with which its search begins: both at once.
 
-Links that may be off by anything imitate a payload, a tilt or an encoder offset, and a share that was chosen while the
-anomaly was missing is too large. So each anomaly is tried with every share, and the marginal likelihood decides
-(MacKay 1992): it pays for links by the volume that the log leaves of what was believed of them. The noise is measured
-anew beside each hypothesis: what it leaves on a joint, with its autocorrelation, is what another cause must outdo.
+Links with unlimited errors imitate a payload, a tilt or an encoder offset, and a size of link errors that was chosen
+without the anomaly is too large. Therefore each anomaly is tried with every size, and the marginal likelihood decides
+(MacKay 1992): its price for links is the ratio of prior to posterior volume. The noise is estimated anew for each
+hypothesis, from its residual with its autocorrelation.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,12 +19,13 @@ from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.steps import free_beside
 
 SMALLER = (1.0, 0.3, 0.1, 0.03)
-"""Of the share by which links are off beside no anomaly, what is tried beside one."""
+"""Sizes of link errors that are tried with an anomaly, as shares of the size without any anomaly."""
 
 
 SHORTLIST = 3
-"""Trials whose evidence is computed, of those that gain most at the noise that a hypothesis leaves, and of those that
-do at the least noise: what an anomaly leaves on its joint while it is missing makes that joint count for nothing."""
+"""Number of trials whose evidence is computed: those with the largest gain at the noise of the present hypothesis, and
+those with the largest gain at the smallest noise. A large anomaly that is missing makes the noise of its joint so large
+that nothing is gained there."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,8 @@ def _more(
     pool: Sequence[Candidate],
     most: int,
 ) -> list[Hypothesis]:
-    """What was found with one of a few trials beside it, which are physics: those that gain most at the noise that it
-    leaves, and at the least `noise`."""
+    """The hypothesis with one more of a few possible trials: those that gain most at its own noise, and at the smallest
+    `noise`."""
     if len(base.found) >= most:
         return []
     free, chosen = free_beside(base.found, pool), dict[tuple, Candidate]()
@@ -119,7 +120,7 @@ def _more(
 
 
 def _best(scorer: HypothesisScorer, every: Hypothesis, free: Sequence[Candidate]) -> list[Candidate]:
-    """The trials beside a hypothesis that gain most and are physics, the best of each effect and joint."""
+    """The possible trials that gain most beside a hypothesis, the best of each effect and joint."""
     losses, own = scorer.extended(every, free)
     seen: dict[tuple, Candidate] = {}
     for i in np.argsort(losses - [scorer.price((c,)) for c in free]):
@@ -133,8 +134,7 @@ def _best(scorer: HypothesisScorer, every: Hypothesis, free: Sequence[Candidate]
 
 
 def volume(scorer: HypothesisScorer, hypothesis: Hypothesis) -> float:
-    """Logarithm of the volume of coefficients beforehand, less that of those that the log allows; doubled, as losses
-    are."""
+    """Logarithm of the prior volume of coefficients minus that of the posterior; doubled, as losses are."""
     if not hypothesis:
         return 0.0
     scale = 1 / np.sqrt(np.concatenate([c.precision for c in hypothesis]))

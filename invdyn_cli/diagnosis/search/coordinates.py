@@ -1,4 +1,4 @@
-"""Effects as a row of numbers that a least-squares step may move, and back."""
+"""Effects as a row of numbers for a least-squares step, and back."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,8 +13,8 @@ EDGES = ("start", "end")
 
 
 def flat(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.ndarray, tuple[tuple[int, str, int], ...]]:
-    """All coordinates in one row, and what each is: (effect number, parameter or "" for what torque is linear in,
-    index)."""
+    """All coordinates in one row, and the meaning of each: (effect number, parameter or "" for coefficients in which
+    the torque is linear, index)."""
     values, labels = [], []
     for number, a in enumerate(acting):
         row = coordinates(evidence, a)
@@ -32,7 +32,7 @@ def flat(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.ndarr
 
 
 def coordinates(evidence: Evidence, acting: EffectInstance) -> list[float] | None:
-    """What the torque is linear in, of bodies and forces; None of other effects."""
+    """The coefficients of bodies and forces in which the torque is linear; None for other effects."""
     return acting.effect.coordinates(acting.parameters, evidence.robot, acting.joint)
 
 
@@ -55,7 +55,7 @@ def with_parameters(
 
 
 def inside(evidence: Evidence, acting: Sequence[EffectInstance], labels, theta: np.ndarray) -> np.ndarray:
-    """Parameters moved back to where they are physics at all, and windows to their trajectory."""
+    """Parameters moved back into their physical bounds, and windows into their trajectory."""
     lower, upper = np.full(len(theta), -np.inf), np.full(len(theta), np.inf)
     for i, (number, name, _) in enumerate(labels):
         a = acting[number]
@@ -68,7 +68,7 @@ def inside(evidence: Evidence, acting: Sequence[EffectInstance], labels, theta: 
 
 
 def precision_of(evidence: Evidence, acting: Sequence[EffectInstance], labels) -> np.ndarray:
-    """What is known of coordinates beforehand: what the data do not show of a body or a force stays near zero."""
+    """Prior of the coordinates: those of a body or a force that the data do not determine stay near zero."""
     out = np.zeros(len(labels))
     for number, a in enumerate(acting):
         own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]

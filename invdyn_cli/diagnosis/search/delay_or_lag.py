@@ -1,8 +1,8 @@
-"""Delay or lag: told apart where neither is favoured by noise.
+"""Delay or lag: a comparison in which noise favours neither.
 
-To first order both add time x slope of the torque; the second order tells them, and it is small. A lag's column on the
-measured torque smooths its noise; one on the model's torque carries the noise of positions, thrice differentiated. In
-the lowest part of a joint's band, where the arm moves, both are quiet.
+To first order both add time x slope of the torque; only the small second order distinguishes them. A lag's column on
+the measured torque smooths its noise; one on the model's torque contains the noise of positions, differentiated three
+times. In the lowest part of a joint's frequency band, where the arm moves, both noises are small.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.maths.statistics import autocorrelation_time
 
 SLOW = 0.25
-"""Part of a joint's band in which delay and lag are told apart."""
+"""Part of a joint's frequency band in which delay and lag are compared."""
 
 
 def distinguish(

@@ -1,8 +1,8 @@
-"""Edges of windows: where an effect comes and where it goes, found by sums of squares with it and without it.
+"""Edges of time windows, from sums of squares with the effect and without it.
 
-The slope of a loss over an edge tells of what the filters reach, some hundredths of a second. But before a window comes
-the residual without the effect is the smaller one, and afterwards the other: of the difference of their squares, summed
-up over time, one edge is the lowest point and the other one the highest.
+The derivative of a loss by an edge reaches only as far as the filters, some hundredths of a second. But before a window
+begins the residual without the effect is smaller, and within it the residual with the effect: in the cumulative sum of
+the difference of their squares, one edge is the lowest point and the other the highest.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.effects.composition import EffectInstance
 
 REACH = 0.25
-"""Share of a window's length by which its edges are moved at once."""
+"""Share of a window's length by which its edges move at most in one step."""
 
 
 def summed(

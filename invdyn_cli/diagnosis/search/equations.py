@@ -1,13 +1,13 @@
-"""Normal equations, solved with what is known of the coefficients beforehand."""
+"""Normal equations, solved with a prior on the coefficients."""
 
 import numpy as np
 
 LEAST_PRECISION = 1e-9
-"""Share of a column's own square that is added to it: columns that cancel each other are no error."""
+"""Share of a column's own square that is added to it, so that columns that cancel each other cause no failure."""
 
 
 def inverted(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """The inverse of the normal matrix with what is known beforehand, as `solved` takes it."""
+    """The inverse of the normal matrix with the prior, as `solved` uses it."""
     if not len(normal):
         return normal
     scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
@@ -16,7 +16,7 @@ def inverted(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
 
 
 def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of the normal equations with what is known beforehand."""
+    """Coefficients (k,) of the normal equations with the prior."""
     if not len(r):
         return r
     scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))

@@ -1,7 +1,7 @@
-"""What comes and goes: windows of time in which another effect would explain what is left, found by trying them all.
+"""Effects in time windows: all windows are tried in which another effect would explain the residual.
 
-Sums over rows are kept cumulatively, so that what an effect explains in any window is one small solve. Windows on a
-coarse grid first, then each edge at every row; the exact refinement moves the edges on from there.
+Cumulative sums over rows are stored, so that the explained squares of an effect in any window need one small solve.
+Windows on a coarse grid come first, then each edge at every row; the exact refinement then moves the edges.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,18 +18,18 @@ from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.recording.pieces import ROLES
 
 GRID, CELL = 120, 0.1
-"""Edges of windows that are tried in a trajectory, and the shortest step between them [s]."""
+"""Number of window edges that are tried in a trajectory, and the shortest step between them [s]."""
 
 SHORTEST = 0.4
-"""[s] of a window: what is shorter is a blow, of which nothing is known but its momentum."""
+"""[s] Shortest window: a shorter event is an impact, of which only the momentum is known."""
 
 PRICE = 40.0
 """Noise variances that a window must explain, beyond the price of its coefficients, to be tried: the best of ten
 thousand in white noise has 25 (one coefficient) to 50 (ten)."""
 
 SHARE, LARGE = 0.01, 0.2
-"""Of the squares of what is left, that a window must explain: a slightly wrong model leaves more here and there; and
-before anything else was looked for."""
+"""Share of the squares of the residual that a window must explain, because a slightly wrong model leaves structure; and
+the share for the first search."""
 
 WITHIN = 0.2
 """The same of what is left in the window beyond noise: what comes and goes is there all the time between."""
@@ -39,13 +39,14 @@ EVEN = 0.35
 and the like leave pulses."""
 
 MOST, ROUNDS = 3, 3
-"""Windows that are looked for in one residual, and how often, with what was found taken out."""
+"""Number of windows that are searched in one residual, and of repetitions with the found ones removed."""
 
 SAME = 0.05
-"""[s] by which edges of windows together may differ, and they are the same."""
+"""[s] Difference of the edges, in sum, up to which two windows count as the same."""
 
 EDGE = 1.0
-"""[s] from an end of its trajectory within which a window begins or ends there; if it does both it is none."""
+"""[s] A window whose edge is nearer to an end of its trajectory begins or ends there; one that does both is no
+window."""
 
 PARTS, FINEST = 6, 0.2
 """Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge; at least
@@ -61,7 +62,8 @@ Windows = Mapping[TimeWindow, Sequence[Candidate]]
 
 @dataclass(frozen=True)
 class Place:
-    """An effect that may come and go, on a joint: its columns (k, n, R) and what is known of their factors (k,)."""
+    """An effect that may act in a time window, on a joint: its columns (k, n, R) and the prior of their factors
+    (k,)."""
 
     effect: AbstractEffect
     joint: int | None
@@ -70,8 +72,8 @@ class Place:
 
 
 def places(evidence: Evidence, effects: Mapping[str, AbstractEffect], side: str) -> list[Place]:
-    """Every effect that comes and goes, wherever it would be felt; what is felt alike at several joints is taken at the
-    outermost of them."""
+    """Every effect that may act in a time window, on all joints where it is observable; if it is equal on several
+    joints, it is taken on the outermost."""
     made: list[Place] = []
     loud = np.sqrt(np.mean(evidence.tau**2))
     for effect in effects.values():
@@ -124,7 +126,7 @@ def proposed(
 
 
 def _alike(one: TimeWindow, other: TimeWindow) -> bool:
-    """Whether two windows are the same but for their edges' last row or two."""
+    """Whether two windows are the same, except for the last row or two at their edges."""
     apart = abs(one.start - other.start) + abs(one.end - other.end)
     return one.trajectory == other.trajectory and apart < SAME
 
@@ -140,8 +142,8 @@ def _other_end(evidence: Evidence, when: TimeWindow) -> list[TimeWindow]:
 
 
 def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
-    """The evidence with blocks that choose and judge in turn, in every window and outside: what comes once must be in
-    both."""
+    """The evidence with training and held-out blocks in turn, in every window and outside: an event that occurs once
+    must be in both."""
     block, role = evidence.block.copy(), evidence.role.copy()
     t, first, outside = evidence.on_rows("t"), 0, 0
     for number, piece in enumerate(evidence.recording.pieces):
@@ -172,7 +174,7 @@ def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
 def _window(
     evidence: Evidence, place: Place, left: np.ndarray, measured: Noise
 ) -> tuple[float, TimeWindow | None, np.ndarray]:
-    """What an effect explains in its best window, less its price; the window, and its torque (R, n)."""
+    """The explained squares of an effect in its best window, minus its price; the window, and its torque (R, n)."""
     t, k = evidence.on_rows("t"), len(place.columns)
     names = evidence.trajectory
     used = evidence.valid * measured.weights
@@ -219,13 +221,14 @@ def _window(
 
 
 def _spread(gained: np.ndarray) -> float:
-    """Over how much of a window it is that something was gained at its rows: 1 all over alike, less for blows."""
+    """Over which share of a window the gain is spread: 1 if it is uniform, less for impacts."""
     parts = np.array([x.sum() for x in np.array_split(gained, PARTS)])
     return float(parts.sum() ** 2 / max(PARTS * np.sum(parts**2), 1e-300))
 
 
 def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:
-    """Edges of a window moved to the rows that explain most, each in turn; it stays as long as SHORTEST."""
+    """Edges of a window moved in turn to the rows that explain most; the window does not become shorter than
+    SHORTEST."""
     for _ in range(2):
         near = np.flatnonzero(np.abs(time - time[min(a, len(time) - 1)]) <= reach)
         near = near[time[near] <= time[b - 1] - SHORTEST]

@@ -1,7 +1,8 @@
-"""The composed model against the record: all parameters of a hypothesis refined together, by the effects' formulas.
+"""The composed model compared with the record: all parameters of a hypothesis are refined together, with the exact
+formulas of the effects.
 
-Linear columns chose the hypothesis; here a gain scales the friction behind it, a payload changes the load of the gear,
-and nothing is straightened any more. Gauss and Newton's steps with numerical slopes, a few times.
+The hypothesis was chosen with linear columns; here a gain scales the friction behind it, a payload changes the load of
+the gear, and nothing is linearised. A few Gauss-Newton steps with numerical derivatives.
 """
 
 from collections.abc import Sequence
@@ -30,20 +31,21 @@ from invdyn_cli.effects.composition import (
 from invdyn_cli.effects.friction import STICK_TIME
 
 STEPS = 4
-"""Newton steps at most: columns start within a few percent."""
+"""Largest number of Newton steps: the columns' estimates are within a few percent."""
 
 
 FACTORS = (0.6, 0.67, 0.75, 0.82, 0.9, 1.0, 1.1, 1.21, 1.33, 1.5, 1.7)
-"""Sizes that are tried of a gear's play or stiffness, over the one from where it is refined."""
+"""Sizes of a gear's play or stiffness that are tried, relative to the one from which it is refined."""
 
 NEAR = 0.06
-"""Share of it by which it differs from one that was found like that, and is not tried again."""
+"""Relative difference up to which a size counts as one that was found in this way, and is not tried again."""
 
 RECORDINGS = 3
-"""Of a log, from which on sizes are also compared between them: two say nothing of how they scatter."""
+"""Number of recordings from which on sizes are also compared between them: two do not show the scatter."""
 
 MOTIONS = 40
-"""Of links behind gears that are kept of every piece, so that one gear more or less is not all of them."""
+"""Number of link motions behind gears that are cached for every piece, so that a change of one gear does not empty the
+cache."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ class Refined:
 
 
 class Model:
-    """The residual of composed effects on all rows of the evidence; body torques are kept while bodies stay."""
+    """The residual of composed effects on all rows of the evidence; torques of bodies are cached while the bodies stay
+    the same."""
 
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
@@ -82,10 +85,11 @@ class Model:
         self._rows: dict[tuple, np.ndarray] = {}
         self._gears: list[dict] = [{} for _ in evidence.recording.pieces]
         self.scanned: dict[tuple, float] = {}
-        """What each gear, by its key and the number of rows, was last refined to, from sizes far and near."""
+        """The last refined value of each gear, by its key and the number of rows, from distant and near start
+        values."""
 
     def residual(self, acting: Sequence[EffectInstance]) -> np.ndarray:
-        """(R, n) [N m; N] logged (its channel undone) less modelled torque."""
+        """(R, n) [N m; N] logged torque (with its channel inverted) minus modelled torque."""
         bodies = self._moved(acting)
         out = np.column_stack([self._row(acting, bodies, j) for j in range(self.evidence.dofs)])
         compared = self.evidence.reference_rows
@@ -94,7 +98,8 @@ class Model:
         return out
 
     def without(self, refined: Refined, acting: Sequence[EffectInstance]) -> np.ndarray:
-        """(R, n) what effects leave in place of those that were refined, what is allowed for staying as it is."""
+        """(R, n) the residual with these effects instead of the refined ones; the effects that are allowed for stay the
+        same."""
         return self.residual(acting) - self.allowed(refined, acting)
 
     def allowed(self, refined: Refined, acting: Sequence[EffectInstance], count: int | None = None) -> np.ndarray:
@@ -141,11 +146,11 @@ class Model:
         return self._rows[key]
 
     def unfiltered(self, acting: Sequence[EffectInstance], j: int) -> list[np.ndarray]:
-        """A joint's residual (T,) in every piece, as it is before the filter."""
+        """A joint's residual (T,) in every piece before the filter."""
         return self._parts(self._own(acting, j), self._moved(acting), j)
 
     def _own(self, acting: Sequence[EffectInstance], joint: int) -> list[EffectInstance]:
-        """The torque and channel effects that a joint feels."""
+        """The torque and channel effects that act on a joint."""
         parents = self.evidence.robot.parents
         return [a for a in acting if not a.effect.reaches_others and joint in shares(a, parents)]
 
@@ -348,7 +353,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, timing, e
 
 
 def _allowed(evidence: Evidence, always: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (m, R, n) of what is allowed for, and their precision (m,)."""
+    """Columns (m, R, n) of the effects that are allowed for, and their precision (m,)."""
     columns = np.zeros((sum(len(c.precision) for c in always), *evidence.tau.shape))
     start = 0
     for c in always:

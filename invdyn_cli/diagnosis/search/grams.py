@@ -1,4 +1,4 @@
-"""Gram matrices of the evidence's tables: all that a search asks is answered from them."""
+"""Gram matrices of the evidence's tables, from which everything in a search is computed."""
 
 from itertools import pairwise
 
@@ -7,10 +7,10 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 
 FOLDS = 8
-"""Parts of the blocks that are held out in turn."""
+"""Number of parts of the blocks, each of which is held out in turn."""
 
 SPARE = 128
-"""Columns for which there is room before matrices are copied."""
+"""Number of columns for which there is space before matrices are copied."""
 
 
 class Grams:
@@ -39,7 +39,7 @@ class Grams:
 
     @classmethod
     def of(cls, evidence: Evidence, rows: np.ndarray) -> "Grams":
-        """Those of the same rows in the same blocks, if they are the last that were asked for."""
+        """The Gram matrices of the same rows in the same blocks, if they were requested last."""
         key = "grams", rows.tobytes(), evidence.block.tobytes()
         if key not in evidence.kept:
             for old in [k for k in evidence.kept if k[0] == "grams"]:
@@ -52,7 +52,7 @@ class Grams:
         return self._evidence.tables[j]
 
     def refresh(self) -> None:
-        """Take in the columns that were added to the evidence since."""
+        """Include the columns that were added to the evidence since."""
         for j, table in enumerate(self._evidence.tables):
             known, count = self.parts[j].shape[1], table.shape[1]
             if count == known:

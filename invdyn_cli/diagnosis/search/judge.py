@@ -1,4 +1,4 @@
-"""The judge: what Gram matrices of the chosen rows, by block, say of any set of causes, in a millisecond."""
+"""The scorer of hypotheses: losses of any set of causes from Gram matrices of the chosen rows, in a millisecond."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -17,20 +17,20 @@ PRICE_OF_EFFECT, PRICE_OF_COEFFICIENT = 12.0, 4.0
 (Schwarz 1978; Foster and George 1994 for the number of tries)."""
 
 RELEVANT = 0.002
-"""Share of a joint's RMS torque that an effect must be worth: an honest log of a right model leaves nearly as much by
-clocks, interpolation and filters."""
+"""Least torque of an effect as a share of the joint's RMS torque: errors of clocks, interpolation and filters leave
+nearly as much on an accurate log of a correct model."""
 
 FARTHEST = 1.5
-"""Reaches beyond which a channel's correction of a trial is no longer the straight line that it is taken for."""
+"""Largest change of a channel's parameter, in prior standard deviations, up to which its torque is linear enough."""
 
 CANCELLED = 3.0
-"""Times the RMS of what the nominal model leaves on a joint, above which the torque of an effect there can only be what
-other effects take back: of two that cancel each other, neither is known."""
+"""Largest torque of an effect on a joint, as a multiple of the RMS of the nominal model's residual there: a larger one
+can only be cancelled by other effects, and then neither is known."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a hypothesis does: its `loss` with prices, the held-out loss (n, B) of every joint in each block, its
+    """The score of a hypothesis: its `loss` with prices, the held-out loss (n, B) of every joint in each block, its
     coefficients."""
 
     loss: float
@@ -103,7 +103,7 @@ class HypothesisScorer:
         self.tried = 0
 
     def refresh(self) -> None:
-        """Take in the columns that were added to the evidence since."""
+        """Include the columns that were added to the evidence since."""
         self.grams.refresh()
 
     def equations(self, hypothesis: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
@@ -112,8 +112,8 @@ class HypothesisScorer:
         return made.own[0], made.normal[0]
 
     def _parted(self, hypothesis: Sequence[Candidate]) -> tuple[Shared, Hypothesis, np.ndarray]:
-        """What of a hypothesis is always there; the rest; and where the coefficients of both, one behind the other, are
-        among the hypothesis'."""
+        """The part of a hypothesis that is always present; the rest; and the positions of the coefficients of both
+        among those of the hypothesis."""
         always = tuple(c for c in hypothesis if c in self._always)
         own = tuple(c for c in hypothesis if c not in self._always)
         if always not in self._shared:
@@ -171,7 +171,7 @@ class HypothesisScorer:
         return losses, own_factors
 
     def _grouped(self, candidates: Sequence[Candidate]) -> dict[tuple, tuple[list[int], list[int]]]:
-        """Which of these are alike, and their numbers among all that are."""
+        """Groups of similar candidates, and their numbers in each group."""
         groups: dict[tuple, tuple[list[int], list[int]]] = {}
         for i, c in enumerate(candidates):
             kind, number = self._places.get(c) or self._placed(c)
@@ -181,7 +181,7 @@ class HypothesisScorer:
         return groups
 
     def _placed(self, c: Candidate) -> tuple[tuple[int, int, int], int]:
-        """Put a candidate among those alike; its place."""
+        """Add a candidate to its group of similar ones; returns its position."""
         columns = [(*fixed, *free) for fixed, free in c.columns.values()]
         kind = len(columns), len(columns[0]) - len(c.precision), len(c.precision)
         alike = self._alike.setdefault(kind, _Alike())
@@ -242,7 +242,7 @@ class HypothesisScorer:
         return theta
 
     def price(self, hypothesis: Sequence[Candidate]) -> float:
-        """What a hypothesis must gain at least."""
+        """The least gain of a hypothesis that counts: the prices of its effects."""
         for c in hypothesis:
             if c not in self._prices:
                 local = c.joint if c.effect.is_local else None
@@ -257,7 +257,8 @@ class HypothesisScorer:
         return sum(self._prices[c] for c in hypothesis)
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
-        """Why the coefficients of a hypothesis are no physics, "" if they are; what is always in it may be anything."""
+        """Why the coefficients of a hypothesis are physically impossible, "" if they are possible; effects that are
+        always in it may have any values."""
         for candidate, own in shared_out(hypothesis, theta):
             if candidate in self._always:
                 continue
@@ -272,7 +273,7 @@ class HypothesisScorer:
         return ""
 
     def impossible(self, candidate: Candidate, own: np.ndarray) -> str:
-        """Why a candidate's coefficients are no physics by themselves, "" if they are."""
+        """Why a candidate's coefficients alone are physically impossible, "" if they are possible."""
         parameters = parameters_of(self.evidence, candidate, own)
         why = candidate.effect.refuse(parameters)
         if why:
@@ -292,11 +293,11 @@ class HypothesisScorer:
         return float(np.sqrt(max(factors @ self.grams.totals[j][np.ix_(columns, columns)] @ factors, 0.0)))
 
     def _left(self, j: int) -> float:
-        """The same of what the nominal model leaves there, noise and all."""
+        """The same for the nominal model's residual on that joint, noise included."""
         return float(np.sqrt(self.grams.totals[j][0, 0]))
 
     def freedom(self, candidate: Candidate) -> float:
-        """How many coefficients of a candidate the data determine at all."""
+        """Effective number of coefficients of a candidate, as far as the data determine them."""
         if not candidate.precision.any():
             return float(len(candidate.precision))
         if candidate not in self._freedom:

@@ -1,4 +1,4 @@
-"""Parameters that no such effect has: what came out of a refinement and only looks like its effect."""
+"""Implausible parameters after a refinement: the effect only imitates another one."""
 
 import numpy as np
 
@@ -21,13 +21,13 @@ rounding is noise of 0.29 of a step. Reversals come where its steps are."""
 
 
 def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
-    """Effects and joints whose parameters came out as no such effect has them."""
+    """Effects and joints with implausible parameters."""
     odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
     return odd | realisable.beyond(evidence, refined)
 
 
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
-    """Whether an effect with these parameters can be told from what only looks like it."""
+    """Whether an effect with these parameters can be distinguished from others that look like it."""
     one = refined.acting[place]
     if one.when is not None and _lasts(evidence, one.when):
         return False
@@ -43,7 +43,7 @@ def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined:
 
 
 def _lasts(evidence: Evidence, when: TimeWindow) -> bool:
-    """Whether a window came out as all of its trajectory: what is in it neither comes nor goes."""
+    """Whether a window covers its whole trajectory: then the effect neither begins nor ends."""
     t = evidence.on_rows("t")[evidence.trajectory == when.trajectory]
     return bool(when.start < t[0] + EDGE and when.end > t[-1] - EDGE)
 

@@ -1,7 +1,7 @@
-"""Before a name is given: every rival has tried to take its place, and what is left unexplained must not outweigh it.
+"""Before a name is given: every rival is fitted in its place, and the unexplained rest must not outweigh it.
 
-A rival does as well if the held-out loss with it in the effect's place is within the noise of that with the effect. The
-noise is that of the difference, block by block, so that what both leave alike does not count (Vuong 1989).
+A rival is equally good if the held-out loss with it in the effect's place is within the noise of that with the effect.
+The noise is that of the difference, block by block, so that errors which both share do not count (Vuong 1989).
 """
 
 from collections.abc import Sequence
@@ -23,25 +23,26 @@ from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
 
 DOUBT = 0.005
-"""Chance that a rival would do as well on another draw of the log's blocks, above which it is not rejected."""
+"""Probability that a rival is equally good on another draw of the log's blocks, above which it is not rejected."""
 
 SURE = 4.0
-"""Standard errors by which a general case must do better than the special one: its bolder shape bends to much else."""
+"""Standard errors by which a general effect must be better than its special case: its more flexible shape fits many
+other errors."""
 
 LEAST_DIFFERENCE = 10.0
-"""And noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
+"""The same in noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
 
 MIN_CLEAR_DIFFERENCE, MAX_OPPOSED_SHARE = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
 
 MEMORY, LAGS = 0.8, 6
-"""Of 1 / cut-off: how long a low-pass remembers noise; and how many times that is looked at: something structured comes
-back within it, if only as its opposite."""
+"""Memory of a low-pass filter's noise in units of 1 / cut-off; and how many times this lag is searched: structure
+returns within it, perhaps with the opposite sign."""
 
 
 LEAST_SHARE = 0.7
-"""Of what an effect explains by more than noise can, below which what is in its place does not do the same, however
-much blocks differ: play may come up in a single one."""
+"""Share of what an effect explains beyond noise that a rival must explain, too, however much blocks differ: play may
+show in a single one."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ def rivals(
 
 
 def _timed(candidate: Candidate) -> float:
-    """What a window costs: it was chosen among many, and has two edges."""
+    """The price of a window: it was chosen among many, and has two edges."""
     return 0.0 if candidate.when is None else PRICE_OF_EFFECT + 2 * PRICE_OF_COEFFICIENT
 
 
@@ -163,7 +164,7 @@ def undenied(step: np.ndarray, extra: float) -> bool:
 def blind_to_stribeck(
     judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
 ) -> bool:
-    """Whether an ordinary drop of friction with speed could hide behind a Coulomb friction on this log."""
+    """Whether a typical drop of friction with speed could be hidden by Coulomb friction on this log."""
     own = hypothesis[place]
     effect = next((c.effect for c in pool if isinstance(c.effect, StribeckFriction)), None)
     trials = [c for c in pool if c.effect is effect and c.joint == own.joint and own.effect.name in c.effect.contains]

@@ -1,5 +1,5 @@
-"""What is noise: the residual of a model that may use every column at once, joint by joint; and hidden regularities in
-it that no list of trials can name, the ripples."""
+"""The noise: the residual of a model with all columns, joint by joint; and ripples in it, which no list of trials can
+contain."""
 
 from dataclasses import dataclass, replace
 
@@ -13,17 +13,19 @@ from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time
 
 FLOOR = 5e-4
-"""Share of a joint's RMS torque (or of a fifth of the strongest joint's) below which nothing is known: interpolation,
-clocks and rounding of a log."""
+"""Share of a joint's RMS torque (or of a fifth of the strongest joint's) below which nothing is known: errors of
+interpolation, clocks and rounding."""
 
 MOVES = 0.05
-"""Share of the rows on which a joint must move to be judged: one that is held still says nothing but its noise."""
+"""Share of the rows on which a joint must move to be judged: one that is held still shows only its noise."""
 
 RIDGES = np.logspace(-10, 0, 21)
-"""Of the mean square of all columns, to choose from; the least tells those that say the same from none at all."""
+"""Ridge parameters to choose from, as shares of the mean square of all columns; the smallest only separates equal
+columns."""
 
 STRETCHES, PLAINLY = 4, 0.5
-"""Of time, one of which is quiet if something comes or goes; and what share of the noise of all of them is less."""
+"""Number of stretches of time, one of which is quiet if an effect acts for a time; and the share of the whole noise
+below which the noise of a stretch is plainly smaller."""
 
 PEAKS = 3
 PEAK = 20.0
@@ -109,8 +111,8 @@ def _fitted(x: np.ndarray, y: np.ndarray, independent: float) -> tuple[np.ndarra
 
 
 def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
-    """The noise of the chosen rows (R,) bool when something may have come or gone meanwhile: of every joint, that of
-    the quietest stretch of time, if it is plainly less than that of all of them; the residual is that of all."""
+    """The noise of the chosen rows (R,) bool if an effect may act for a time: for each joint that of the quietest
+    stretch of time, if it is plainly smaller than that of all stretches; the residual is that of all."""
     quietest = measure(evidence, rows)
     for own in np.array_split(np.flatnonzero(rows), STRETCHES):
         stretch = np.zeros_like(rows)
@@ -133,7 +135,7 @@ def _plain(candidate: Candidate, joint: int) -> bool:
 
 
 def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
-    """Columns of a candidate that may have any factor here: of a gear, what it does at its trials."""
+    """Columns of a candidate that may have any factor here: for a gear, the torque change of its trials."""
     fixed, free = candidate.columns[joint]
     return fixed if candidate.effect.yields else free
 
@@ -141,7 +143,7 @@ def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
 def ripples(
     evidence: Evidence, noise: Noise, residual: np.ndarray, rows: np.ndarray, effect: TorqueRipple
 ) -> list[Candidate]:
-    """Candidates for every line that stands out of the noise in a residual (R, n) over a joint's angle."""
+    """Candidates for every line over a joint's angle that exceeds the noise in a residual (R, n)."""
     made = []
     angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
     for j in range(evidence.dofs):

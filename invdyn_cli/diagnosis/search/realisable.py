@@ -1,8 +1,9 @@
-"""Bodies that can be: payloads and changed links that were found, moved to inertials that some body has, and a word
-where the data wanted otherwise.
+"""Physically consistent bodies: payloads and changed links are moved to consistent inertials, with a note if the data
+disagree.
 
-A log shows a few combinations of a link's ten parameters; the rest is free, and what a fit leaves there is rarely a
-body. The freedom is used first. Where it does not suffice, the misfit rises; by more than chance, it is said.
+A log determines a few combinations of a link's ten parameters; the others are free, and a fit rarely makes a possible
+body of them. First the free ones are changed. If this does not suffice, the misfit increases; if it increases by more
+than chance, a note says so.
 """
 
 from collections.abc import Sequence
@@ -19,20 +20,20 @@ from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent
 
 CHANCE = 1e-3
-"""How often a fit of true inertials wants other ones by more than the cost from which it is said."""
+"""Probability that a fit of true inertials exceeds the cost from which on a note is written."""
 
 SEEN = 1.0
-"""Times what was known beforehand, above which the data show a combination of parameters."""
+"""Multiple of the prior information above which the data determine a combination of parameters."""
 
 LIGHT = 1e-3
-"""Share of the arm's mass below which a link of the URDF is a stand-in that says nothing of the real one."""
+"""Share of the arm's mass below which a link of the URDF is a placeholder without information on the real one."""
 
 FAR = 100.0
-"""Times what chance would cost, above which inertials that no body has are no wrong inertials: the weights of noise may
-be off by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
+"""Multiple of the cost by chance above which inconsistent inertials indicate another effect: the weights of the noise
+may be wrong by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
 
 SURE = 2.0
-"""Standard errors by which a mass is below zero to be said so."""
+"""Standard errors by which a mass must be below zero to be reported as negative."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ def realisable(
 ) -> tuple[Refined, tuple[str, ...]]:
     """The refined effects with payloads and links that can be, and a sentence for each that the data wanted otherwise.
 
-    A body that can be already stays, and nothing moves where all can. Other effects go with the bodies that move as far
-    as the data tie them. A link that is no body in the URDF already may stay so by as much: what is changed is the
-    nearest body.
+    A body that is already consistent stays, and nothing moves if all are. Other effects change together with the bodies
+    as far as the data couple them. A link that is inconsistent in the URDF may stay so by as much: the change refers to
+    the nearest consistent body.
 
     Args:
         names: of the links, (n,).
@@ -93,7 +94,7 @@ def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
 def _moved(
     evidence: Evidence, model: Model, refined: Refined, bodies: Sequence[Body]
 ) -> tuple[Refined, tuple[str, ...]]:
-    """The refined effects with these bodies moved to where they can be, and what is to be said of it."""
+    """The refined effects with these bodies moved to consistent inertials, and the note about it."""
     at = np.concatenate([b.places for b in bodies])
     reference = np.array([b.reference for b in bodies])
     wanted, known, beforehand = _known(evidence, refined, bodies)
@@ -143,7 +144,7 @@ def _change(
 
 
 def _matters(evidence: Evidence, before: Refined, after: Refined) -> bool:
-    """Whether the torque of a joint is another one by more than an honest log leaves."""
+    """Whether the torque of a joint changes by more than an accurate log leaves unexplained."""
     change, tau = (np.mean(x**2, axis=0) for x in (after.residual - before.residual, evidence.tau))
     return bool(np.any(change > RELEVANT**2 * tau))
 
@@ -183,7 +184,7 @@ def _can_be(refined: Refined, body: Body) -> bool:
 
 
 def _alone(information: np.ndarray, own: slice) -> np.ndarray:
-    """Information on one body, the others being anything (Schur's complement)."""
+    """Information on one body, with the others unconstrained (Schur's complement)."""
     other = np.ones(len(information), bool)
     other[own] = False
     if not other.any():
@@ -195,7 +196,7 @@ def _alone(information: np.ndarray, own: slice) -> np.ndarray:
 def _sentence(
     evidence: Evidence, before: Refined, after: Refined, bodies: Sequence[Body], cost: float, chance: float
 ) -> str:
-    """That bodies were wanted to be what they cannot, and what it costs that they are not."""
+    """A note: the best-fit bodies are not physically consistent, and the cost of consistent ones."""
     rows = np.maximum(evidence.valid.sum(0), 1)
     free, bound = (np.sum((x.residual * evidence.valid) ** 2, axis=0) / rows for x in (before, after))
     worst = int(np.argmax(bound - free))

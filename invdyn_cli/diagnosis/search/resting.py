@@ -1,8 +1,8 @@
-"""Edges of windows while the arm rests: friction bears whatever it can, no row counts, and an edge is known by what
-friction cannot bear.
+"""Edges of time windows while the arm rests: friction can balance any torque up to its level, and an edge shows only by
+what friction cannot balance.
 
-At rest a joint's torque less that of the links is between the levels of its friction. Before a load comes this holds
-without it, and afterwards with it; where one of them would ask more of the friction than it has, the edge is not there.
+At rest, a joint's torque minus that of the links is between the levels of its friction: before a load appears without
+the load, and afterwards with it. Where this would need more friction than there is, the edge cannot be.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,18 @@ from invdyn_cli.effects.composition import EffectInstance, joint_terms
 from invdyn_cli.interfaces import JointState
 
 SHORTEST = 0.05
-"""[s] of a rest that hides an edge: shorter ones are bridged by the rows on either side."""
+"""[s] Shortest rest that hides an edge: a shorter one is bridged by the rows on both sides."""
 
 BEYOND = 9.0
-"""Noise variances more than at the best place, by which an edge is not at another: three standard errors."""
+"""Difference of the cost from that at the best position, in noise variances, above which an edge is excluded: three
+standard errors."""
 
 ANSWER = 0.05
-"""[s] until a controller has caught what friction no longer bears: an edge is so much earlier than its sign."""
+"""[s] Time in which a controller compensates what friction no longer balances: an edge is that much earlier than its
+first sign."""
 
 MARGIN = 0.1
-"""Share of a friction by which it may bear more at rest than it costs in motion."""
+"""Share of a friction by which it may be larger at rest than in motion."""
 
 
 def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, list[dict[str, tuple]]]:
@@ -53,7 +55,7 @@ def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, 
 
 
 def _left(evidence: Evidence, refined: Refined) -> np.ndarray:
-    """RMS (n,) [N m; N] of what is left on the rows that count."""
+    """RMS (n,) [N m; N] of the residual on the rows that count."""
     used = evidence.valid
     return np.sqrt(np.sum(refined.residual**2 * used, axis=0) / np.maximum(used.sum(axis=0), 1))
 

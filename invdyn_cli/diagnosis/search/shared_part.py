@@ -1,5 +1,5 @@
-"""The equations of hypotheses that share what is always there: that part is solved once (Schur's complement), and every
-hypothesis costs what its own columns cost."""
+"""The equations of hypotheses with a common part: that part is solved once (Schur's complement), so that a hypothesis
+costs only its own columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -190,7 +190,7 @@ class Rows:
 
 
 def precision_of(hypothesis: Sequence[Candidate]) -> np.ndarray:
-    """What is known beforehand of the coefficients (k,) of a hypothesis."""
+    """The prior of the coefficients (k,) of a hypothesis."""
     return np.concatenate([c.precision for c in hypothesis]) if hypothesis else np.zeros(0)
 
 

@@ -1,8 +1,9 @@
-"""The search: which few causes together explain what the nominal model leaves, judged on blocks that did not fit them.
+"""The search: which few causes together explain the residual of the nominal model, scored on blocks that were not
+fitted.
 
-A hypothesis is a set of candidates. Its loss is the weighted square of what is left on held-out blocks, in units of the
-noise's variance and with the residual's autocorrelation counted, plus a price for every effect and every coefficient.
-Forward steps, drops, swaps and merges go on until none of them helps.
+A hypothesis is a set of candidates. Its loss is the weighted sum of squared residuals on held-out blocks, in units of
+the noise variance and with the residual's autocorrelation, plus a price for every effect and every coefficient.
+Additions, drops, exchanges and merges continue until none of them helps.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,10 +15,10 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 
 SHORTLIST = 10
-"""Candidates of a step whose held-out loss is computed; the others gain less on the data that fits them."""
+"""Number of candidates of a step whose held-out loss is computed; the others gain less on the fitted data."""
 
 Move = tuple[Hypothesis, list[Candidate]]
-"""A hypothesis, and candidates of which one each is put beside it; none: it stands alone."""
+"""A hypothesis, and candidates, one of which is added at a time; without candidates: the hypothesis alone."""
 
 
 def search(
@@ -38,7 +39,7 @@ def search(
 def _best(
     judge: HypothesisScorer, always: Hypothesis, moves: Iterable[Move], loss: float
 ) -> tuple[Hypothesis, float] | None:
-    """The best hypothesis that one of these moves makes, with its loss, if it is better than `loss`."""
+    """The best hypothesis after one of these moves, with its loss, if it is better than `loss`."""
     quick: list[tuple[float, Hypothesis, np.ndarray]] = []
     for base, candidates in moves:
         judge.tried += max(1, len(candidates))
@@ -63,7 +64,7 @@ def _best(
 
 
 def _additions(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
-    """One more effect, in the place of its special cases."""
+    """One more effect, which replaces its special cases."""
     groups: dict[tuple[int, ...], list[Candidate]] = {}
     for c in free_beside(hypothesis, pool, instead=True):
         special = tuple(i for i, e in enumerate(hypothesis) if clash(c, e)) if c.effect.contains else ()
@@ -79,7 +80,7 @@ def _drops(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
 
 
 def _swaps(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
-    """Another effect in the place of one that is felt by a joint alike."""
+    """Another effect in place of one that acts on the same joint."""
     for i, out in enumerate(hypothesis):
         others = hypothesis[:i] + hypothesis[i + 1 :]
         near = [c for c in pool if c is not out and not c.columns.keys().isdisjoint(out.columns)]
