@@ -1,5 +1,5 @@
-"""What is refused a claim, in one ordered table: data that did not choose it must gain by it, its exact formula must
-hold there, and what stays unexplained on its joint must not outweigh it."""
+"""The table of what a claim must reach, in order: held-out data must be predicted better with the effect, also by its
+exact formula, and the effect must explain more than what stays unexplained on its joint."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,28 +19,28 @@ a column that is nearly orthogonal to an unknown cause still picks up a few perc
 to it goes with, more."""
 
 PICKED_UP = 0.2
-"""And so much more for every further coefficient, each of which picks up as much."""
+"""The same share again for each further coefficient."""
 
 MIN_SHARE_OF_RESIDUAL = 0.5
-"""Of the squares that are left on its joints, what an effect must save: a controller answers to the noise and the
-rounding of its encoders, the motion follows, and the noise of the regressor goes with that of the torque."""
+"""Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise and
+the rounding of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
 
 
 EVIDENCE = 400.0
-"""Noise variances by which an anomaly of a worn arm must lower the held-out loss, all else fitted anew
-(experiments/calibrate.md)."""
+"""Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted
+(docs/decisions/045)."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """A row of the table.
+    """A row of the table: a claim is refused if its figure is below the least one.
 
     Attributes:
-        name: as the calibration has it (experiments/calibrate.md).
-        figure: of a claim.
-        least: what the figure must be.
-        why: the clause that a report has of a claim below it; none where held-out data are not predicted better: that
-            what is not there was tried is not worth a word.
+        name: what the figure is (experiments/calibrate.md shows it for right and for false claims).
+        figure: a function of the claim.
+        least: the least figure of a claim that is not refused.
+        why: the report's clause about a refused claim; "" if held-out data do not speak for the effect, because then
+            it is not worth a sentence.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Refusal:
 
 
 def _beside_unknown(claim: Claim) -> float:
-    """What a claim gains, as a multiple of what one of its coefficients picks up of an unknown cause."""
+    """The gain of a claim, as a multiple of what its coefficients would explain of an unknown cause."""
     needed = OUTWEIGHED + PICKED_UP * (claim.inquiry.judge.freedom(claim.candidate) - 1)
     return claim.gain / max(needed * claim.unknown, 1e-300)
 
@@ -85,9 +85,9 @@ REFUSALS = (
 
 
 def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
-    """The candidates that gain on data that did not choose them, and explain more than what stays unknown, their
-    parameters, refined anew whenever one is dropped; and sentences on others that held-out data speak for. What another
-    effect might be as well has no sentence of its own: which of them was tried is chance."""
+    """The candidates that no row refuses; their exact parameters, refined again after each refusal; and a sentence about
+    each refused candidate for which held-out data speak. A candidate in whose place another effect does equally well
+    gets no sentence, because it is chance which of them was tried."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
     if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
         chosen = exactly(inquiry, hypothesis, chosen)
