@@ -22,8 +22,8 @@ PICKED_UP = 0.2
 """The same share again for each further coefficient."""
 
 MIN_SHARE_OF_RESIDUAL = 0.5
-"""Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise and
-the rounding of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
+"""Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise of
+its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
 
 
 EVIDENCE = 400.0
@@ -85,7 +85,7 @@ REFUSALS = (
 
 
 def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
-    """The candidates that no row refuses; their exact parameters, refined again after each refusal; and a sentence about
+    """The candidates that no row refuses; their exact parameters, refined again after each refusal; and a sentence on
     each refused candidate for which held-out data speak. A candidate in whose place another effect does equally well
     gets no sentence, because it is chance which of them was tried."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
