@@ -22,8 +22,8 @@ PICKED_UP = 0.2
 """The same share again for each further coefficient."""
 
 MIN_SHARE_OF_RESIDUAL = 0.5
-"""Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise of
-its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
+"""Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise
+of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
 
 
 EVIDENCE = 400.0
