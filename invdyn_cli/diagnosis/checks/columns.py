@@ -172,7 +172,7 @@ class SignError(AbstractCheck):
         if None not in told:
             doubted = [j for j in range(n) if log.joints[j] not in told and values[j] < -self.correlation]
             doubted = [j for j in doubted if self._fits(sizes, j)]
-            if doubted and not verdict.in_order:
+            if doubted and not verdict.certain:
                 names = ", ".join(log.joints[j] for j in doubted)
                 found.append(self.skipped(f"the torque runs against the URDF's: {names}; {AFTER_ORDER}", "tau"))
             else:

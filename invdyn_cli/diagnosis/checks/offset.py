@@ -33,6 +33,8 @@ class TimeOffset(AbstractCheck):
         agree: share of the offset within which a joint is that shows it clearly.
         sure: standard errors that the offset has to be from zero (ours).
         explained: share of a joint's torque that nominal torque and friction explain where it is judged.
+        moved: share of what friction leaves that the nominal torque explains there (ours: friction sets in late by
+            itself, gear play and presliding delay it).
         widest: [s] of shifts that are tried.
         sharp: by how much the residual variance has to be higher at no shift (ours).
         drive: [s] beyond which a joint of its own is taken for a poor fit, not for a delay (E4: 1 to 20 ms).
@@ -44,6 +46,7 @@ class TimeOffset(AbstractCheck):
     agree: float = 0.2
     sure: float = 3.0
     explained: float = 0.8
+    moved: float = 0.5
     widest: float = 0.5
     sharp: float = 1.15
     drive: float = 0.05
@@ -88,27 +91,30 @@ class TimeOffset(AbstractCheck):
         sure = [x for x in shifts if self._shared(x, log)]
         late = [x for x in sure if abs(x.common) > self._limit(x)]
         found = [c for x in shifts for c in self._single(x, log)]
-        if late and len(session) > 1 and all(abs(x.common - late[0].common) < self._limit(x) for x in sure):
-            weights = [sum(x.gains.values()) for x in sure]
-            value = float(np.average([x.common for x in sure], weights=weights))
+        weights = [sum(x.gains.values()) for x in sure]
+        value = float(np.average([x.common for x in sure], weights=weights)) if sure else 0.0
+        if late and len(session) > 1 and not any(self._contradicts(x, value, x in sure) for x in shifts):
             told = f"the {len(sure)} of {len(session)}" if len(sure) < len(session) else f"all {len(session)}"
             seen = f"the torque comes {_apart(value)}, alike in {told} recordings of this session that tell it: "
             seen += ", ".join(f"{x.trajectory} {1e3 * x.common:.3g} ms" for x in sure)
-            found.append(self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session)))
-        else:
-            for x in late:
+            return [*found, self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session))]
+        for x in shifts:
+            if x in late:
                 said = ", ".join(f"{log.joints[j]} {1e3 * s:.3g}" for j, s in x.offsets.items())
                 seen = f"the torque comes {_apart(x.common)} (per joint [ms]: {said})"
                 found.append(self._late(x.trajectory, x.common, self._limit(x), seen, (x.trajectory,)))
-        told = {x.trajectory for x in late}
-        for x in sure if not any(c.severity == "warn" and c.trajectory is None for c in found) else ():
-            if x.trajectory not in told:
+            elif x in sure:
                 seen = f"torque and motion agree to {1e3 * abs(x.common):.2g} ms on {len(x.offsets)} joints"
                 threshold = {"channel": "tau", "seconds": self._limit(x)}
                 found.append(Check(self.name, "ok", x.trajectory, value=x.common, threshold=threshold, seen=seen))
-        if not any(c.severity == "warn" and c.trajectory is None for c in found):
-            found += [self._unsure(x) for x in shifts if x not in sure]
+            else:
+                found.append(self._unsure(x))
         return found
+
+    def _contradicts(self, x: "_Shifts", value: float, sure: bool) -> bool:
+        """Whether a recording has another offset than its session's; one that is not sure of its own, by its error."""
+        far = abs(x.common - value) - self._limit(x)
+        return far > 0 if sure else far > self.sure * x.error and len(x.offsets) > 1
 
     def _limit(self, x: "_Shifts") -> float:
         return max(self.samples / x.rate, self.least)
@@ -124,15 +130,15 @@ class TimeOffset(AbstractCheck):
         return abs(x.common) <= limit or any(x.gains[j] > self.sharp for j in near)
 
     def _unsure(self, x: "_Shifts") -> Check:
-        """The joints do not agree on an offset."""
+        """Too few joints tell an offset, or they do not agree on one; what they say together is the value all the same."""
         offsets = [1e3 * s for s in x.offsets.values()]
-        if len(offsets) == 1:
-            why = f"a single joint can be timed ({offsets[0]:.3g} ms): an offset of all cannot be told"
-            return self.skipped(why, "tau", x.trajectory)
         seen = f"joint by joint torques come {min(offsets):.3g} to {max(offsets):.3g} ms after their motion, "
         seen += f"together {1e3 * x.common:.3g} ms, standard error {1e3 * x.error:.2g} ms"
-        if abs(x.common) <= max(self._limit(x), x.error):
-            return self.skipped(f"{seen}: an offset cannot be told", "tau", x.trajectory)
+        if len(offsets) == 1:
+            seen = f"a single joint can be timed ({offsets[0]:.3g} ms)"
+        if len(offsets) == 1 or abs(x.common) <= max(self._limit(x), x.error):
+            one = self.skipped(f"{seen}: an offset of all cannot be told", "tau", x.trajectory)
+            return replace(one, value=x.common)
         return Check(
             self.name,
             "note",
@@ -189,8 +195,9 @@ class TimeOffset(AbstractCheck):
         samples = gather(log, robot, 2048, inner)
         if samples is None:
             return None
-        explained, _, excited = matched(samples)
-        judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained))
+        explained, cosine, excited = matched(samples)
+        moved = np.diag(cosine) ** 2 > self.moved
+        judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained) & moved)
         offsets, gains, weights = {}, {}, {}
         for joint in judged.tolist():
             qd, qdd = samples.motion.qd[:, joint], samples.motion.qdd[:, joint]

@@ -9,9 +9,11 @@ from scipy.stats import norm
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
-from invdyn_cli.diagnosis.checks.samples import gather
+from invdyn_cli.diagnosis.checks.fits import rms
+from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
+from invdyn_cli.recording.memory import once_for_a_log
 from invdyn_cli.recording.rows import each
 from invdyn_cli.types import Check, Robot
 
@@ -58,7 +60,7 @@ class TorqueUnits(AbstractCheck):
         if samples is None or robot is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
             why = "no robot" if robot is None else "no motion, or a torque that never changes"
             return [self._without_gains({})] if missing else [self.skipped(why, "tau")]
-        names, factors = _candidates(robot)
+        names, factors = _candidates(robot, samples)
         fit = fitness(rows_of(samples, without_gravity="gravity" in log.compensated), robot, factors)
         at = np.arange(robot.dofs)
         beside = fit.likelihood[at, at, 0, :-1] - fit.likelihood[at, at, 0, :1]  # with tools, friction and wrong links
@@ -175,18 +177,27 @@ class TorqueUnits(AbstractCheck):
         )
 
 
+@once_for_a_log
+def doubted(log: Log, robot: Robot) -> np.ndarray:
+    """(n,) bool: joints whose torque may be in another unit than N m."""
+    found = [one for one in TorqueUnits().examine(log, robot) if one.severity in ("warn", "fail")]
+    names = {name for one in found for name in ([one.joint] if one.joint else log.joints)}
+    return np.isin(log.joints, list(names))
+
+
 def _log_density(x: np.ndarray) -> np.ndarray:
     """Of the log of a ratio over a unit's."""
     parts = [np.log(1 - SELDOM) + norm.logpdf(x, scale=GAIN), np.log(SELDOM) + norm.logpdf(x, scale=LARGE)]
     return np.logaddexp(*parts)
 
 
-def _candidates(robot: Robot) -> tuple[list[str], np.ndarray]:
-    """Names of units, N m first, and logged number per N m (n, units); those of rated torque where limits are known."""
+def _candidates(robot: Robot, samples: Samples) -> tuple[list[str], np.ndarray]:
+    """Names of units, N m first, and logged number per N m (n, units); those of rated torque where the URDF's limits
+    may be that: a drive gives it for long, so that the RMS of what this motion asks stays below."""
     limits = np.asarray(robot.effort_limit, float)
     names = list(UNITS)
     factors = [np.full(robot.dofs, x) for x in UNITS.values()]
-    if np.all(np.isfinite(limits)) and np.all(limits > 0) and np.ptp(limits) > 0.01 * limits.max():
+    if np.all(np.isfinite(limits)) and np.all(limits > rms(samples.nominal)):
         names += list(RATED)
         factors += [x / limits for x in RATED.values()]
     return names, np.stack(factors, axis=1)

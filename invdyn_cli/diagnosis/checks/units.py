@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
@@ -42,6 +43,13 @@ SCALES = {
 
 TURNS = {2 * np.pi: "revolutions"}
 """qd over dq/dt where q, and not qd, is in another unit; qd in such a unit there is none."""
+
+CLEAR = 0.98
+"""Share of a slow joint's logged velocity that the derivative of its position has to explain: noise then bends their
+ratio by no more than `MotionUnits.within`."""
+
+SECOND = 0.1
+"""The same of a logged acceleration, which is filtered harder."""
 
 CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
@@ -278,8 +286,8 @@ class MotionUnits(AbstractCheck):
 
     def _odd(self, log: Log, robot: Robot | None, trajectory: str, channel: str, ratios: np.ndarray) -> list[Check]:
         """Joints whose position or velocity alone is in another unit: qd over dq/dt is an exact ratio of units there,
-        and 1 on most of the others. Degrees of q within the limits, or a qd that was converted once too often: limits
-        and torque decide, and else neither is corrected."""
+        and 1 on most of the others. Degrees of q within the limits, or a qd that was converted once too often: limits,
+        qdd and torque decide, and else neither is corrected."""
         near = np.abs(ratios - 1) < self.within
         found = []
         for j in np.flatnonzero(np.isfinite(ratios) & ~near):
@@ -299,10 +307,14 @@ class MotionUnits(AbstractCheck):
         return found
 
     def _in_degrees(self, log: Log, robot: Robot | None, trajectory: str, j: int) -> bool | None:
-        """Whether q of a joint is in degrees, by its limits or else the torque's fit; None: neither tells."""
+        """Whether q of a joint is in degrees, by its limits, by qdd, which has the unit of qd or of q, or else by the
+        torque's fit; None: none of them tells."""
+        one = replace(log, trajectories=tuple(raw for raw in log.trajectories if raw.name == trajectory))
+        second = _rates(stretches(one), "qdd", self.slow)[j]
+        if any(abs(second * x - 1) < SECOND for x in (1.0, DEGREE)):
+            return bool(second < 0.5)
         if robot is None:
             return None
-        one = replace(log, trajectories=tuple(raw for raw in log.trajectories if raw.name == trajectory))
         if np.nanmax(np.abs(one.trajectories[0].q[:, j])) > np.maximum(abs(robot.lower[j]), abs(robot.upper[j])):
             return True
         logged, turned = (
@@ -334,15 +346,16 @@ class MotionUnits(AbstractCheck):
 
 
 def _rates(parts: Sequence[Stretch], channel: str, slow: float = 0.0) -> np.ndarray:
-    """(n,) slope of logged derivatives (qd or qdd) on those of q, NaN on joints slower than `slow` [rad/s] and where
-    none are logged."""
+    """(n,) slope of logged derivatives (qd or qdd) on those of q at their common lag, NaN where none are logged, and on
+    joints slower than `slow` [rad/s] that do not follow clearly."""
     if not parts or any(channel not in x.extra for x in parts):
         return np.full(1 if not parts else parts[0].q.shape[1], np.nan)
-    logged = np.concatenate([x.extra[channel] for x in parts])
     own = np.concatenate([getattr(x, channel) for x in parts])
     moving = rms(np.concatenate([x.qd for x in parts])) > slow
+    _, logged = drawn_forward(parts, channel, np.flatnonzero(moving))
     slopes = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])
-    return np.where(moving, slopes, np.nan)
+    follows = np.array([correlation(y, x) ** 2 > CLEAR for y, x in zip(logged.T, own.T, strict=True)])
+    return np.where(moving | follows, slopes, np.nan)
 
 
 def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float | None:
