@@ -130,7 +130,7 @@ class TimeOffset(AbstractCheck):
         return abs(x.common) <= limit or any(x.gains[j] > self.sharp for j in near)
 
     def _unsure(self, x: "_Shifts") -> Check:
-        """Too few joints tell an offset, or they do not agree on one; what they say together is the value all the same."""
+        """Too few joints tell an offset, or they do not agree on one; the value is what they say together."""
         offsets = [1e3 * s for s in x.offsets.values()]
         seen = f"joint by joint torques come {min(offsets):.3g} to {max(offsets):.3g} ms after their motion, "
         seen += f"together {1e3 * x.common:.3g} ms, standard error {1e3 * x.error:.2g} ms"
