@@ -79,8 +79,8 @@ class TorqueUnits(AbstractCheck):
             return found
         middle = float(np.median(list(ratios.values())))
         if not GAINS[0] < middle < GAINS[1]:
-            why = f"logged torque over nominal torque is {middle:.3g} (median of {len(ratios)} joints): too few to tell "
-            return [*found, self.skipped(why + "another unit from other masses", "tau")]
+            why = f"logged torque over nominal torque is {middle:.3g} (median of {len(ratios)} joints)"
+            return [*found, self.skipped(f"{why}: too few to tell another unit from other masses", "tau")]
         return [*found, Check(self.name, "ok", value=middle, threshold={"channel": "tau"}, seen="tau is in N m")]
 
     def _judged(
