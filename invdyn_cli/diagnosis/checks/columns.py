@@ -157,7 +157,7 @@ class SignError(AbstractCheck):
         gain = best.beside(verdict.logged)
         upright = [j for j in range(n) if best.turned[j] > 0 and verdict.judged[j]]
         if len(turned) > 1 and not upright and not moved:
-            found.append(self._seen(log, None, "tau", gain, "all torques"))
+            found.append(self._seen(log, None, "tau", gain, "the torque of all joints"))
         else:
             for j in turned:
                 if j in moved:
@@ -165,7 +165,7 @@ class SignError(AbstractCheck):
                     found.append(self._seen(log, j, "q, tau", gain, what))
                 elif self._fits(sizes, j):
                     found.append(self._seen(log, j, "tau", gain, f"the torque of {log.joints[j]}"))
-        what = "the position and velocity of {}, but not its torque,"
+        what = "the position and velocity of {}, but not its torque"
         found += [self._seen(log, j, "q", gain, what.format(log.joints[j])) for j in moved if j not in turned]
         found += [self._either(log, j, pairs[j], gain) for j in either]
         told = {c.joint for c in found}
@@ -263,7 +263,7 @@ class SignError(AbstractCheck):
             threshold={"channel": channel, "log_odds": FOUND},
             seen=f"log odds of {value:.3g} against the signs as logged; no arrangement without this turn comes within "
             f"{ALIKE:g}",
-            meaning=f"{what} has the opposite sign of the URDF's: a load's instead of the drive's, or an axis reversed",
+            meaning=f"opposite sign of the URDF's: {what}; a load's torque, not the drive's, or an axis reversed",
             advice="the sign convention of the channel; positive torque drives towards positive q",
             source=SOURCE,
         )

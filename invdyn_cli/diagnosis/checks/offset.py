@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.fits import lowest, span
+from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, arrangement
+from invdyn_cli.diagnosis.checks.fits import left, lowest, span
 from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
@@ -32,9 +33,9 @@ class TimeOffset(AbstractCheck):
         least: [s] (ours: filters of drives make 1 to 4 ms, effects.md E4).
         agree: share of the offset within which a joint is that shows it clearly.
         sure: standard errors that the offset has to be from zero (ours).
-        explained: share of a joint's torque that nominal torque and friction explain where it is judged.
-        moved: share of what friction leaves that the nominal torque explains there (ours: friction sets in late by
-            itself, gear play and presliding delay it).
+        explained: share of a joint's torque that nominal torque and friction explain at its shift where it is judged.
+        moved: share of what friction leaves that the motion explains then (ours: friction sets in late by itself, gear
+            play and presliding delay it).
         widest: [s] of shifts that are tried.
         sharp: by how much the residual variance has to be higher at no shift (ours).
         drive: [s] beyond which a joint of its own is taken for a poor fit, not for a delay (E4: 1 to 20 ms).
@@ -63,6 +64,10 @@ class TimeOffset(AbstractCheck):
         for session in sessions.values():
             shifts = [self._shifts(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
             found += self._session(log, [x for x in shifts if x is not None], session)
+        verdict = arrangement(log, robot)
+        if verdict is not None and not verdict.certain:
+            meaning = f"{AFTER_ORDER}; nothing is changed"
+            found = [replace(c, severity="note", meaning=meaning) if c.severity == "warn" else c for c in found]
         return found or [self.skipped("no joint's torque follows the URDF's closely enough to time it", "tau")]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
@@ -195,11 +200,9 @@ class TimeOffset(AbstractCheck):
         samples = gather(log, robot, 2048, inner)
         if samples is None:
             return None
-        explained, cosine, excited = matched(samples)
-        moved = np.diag(cosine) ** 2 > self.moved
-        judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained) & moved)
+        _, _, excited = matched(samples)
         offsets, gains, weights = {}, {}, {}
-        for joint in judged.tolist():
+        for joint in np.flatnonzero(excited > EXCITED).tolist():
             qd, qdd = samples.motion.qd[:, joint], samples.motion.qdd[:, joint]
             basis = span(np.column_stack([samples.columns(joint), samples.nominal[:, joint], qdd, qd * np.abs(qd)]))
 
@@ -214,7 +217,9 @@ class TimeOffset(AbstractCheck):
             fine = fine[:: max(1, len(fine) // 60)]
             values = [residual(int(s)) for s in fine]
             best = int(np.argmin(values))
-            if 0 < best < len(fine) - 1:
+            tau = _torque_at(parts, samples.stretch, samples.row + most + 2, joint, int(fine[best]))
+            whole, rest = (np.sum(left(tau, x) ** 2) for x in (samples.columns(joint)[:, -1:], samples.columns(joint)))
+            if 0 < best < len(fine) - 1 and values[best] < min((1 - self.explained) * whole, (1 - self.moved) * rest):
                 offsets[joint] = lowest(fine, np.array(values)) / parts[0].rate
                 least = max(values[best], 1e-300)
                 gains[joint] = residual(0) / least
