@@ -98,11 +98,11 @@ class MotionUnits(AbstractCheck):
                 channel, factor = check.threshold["channel"], check.threshold["factor"]
                 if factor is None or check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
                     continue
-                together = ("q", "q_ref", "q_link") if channel == "q" else (channel,)
                 kept = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
                 kept = kept | np.array([check.joint not in (None, name) for name in log.joints])
                 by = factor if channel == "t" else np.where(kept, 1.0, factor)
-                parts = {c: getattr(raw, c) / by for c in together if getattr(raw, c) is not None}
+                together = [x for x in ("q_ref", "q_link") if channel == "q" and _alike(getattr(raw, x), raw.q, ~kept)]
+                parts = {c: getattr(raw, c) / by for c in (channel, *together) if getattr(raw, c) is not None}
                 raw = replace(raw, **parts)
                 of = f" of {check.joint}" if check.joint else ""
                 notes.append(
@@ -364,6 +364,14 @@ def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float |
         return None
     best = min(table, key=lambda k: abs(ratio / k - 1))
     return best if abs(ratio / best - 1) < within else None
+
+
+def _alike(x: np.ndarray | None, q: np.ndarray, which: np.ndarray) -> bool:
+    """Whether further positions x (T, n) range as far as q does on these joints: then they have its unit."""
+    if x is None:
+        return False
+    ratio = np.median(np.nanstd(x[:, which], axis=0) / np.maximum(np.nanstd(q[:, which], axis=0), 1e-300))
+    return bool(1 / 3 < ratio < 3)
 
 
 def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:
