@@ -222,7 +222,7 @@ def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
     weak = changed(log, tau=0.2 * raw.tau + 0.8 * without_gravity(log, arm))
     assert [c for c in Description().examine(weak, arm) if "degrees" in c.seen or "kg" in c.seen] == []
     (found,) = [c for c in Description().examine(weak, arm) if c.severity == "skipped"]
-    assert "gravity" in found.seen and "not compared" in found.seen
+    assert "not compared" in found.seen
 
 
 @pytest.mark.parametrize("seconds", [0.03, -0.012])

@@ -115,11 +115,6 @@ class Verdict:
         """Whether the likeliest order is the one in which the columns stand."""
         return self.best.order == self.best.columns == tuple(range(len(self.judged)))
 
-    @property
-    def certain(self) -> bool:
-        """Whether it is, and no other order is as likely."""
-        return self.in_order and not self.other_orders
-
 
 @once_for_a_log
 def arrangement(log: Log, robot: Robot) -> Verdict | None:

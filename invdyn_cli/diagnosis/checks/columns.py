@@ -127,7 +127,7 @@ class SignError(AbstractCheck):
 
     Attributes:
         correlation: of torque and nominal torque, friction taken out, below minus which a torque that is left as it is
-            is warned of (ours), unless its friction brakes.
+            is warned of (ours), unless friction takes `braked` of it.
         size: factor by which a single flipped torque may be larger or smaller than the nominal one (ours: a payload
             may turn the torque of the joint behind which it hangs, and makes it another size).
         plausible: median factor on all joints from the inverse of which to which sizes count (ours: else currents).
@@ -141,6 +141,7 @@ class SignError(AbstractCheck):
     size: float = 2.0
     plausible: float = 3.0
     driven: float = 0.3
+    braked: float = 0.1
     explained: float = 0.8
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
@@ -177,8 +178,10 @@ class SignError(AbstractCheck):
         told = {c.joint for c in found}
         if None not in told:
             work, others = self._work(samples), [j for j in range(n) if log.joints[j] not in told]
-            driven = [j for j in others if work[j] < -self.driven]
-            doubted = [j for j in others if work[j] < 0 and values[j] < -self.correlation and self._fits(sizes, j)]
+            doubted = [j for j in others if values[j] < -self.correlation and self._fits(sizes, j)]
+            doubted = [j for j in doubted if work[j] < self.braked]
+            alone = not told and not doubted  # one wrong sign makes others look wrong
+            driven = [j for j in others if work[j] < -self.driven and (alone or j in doubted)]
             doubted = [j for j in doubted if j not in driven]
             if (doubted or driven) and not verdict.in_order:
                 names = ", ".join(log.joints[j] for j in (*doubted, *driven))
@@ -236,15 +239,18 @@ class SignError(AbstractCheck):
 
     def _work(self, samples: Samples) -> np.ndarray:
         """(n,) power that friction takes beside nominal torque and rotor, over that of torque and speed, both by RMS; 0
-        where these do not explain the torque."""
+        where these do not explain the torque, or nominal torque and rotor do so as well where joints move in phase."""
         work = np.zeros(samples.tau.shape[1])
         for j, tau in enumerate(samples.tau.T):
             qd, friction = samples.motion.qd[:, j], samples.columns(j)
             x = np.column_stack([friction, samples.nominal[:, j], samples.motion.qdd[:, j]])
             size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
             fitted = np.linalg.lstsq(x / size, tau, rcond=1e-8)[0] / size
-            if share(tau - x @ fitted, tau) > self.explained:
-                work[j] = np.mean(friction[:, :2] @ fitted[:2] * qd) / max(float(tau.std() * rms(qd)), 1e-12)
+            explained = share(tau - x @ fitted, tau)
+            own = np.mean(friction[:, :2] @ fitted[:2] * qd) / max(float(tau.std() * rms(qd)), 1e-12)
+            alone = explained - share(left(tau, x[:, 2:]), tau)
+            if explained > self.explained and alone > own**2 / 2:
+                work[j] = own
         return work
 
     def _either(self, log: Log, j: int, pairs: set, why: str) -> Check:

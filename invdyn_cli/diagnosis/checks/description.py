@@ -49,7 +49,7 @@ class Description(AbstractCheck):
             return [self.skipped("no robot")]
         found = list(self._written(robot))
         verdict = arrangement(log, robot)
-        if verdict is not None and not verdict.certain:
+        if verdict is not None and not verdict.in_order:
             return [*found, self.skipped(f"{AFTER_ORDER}: {NOT_COMPARED}")]
         samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
         judged = self._joints(samples, doubted(log, robot))

@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, arrangement
 from invdyn_cli.diagnosis.checks.fits import left, lowest, span
 from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
@@ -64,10 +63,6 @@ class TimeOffset(AbstractCheck):
         for session in sessions.values():
             shifts = [self._shifts(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
             found += self._session(log, [x for x in shifts if x is not None], session)
-        verdict = arrangement(log, robot)
-        if verdict is not None and not verdict.certain:
-            meaning = f"{AFTER_ORDER}; nothing is changed"
-            found = [replace(c, severity="note", meaning=meaning) if c.severity == "warn" else c for c in found]
         return found or [self.skipped("no joint's torque follows the URDF's closely enough to time it", "tau")]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
@@ -125,14 +120,15 @@ class TimeOffset(AbstractCheck):
         return max(self.samples / x.rate, self.least)
 
     def _shared(self, x: "_Shifts", log: Log) -> bool:
-        """Whether the joints have one offset, known to what is normal, and at least one of them clearly."""
+        """Whether most joints have one offset, known to what is normal, and at least one of them clearly."""
         limit = self._limit(x)
         if len(x.offsets) < min(3, len(log.joints)) or x.error > limit:
             return False
         if self.sure * x.error > max(abs(x.common), 2 * limit):
             return False
         near = [j for j, s in x.offsets.items() if abs(s - x.common) < max(self.agree * abs(x.common), limit / 2)]
-        return abs(x.common) <= limit or any(x.gains[j] > self.sharp for j in near)
+        several = 2 * len(near) > len(x.offsets)
+        return abs(x.common) <= limit or (several and any(x.gains[j] > self.sharp for j in near))
 
     def _unsure(self, x: "_Shifts") -> Check:
         """Too few joints tell an offset, or they do not agree on one; the value is what they say together."""
