@@ -44,7 +44,7 @@ that rests changes places with one that moves (ours)."""
 ROUNDS = 3
 """How often the search begins anew with the noise of what was found."""
 
-AFTER_ORDER = "another order of the columns is likelier than theirs; judged once the order is right"
+AFTER_ORDER = "the columns may stand in another order; judged once that is certain"
 """Why a check is skipped whose finding may be no more than a consequence of a wrong order."""
 
 UNITS = (1.0, 1e3, 1e-3)
@@ -152,6 +152,7 @@ def _searched(rows: Rows, robot: Robot, unit: float, mode: int, effective: np.nd
         found = best.key
         home = rows.arranged(best.order, best.signs)
         effective = fitness(home, robot, (unit,), None, best.columns).effective
+    look.at((best.columns, best.signs))  # of joints at rest nothing else shows whether q was exchanged with the torque
     others = [x for x in look.tried.values() if x.key != best.key]
     alike = [x for x in others if x.beside(best) + x.cost - best.cost > -ALIKE]
     simple = max(best.cost, _of_order((1, 0, *range(2, n)), robot))

@@ -13,6 +13,9 @@ from invdyn_cli.recording.rows import each, is_series, median_step
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
+WIDEST = 0.1
+"""[s] of lags of a logged derivative that are tried."""
+
 CLOCK = "rather the clock is off by this factor, or rows were left out"
 
 
@@ -28,7 +31,6 @@ class DerivativeConsistency(AbstractCheck):
         lag: [samples] (first order: a hold and a difference quotient lag by half a sample each).
         still: [s] median step from which on rows are poses.
         slow: [rad/s] joints below it are not judged.
-        widest: [s] of lags that are tried.
     """
 
     name: ClassVar[str] = "derivative_consistency"
@@ -39,7 +41,6 @@ class DerivativeConsistency(AbstractCheck):
     still: float = 0.5
     lag: float = 1.5
     slow: float = 0.02
-    widest: float = 0.1
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory and channel, on the joint where it is worst; the value is the slope."""
@@ -85,8 +86,7 @@ class DerivativeConsistency(AbstractCheck):
         moving = np.flatnonzero(rms(np.concatenate([x.qd for x in parts])) > self.slow)
         if not len(moving):
             return []
-        lag = self._lag(parts, channel, moving)
-        logged = np.concatenate([_shifted(x.extra[channel], lag) for x in parts])
+        lag, logged = drawn_forward(parts, channel, moving)
         slopes = np.array([slope(logged[:, j], own[:, j]) for j in moving])
         rest = rms(logged[:, moving] - slopes * own[:, moving]) / np.maximum(rms(logged[:, moving]), 1e-12)
         flat = rms(logged[:, moving]) == 0
@@ -124,20 +124,6 @@ class DerivativeConsistency(AbstractCheck):
             )
         ]
 
-    def _lag(self, parts: list[Stretch], channel: str, moving: np.ndarray) -> int:
-        """Samples by which the logged channel comes later than the derivative, by correlation over joints."""
-        most = max(1, min(int(self.widest * parts[0].rate), min(len(x.q) for x in parts) // 4))
-        lags = np.arange(-most, most + 1)
-        score = np.zeros(len(lags))
-        for x in parts:
-            rows = np.unique(np.linspace(most, len(x.q) - most - 1, 2000).astype(int))
-            for j in moving:
-                later = x.extra[channel][rows[:, None] + lags, j]
-                own = getattr(x, channel)[rows, j]
-                power = np.sqrt((own @ own) * np.sum(later**2, axis=0))
-                score += np.divide(own @ later, power, out=np.zeros(len(lags)), where=power > 0)
-        return int(lags[np.argmax(score)])
-
     def _poses(self, raw: RawTrajectory) -> Check:
         return Check(
             self.name,
@@ -152,6 +138,19 @@ class DerivativeConsistency(AbstractCheck):
         )
 
 
-def _shifted(x: np.ndarray, lag: int) -> np.ndarray:
-    """x (T, n) drawn forward by `lag` samples, its ends repeated."""
-    return x[np.clip(np.arange(len(x)) + lag, 0, len(x) - 1)]
+def drawn_forward(parts: Sequence[Stretch], channel: str, moving: np.ndarray) -> tuple[int, np.ndarray]:
+    """Samples by which a logged channel comes later than the derivative, by correlation over the moving joints, within
+    WIDEST; and the channel (R, n) of all stretches drawn forward by them, the ends of each repeated."""
+    most = max(1, min(int(WIDEST * parts[0].rate), min(len(x.q) for x in parts) // 4))
+    lags = np.arange(-most, most + 1)
+    score = np.zeros(len(lags))
+    for x in parts:
+        rows = np.unique(np.linspace(most, len(x.q) - most - 1, 2000).astype(int))
+        for j in moving:
+            later = x.extra[channel][rows[:, None] + lags, j]
+            own = getattr(x, channel)[rows, j]
+            power = np.sqrt((own @ own) * np.sum(later**2, axis=0))
+            score += np.divide(own @ later, power, out=np.zeros(len(lags)), where=power > 0)
+    lag = int(lags[np.argmax(score)])
+    shifted = [x.extra[channel][np.clip(np.arange(len(x.q)) + lag, 0, len(x.q) - 1)] for x in parts]
+    return lag, np.concatenate(shifted)

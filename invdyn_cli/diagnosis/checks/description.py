@@ -11,12 +11,14 @@ from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, arrangement
 from invdyn_cli.diagnosis.checks.fits import left
 from invdyn_cli.diagnosis.checks.placeholders import EQUAL, SAME, ZERO, kinds_of
 from invdyn_cli.diagnosis.checks.samples import Samples, gather, nominal_torque, regressor_rows
+from invdyn_cli.diagnosis.checks.torque_units import doubted
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.errors import listed
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.types import Check, Motion, Robot
 
+NOT_COMPARED = "tool and base are not compared"
 SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -46,18 +48,17 @@ class Description(AbstractCheck):
         if robot is None:
             return [self.skipped("no robot")]
         found = list(self._written(robot))
-        if log.torque_unit == "A" and log.drive_gain is None:
-            return [*found, self.skipped("torques in A without drive gains: tool and base are not compared")]
         verdict = arrangement(log, robot)
         if verdict is not None and not verdict.in_order:
-            return [*found, self.skipped(f"{AFTER_ORDER}: tool and base are not compared")]
+            return [*found, self.skipped(f"{AFTER_ORDER}: {NOT_COMPARED}")]
         samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
-        judged = self._joints(samples)
+        judged = self._joints(samples, doubted(log, robot))
         if samples is None or len(judged) < 2:
-            found.append(self.skipped("too few joints whose torque follows the URDF's: tool and base are not compared"))
-            return found
-        found += self._gravity(samples, robot, judged)
-        return found + self._tool(samples, robot, judged)
+            why = f"too few joints whose torque is in N m and follows the URDF's: {NOT_COMPARED}"
+            return [*found, self.skipped(why)]
+        gravity = self._gravity(samples, robot, judged)
+        gone = any(NOT_COMPARED in one.seen for one in gravity)
+        return [*found, *gravity, *([] if gone else self._tool(samples, robot, judged))]
 
     def _written(self, robot: Robot) -> Iterator[Check]:
         """What the file's numbers say without a log."""
@@ -107,12 +108,12 @@ class Description(AbstractCheck):
             source="URDF",
         )
 
-    def _joints(self, samples: Samples | None) -> list[int]:
-        """Joints whose torque follows the URDF's."""
+    def _joints(self, samples: Samples | None, doubted: np.ndarray) -> list[int]:
+        """Joints whose torque follows the URDF's, and is in its unit."""
         if samples is None:
             return []
         explained, _, excited = matched(samples)
-        return np.flatnonzero((excited > EXCITED) & (np.diag(explained) > 0.5)).tolist()
+        return np.flatnonzero((excited > EXCITED) & (np.diag(explained) > 0.5) & ~doubted).tolist()
 
     def _gravity(self, samples: Samples, robot: Robot, judged: list[int]) -> list[Check]:
         """The direction of gravity in the base frame, by least squares beside friction."""
@@ -139,18 +140,7 @@ class Description(AbstractCheck):
             return []
         share = float(np.linalg.norm(fitted) / np.linalg.norm(known))
         if share < self.gone:
-            return [
-                Check(
-                    self.name,
-                    "warn",
-                    value=share,
-                    threshold=self.gone,
-                    seen=f"the gravity that fits best is {share:.2g} times the URDF's",
-                    meaning="gravity is already subtracted from the torque, or the links' masses are far too large",
-                    advice="the attribute compensated=gravity of the log, if a controller subtracts it",
-                    source="ours: masses that are off make less",
-                )
-            ]
+            return [self.skipped(f"the gravity that fits best is {share:.2g} times the URDF's: {NOT_COMPARED}")]
         if angle < self.tilt:
             return []
         return [

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.fits import lowest, span
+from invdyn_cli.diagnosis.checks.fits import left, lowest, span
 from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
@@ -32,7 +32,9 @@ class TimeOffset(AbstractCheck):
         least: [s] (ours: filters of drives make 1 to 4 ms, effects.md E4).
         agree: share of the offset within which a joint is that shows it clearly.
         sure: standard errors that the offset has to be from zero (ours).
-        explained: share of a joint's torque that nominal torque and friction explain where it is judged.
+        explained: share of a joint's torque that nominal torque and friction explain at its shift where it is judged.
+        moved: share of what friction leaves that the motion explains then (ours: friction sets in late by itself, gear
+            play and presliding delay it).
         widest: [s] of shifts that are tried.
         sharp: by how much the residual variance has to be higher at no shift (ours).
         drive: [s] beyond which a joint of its own is taken for a poor fit, not for a delay (E4: 1 to 20 ms).
@@ -44,6 +46,7 @@ class TimeOffset(AbstractCheck):
     agree: float = 0.2
     sure: float = 3.0
     explained: float = 0.8
+    moved: float = 0.5
     widest: float = 0.5
     sharp: float = 1.15
     drive: float = 0.05
@@ -88,51 +91,55 @@ class TimeOffset(AbstractCheck):
         sure = [x for x in shifts if self._shared(x, log)]
         late = [x for x in sure if abs(x.common) > self._limit(x)]
         found = [c for x in shifts for c in self._single(x, log)]
-        if late and len(session) > 1 and all(abs(x.common - late[0].common) < self._limit(x) for x in sure):
-            weights = [sum(x.gains.values()) for x in sure]
-            value = float(np.average([x.common for x in sure], weights=weights))
+        weights = [sum(x.gains.values()) for x in sure]
+        value = float(np.average([x.common for x in sure], weights=weights)) if sure else 0.0
+        if late and len(session) > 1 and not any(self._contradicts(x, value, x in sure) for x in shifts):
             told = f"the {len(sure)} of {len(session)}" if len(sure) < len(session) else f"all {len(session)}"
             seen = f"the torque comes {_apart(value)}, the same in {told} recordings of this session: "
             seen += ", ".join(f"{x.trajectory} {1e3 * x.common:.3g} ms" for x in sure)
-            found.append(self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session)))
-        else:
-            for x in late:
+            return [*found, self._late(None, value, self._limit(late[0]), seen, tuple(raw.name for raw in session))]
+        for x in shifts:
+            if x in late:
                 said = ", ".join(f"{log.joints[j]} {1e3 * s:.3g}" for j, s in x.offsets.items())
                 seen = f"the torque comes {_apart(x.common)} (per joint [ms]: {said})"
                 found.append(self._late(x.trajectory, x.common, self._limit(x), seen, (x.trajectory,)))
-        told = {x.trajectory for x in late}
-        for x in sure if not any(c.severity == "warn" and c.trajectory is None for c in found) else ():
-            if x.trajectory not in told:
+            elif x in sure:
                 seen = f"torque and motion agree to {1e3 * abs(x.common):.2g} ms on {len(x.offsets)} joints"
                 threshold = {"channel": "tau", "seconds": self._limit(x)}
                 found.append(Check(self.name, "ok", x.trajectory, value=x.common, threshold=threshold, seen=seen))
-        if not any(c.severity == "warn" and c.trajectory is None for c in found):
-            found += [self._unsure(x) for x in shifts if x not in sure]
+            else:
+                found.append(self._unsure(x))
         return found
+
+    def _contradicts(self, x: "_Shifts", value: float, sure: bool) -> bool:
+        """Whether a recording has another offset than its session's; one that is not sure of its own, by its error."""
+        far = abs(x.common - value) - self._limit(x)
+        return far > 0 if sure else far > self.sure * x.error and len(x.offsets) > 1
 
     def _limit(self, x: "_Shifts") -> float:
         return max(self.samples / x.rate, self.least)
 
     def _shared(self, x: "_Shifts", log: Log) -> bool:
-        """Whether the joints have one offset, known to what is normal, and at least one of them clearly."""
+        """Whether most joints have one offset, known to what is normal, and at least one of them clearly."""
         limit = self._limit(x)
         if len(x.offsets) < min(3, len(log.joints)) or x.error > limit:
             return False
         if self.sure * x.error > max(abs(x.common), 2 * limit):
             return False
         near = [j for j, s in x.offsets.items() if abs(s - x.common) < max(self.agree * abs(x.common), limit / 2)]
-        return abs(x.common) <= limit or any(x.gains[j] > self.sharp for j in near)
+        several = 2 * len(near) > len(x.offsets)
+        return abs(x.common) <= limit or (several and any(x.gains[j] > self.sharp for j in near))
 
     def _unsure(self, x: "_Shifts") -> Check:
-        """The joints do not agree on an offset."""
+        """Too few joints tell an offset, or they do not agree on one; the value is what they say together."""
         offsets = [1e3 * s for s in x.offsets.values()]
-        if len(offsets) == 1:
-            why = f"a single joint can be timed ({offsets[0]:.3g} ms): an offset of all cannot be told"
-            return self.skipped(why, "tau", x.trajectory)
         seen = f"joint by joint torques come {min(offsets):.3g} to {max(offsets):.3g} ms after their motion, "
         seen += f"together {1e3 * x.common:.3g} ms, standard error {1e3 * x.error:.2g} ms"
-        if abs(x.common) <= max(self._limit(x), x.error):
-            return self.skipped(f"{seen}: an offset cannot be told", "tau", x.trajectory)
+        if len(offsets) == 1:
+            seen = f"a single joint can be timed ({offsets[0]:.3g} ms)"
+        if len(offsets) == 1 or abs(x.common) <= max(self._limit(x), x.error):
+            one = self.skipped(f"{seen}: an offset of all cannot be told", "tau", x.trajectory)
+            return replace(one, value=x.common)
         return Check(
             self.name,
             "note",
@@ -189,10 +196,9 @@ class TimeOffset(AbstractCheck):
         samples = gather(log, robot, 2048, inner)
         if samples is None:
             return None
-        explained, _, excited = matched(samples)
-        judged = np.flatnonzero((excited > EXCITED) & (np.diag(explained) > self.explained))
+        _, _, excited = matched(samples)
         offsets, gains, weights = {}, {}, {}
-        for joint in judged.tolist():
+        for joint in np.flatnonzero(excited > EXCITED).tolist():
             qd, qdd = samples.motion.qd[:, joint], samples.motion.qdd[:, joint]
             basis = span(np.column_stack([samples.columns(joint), samples.nominal[:, joint], qdd, qd * np.abs(qd)]))
 
@@ -207,7 +213,9 @@ class TimeOffset(AbstractCheck):
             fine = fine[:: max(1, len(fine) // 60)]
             values = [residual(int(s)) for s in fine]
             best = int(np.argmin(values))
-            if 0 < best < len(fine) - 1:
+            tau = _torque_at(parts, samples.stretch, samples.row + most + 2, joint, int(fine[best]))
+            whole, rest = (np.sum(left(tau, x) ** 2) for x in (samples.columns(joint)[:, -1:], samples.columns(joint)))
+            if 0 < best < len(fine) - 1 and values[best] < min((1 - self.explained) * whole, (1 - self.moved) * rest):
                 offsets[joint] = lowest(fine, np.array(values)) / parts[0].rate
                 least = max(values[best], 1e-300)
                 gains[joint] = residual(0) / least

@@ -8,10 +8,12 @@ import numpy as np
 from scipy.stats import norm
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
-from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
-from invdyn_cli.diagnosis.checks.samples import gather
+from invdyn_cli.diagnosis.checks.fitness import GAINS, fitness, rows_of
+from invdyn_cli.diagnosis.checks.fits import rms
+from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
+from invdyn_cli.recording.memory import once_for_a_log
 from invdyn_cli.recording.rows import each
 from invdyn_cli.types import Check, Robot
 
@@ -40,8 +42,9 @@ GAIN, LARGE, SELDOM = 0.25, 0.7, 0.03
 """Standard deviation of the log of logged over expected torque that gains, payloads and inertials make (ours: E4 of the
 effects); of the few joints, with this chance, on which they make more."""
 
-RANGE = 18.0
-"""Width of the log of a factor of a joint's own: currents and counts, 1e-4 to 1e4 for a newton metre."""
+RANGE, DRIVES = 18.0, 0.8
+"""Width of the log of a factor that belongs to no unit: currents and counts, 1e-4 to 1e4 for a newton metre; and by how
+much the drives of one arm differ (ours: wrists have a half to a tenth of a shoulder's gain)."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class TorqueUnits(AbstractCheck):
         if samples is None or robot is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
             why = "no robot" if robot is None else "no motion, or a torque that never changes"
             return [self._without_gains({})] if missing else [self.skipped(why, "tau")]
-        names, factors = _candidates(robot)
+        names, factors = _candidates(robot, samples)
         fit = fitness(rows_of(samples, without_gravity="gravity" in log.compensated), robot, factors)
         at = np.arange(robot.dofs)
         beside = fit.likelihood[at, at, 0, :-1] - fit.likelihood[at, at, 0, :1]  # with tools, friction and wrong links
@@ -74,7 +77,15 @@ class TorqueUnits(AbstractCheck):
             found.append(self.skipped("torque does not follow the URDF's, unit not judged: " + ", ".join(left), "tau"))
         if any(c.severity != "skipped" for c in found):
             return found
-        return [*found, Check(self.name, "ok", value=1.0, threshold={"channel": "tau"}, seen="tau is in N m")]
+        odd = {name: x for name, x in ratios.items() if not GAINS[0] < x < GAINS[1]}
+        if odd:
+            said = ", ".join(f"{name} {x:.3g}" for name, x in odd.items())
+            why = f"logged torque over nominal torque: {said}: masses, a tool or another unit, not judged"
+            found.append(self.skipped(why, "tau"))
+        middle = float(np.median(list(ratios.values())))
+        if not GAINS[0] < middle < GAINS[1]:
+            return found
+        return [*found, Check(self.name, "ok", value=middle, threshold={"channel": "tau"}, seen="tau is in N m")]
 
     def _judged(
         self,
@@ -91,7 +102,7 @@ class TorqueUnits(AbstractCheck):
         likelihood = _log_density(np.log(ratio[:, None] / factors[judged]))  # (joints, units)
         middle = float(np.exp(np.median(np.log(ratio))))
         common = likelihood.sum(0) - FLAW * (np.arange(len(names)) > 0)
-        own = -np.log(RANGE) * len(ratio) - FLAW
+        own = norm.logpdf(np.log(ratio / middle), scale=DRIVES).sum() - np.log(RANGE) - FLAW
         one = FLAW + np.log(len(log.joints))
         single = np.where(beside[judged] > FOUND, likelihood - one, -np.inf)
         single[:, 0] = likelihood[:, 0]
@@ -106,13 +117,15 @@ class TorqueUnits(AbstractCheck):
         if own > common[best]:
             gains = ", ".join(f"{joint} {1 / x:.3g}" for joint, x in ratios.items())
             seen = f"logged torque over nominal torque: {said}; N m per logged unit: {gains}"
-            return [self._seen("warn", None, middle, None, seen, _foreign(middle))]
+            return [self._seen("warn", None, middle, None, seen, f"tau looks like {_foreign(middle)}")]
         alike = [names[k] for k in range(len(names)) if k != best and common[k] > common[best] - ALIKE]
-        seen = f"logged torque over nominal torque: {said}; log odds of {common[best] - common[0]:.3g} against N m"
-        seen += f"; as likely: {', '.join(alike)}" if alike else ""
         sure = names[best] in CERTAIN and not alike
+        if not sure and own + FLAW > common[best] - ALIKE:  # currents are no flaw but a habit
+            alike.append(_foreign(middle))
+        seen = f"logged torque over nominal torque: {said}; log odds of {common[best] - common[0]:.3g} against N m"
+        what = f"tau is in {' or '.join([names[best], *alike])}"
         factor = float(np.ravel(factors[:, best])[0])
-        return [self._seen("fail" if sure else "warn", None, middle, factor, seen, f"tau is in {names[best]}")]
+        return [self._seen("fail" if sure else "warn", None, middle, factor, seen, what)]
 
     def _single(self, log, names, factors, likelihood, judged, ratio) -> list[Check]:
         """Joints whose torque has another unit than the others'."""
@@ -128,9 +141,8 @@ class TorqueUnits(AbstractCheck):
             near = np.flatnonzero(likelihood[row, :-1] > likelihood[row, best] - ALIKE)
             alike = [names[k] for k in near if k not in (0, best)]
             seen = f"logged torque over nominal torque {ratio[row]:.4g}; log odds of {gain:.3g} against N m"
-            seen += f"; as likely: {', '.join(alike)}" if alike else ""
             sure = names[best] in CERTAIN and not alike
-            what, factor = f"tau of {log.joints[j]} is in {names[best]}", float(factors[j, best])
+            what, factor = f"tau of {log.joints[j]} is in {' or '.join([names[best], *alike])}", float(factors[j, best])
             found.append(self._seen("fail" if sure else "warn", log.joints[j], float(ratio[row]), factor, seen, what))
         return found
 
@@ -175,18 +187,28 @@ class TorqueUnits(AbstractCheck):
         )
 
 
+@once_for_a_log
+def doubted(log: Log, robot: Robot) -> np.ndarray:
+    """(n,) bool: joints whose torque may be in another unit than N m."""
+    found = [one for one in TorqueUnits().examine(log, robot) if one.severity != "skipped"]
+    single = {one.joint for one in found if one.severity != "ok"}
+    every = not found or None in single
+    return np.array([every or name in single for name in log.joints])
+
+
 def _log_density(x: np.ndarray) -> np.ndarray:
     """Of the log of a ratio over a unit's."""
     parts = [np.log(1 - SELDOM) + norm.logpdf(x, scale=GAIN), np.log(SELDOM) + norm.logpdf(x, scale=LARGE)]
     return np.logaddexp(*parts)
 
 
-def _candidates(robot: Robot) -> tuple[list[str], np.ndarray]:
-    """Names of units, N m first, and logged number per N m (n, units); those of rated torque where limits are known."""
+def _candidates(robot: Robot, samples: Samples) -> tuple[list[str], np.ndarray]:
+    """Names of units, N m first, and logged number per N m (n, units); those of rated torque where the URDF's limits
+    may be that: a drive gives it for long, so that the RMS of what this motion asks stays below."""
     limits = np.asarray(robot.effort_limit, float)
     names = list(UNITS)
     factors = [np.full(robot.dofs, x) for x in UNITS.values()]
-    if np.all(np.isfinite(limits)) and np.all(limits > 0) and np.ptp(limits) > 0.01 * limits.max():
+    if np.all(np.isfinite(limits)) and np.all(limits > rms(samples.nominal)):
         names += list(RATED)
         factors += [x / limits for x in RATED.values()]
     return names, np.stack(factors, axis=1)
@@ -196,4 +218,4 @@ def _foreign(ratio: float) -> str:
     """What a factor of each joint's own may be: a drive gives 1 to 300 N m at the joint for an ampere."""
     large = "currents in mA or counts" if ratio > 3 else "currents or counts"
     kind = "currents in A" if 1 / 300 < ratio < 1 else large
-    return f"tau looks like {kind}, one factor for each joint"
+    return f"{kind}, one factor for each joint"

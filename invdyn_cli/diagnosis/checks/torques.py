@@ -108,7 +108,8 @@ class GravityRemoved(AbstractCheck):
             return [Check(self.name, "ok", value=float(np.median(slopes)), seen="the torque follows gravity")]
         gain, explained = _without_gravity(samples, robot)
         if gain < self.odds and not (self.again and gain > -self.odds and explained > self.explained):
-            return []
+            why = f"torque follows gravity with a slope of {value:.2g}, and yet the URDF without it is not likelier"
+            return [self.skipped(why)]
         return [self._seen(slopes, gain)]
 
     def _slopes(self, samples: Samples) -> list[float]:

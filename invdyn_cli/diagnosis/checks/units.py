@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
@@ -42,6 +43,13 @@ SCALES = {
 
 TURNS = {2 * np.pi: "revolutions"}
 """qd over dq/dt where q, and not qd, is in another unit; qd in such a unit there is none."""
+
+CLEAR = 0.98
+"""Share of a slow joint's logged velocity that the derivative of its position has to explain: noise then bends their
+ratio by no more than `MotionUnits.within`."""
+
+SECOND = 0.1
+"""The same of a logged acceleration, which is filtered harder."""
 
 CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
@@ -90,11 +98,11 @@ class MotionUnits(AbstractCheck):
                 channel, factor = check.threshold["channel"], check.threshold["factor"]
                 if factor is None or check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
                     continue
-                together = ("q", "q_ref", "q_link") if channel == "q" else (channel,)
                 kept = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
                 kept = kept | np.array([check.joint not in (None, name) for name in log.joints])
                 by = factor if channel == "t" else np.where(kept, 1.0, factor)
-                parts = {c: getattr(raw, c) / by for c in together if getattr(raw, c) is not None}
+                together = [x for x in ("q_ref", "q_link") if channel == "q" and _alike(getattr(raw, x), raw.q, ~kept)]
+                parts = {c: getattr(raw, c) / by for c in (channel, *together) if getattr(raw, c) is not None}
                 raw = replace(raw, **parts)
                 of = f" of {check.joint}" if check.joint else ""
                 notes.append(
@@ -278,8 +286,8 @@ class MotionUnits(AbstractCheck):
 
     def _odd(self, log: Log, robot: Robot | None, trajectory: str, channel: str, ratios: np.ndarray) -> list[Check]:
         """Joints whose position or velocity alone is in another unit: qd over dq/dt is an exact ratio of units there,
-        and 1 on most of the others. Degrees of q within the limits, or a qd that was converted once too often: limits
-        and torque decide, and else neither is corrected."""
+        and 1 on most of the others. Degrees of q within the limits, or a qd that was converted once too often: limits,
+        qdd and torque decide, and else neither is corrected."""
         near = np.abs(ratios - 1) < self.within
         found = []
         for j in np.flatnonzero(np.isfinite(ratios) & ~near):
@@ -299,10 +307,14 @@ class MotionUnits(AbstractCheck):
         return found
 
     def _in_degrees(self, log: Log, robot: Robot | None, trajectory: str, j: int) -> bool | None:
-        """Whether q of a joint is in degrees, by its limits or else the torque's fit; None: neither tells."""
+        """Whether q of a joint is in degrees, by its limits, by qdd, which has the unit of qd or of q, or else by the
+        torque's fit; None: none of them tells."""
+        one = replace(log, trajectories=tuple(raw for raw in log.trajectories if raw.name == trajectory))
+        second = _rates(stretches(one), "qdd", self.slow)[j]
+        if any(abs(second * x - 1) < SECOND for x in (1.0, DEGREE)):
+            return bool(second < 0.5)
         if robot is None:
             return None
-        one = replace(log, trajectories=tuple(raw for raw in log.trajectories if raw.name == trajectory))
         if np.nanmax(np.abs(one.trajectories[0].q[:, j])) > np.maximum(abs(robot.lower[j]), abs(robot.upper[j])):
             return True
         logged, turned = (
@@ -334,15 +346,16 @@ class MotionUnits(AbstractCheck):
 
 
 def _rates(parts: Sequence[Stretch], channel: str, slow: float = 0.0) -> np.ndarray:
-    """(n,) slope of logged derivatives (qd or qdd) on those of q, NaN on joints slower than `slow` [rad/s] and where
-    none are logged."""
+    """(n,) slope of logged derivatives (qd or qdd) on those of q at their common lag, NaN where none are logged, and on
+    joints slower than `slow` [rad/s] that do not follow clearly."""
     if not parts or any(channel not in x.extra for x in parts):
         return np.full(1 if not parts else parts[0].q.shape[1], np.nan)
-    logged = np.concatenate([x.extra[channel] for x in parts])
     own = np.concatenate([getattr(x, channel) for x in parts])
     moving = rms(np.concatenate([x.qd for x in parts])) > slow
+    _, logged = drawn_forward(parts, channel, np.flatnonzero(moving))
     slopes = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])
-    return np.where(moving, slopes, np.nan)
+    follows = np.array([correlation(y, x) ** 2 > CLEAR for y, x in zip(logged.T, own.T, strict=True)])
+    return np.where(moving | follows, slopes, np.nan)
 
 
 def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float | None:
@@ -351,6 +364,14 @@ def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float |
         return None
     best = min(table, key=lambda k: abs(ratio / k - 1))
     return best if abs(ratio / best - 1) < within else None
+
+
+def _alike(x: np.ndarray | None, q: np.ndarray, which: np.ndarray) -> bool:
+    """Whether further positions x (T, n) range as far as q does on these joints: then they have its unit."""
+    if x is None:
+        return False
+    ratio = np.median(np.nanstd(x[:, which], axis=0) / np.maximum(np.nanstd(q[:, which], axis=0), 1e-300))
+    return bool(1 / 3 < ratio < 3)
 
 
 def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:

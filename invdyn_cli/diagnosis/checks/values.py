@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.samples import SLOW
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.rows import each, is_series, parted, present, runs, without_gaps
@@ -112,8 +113,9 @@ class Outliers(AbstractCheck):
 
     A sample counts where it lies off the median of the `width` samples around it by `deviations` robust standard
     deviations of such distances nearby, and by a share of the channel's range; its run is no longer than `longest`
-    samples. A median follows steps (Coulomb friction at a reversal) and slopes, so that these do not count. Positions
-    and their derivatives of a joint that stands still are left alone.
+    samples, and the samples beside it are not off. A median follows steps (Coulomb friction at a reversal)
+    and slopes, so that these do not count. Positions and their derivatives of a joint that stands still are left alone,
+    and so are torques where the arm stops or sets off: there a drive jerks.
 
     Attributes:
         deviations: (ours: Pearson's 3 flags one sample in 400 of Gaussian noise; 20 none in an hour, and torque noise
@@ -123,6 +125,9 @@ class Outliers(AbstractCheck):
         position: the same for positions, which have no such bursts.
         still: [rad; m] range of q below which a joint stands still; also the least jump of a position, over 10.
         width, longest: samples.
+        alone: of its distance that the samples beside it may have (ours: a filter's answer to a step is a peak of
+            several samples).
+        jolt: [s] before or after a stop of the arm (ours: a UR10e that is stopped brakes for 60 ms).
         most: share of samples (ours: what is more frequent is no outlier but the noise).
     """
 
@@ -133,6 +138,8 @@ class Outliers(AbstractCheck):
     still: float = 0.01
     width: int = 7
     longest: int = 2
+    alone: float = 0.5
+    jolt: float = 0.1
     most: float = 0.01
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
@@ -194,12 +201,23 @@ class Outliers(AbstractCheck):
         x = getattr(raw, channel)[:, joint]
         starts = np.array([rows[0] for rows in without_gaps(raw.t, np.arange(len(raw.t)))])
         if channel == "tau":
-            return self.rows(x, self.least, 0.0, starts)
+            rows = self.rows(x, self.least, 0.0, starts)
+            return rows[~self._stops(raw, raw.t[rows])]
         low, high = np.quantile(raw.q[:: max(1, len(x) // 100_000), joint], [0.01, 0.99])
         if high - low < self.still:
             return np.arange(0)
         position = channel in ("q", "q_ref", "q_link")
         return self.rows(x, self.position if position else 2 * self.least, self.still / 10, starts)
+
+    def _stops(self, raw: RawTrajectory, t: np.ndarray) -> np.ndarray:
+        """(R,) bool: whether the arm moves before and rests after these times (R,) [s], or the reverse."""
+
+        def moves(*window: float) -> np.ndarray:
+            begin, end = (np.clip(t + x, raw.t[0], raw.t[-1]) for x in window)
+            way = [np.interp(end, raw.t, q) - np.interp(begin, raw.t, q) for q in raw.q.T]
+            return np.abs(way).max(0) - SLOW * (end - begin)
+
+        return moves(-3 * self.jolt, -self.jolt) * moves(self.jolt, 3 * self.jolt) < 0
 
     def rows(self, x: np.ndarray, share: float, floor: float, starts: np.ndarray) -> np.ndarray:
         """Row numbers of the outliers of a series x (T,), by at least a share of its range and `floor`; `starts`: first
@@ -228,6 +246,13 @@ class Outliers(AbstractCheck):
         flags = np.zeros(len(x), bool)
         flags[flagged] = True
         for a, b in runs(flags):
-            if b - a > self.longest:
+            if b - a > self.longest or not self._alone(x, a, b):
                 flags[a:b] = False
         return np.flatnonzero(flags)
+
+    def _alone(self, x: np.ndarray, a: int, b: int) -> bool:
+        """Whether samples a to b of x (T,) are off the line through those `width` / 2 further out, and the ones beside
+        them are not."""
+        ends, beside = ([k for k in (a - 1 - out, b + out) if 0 <= k < len(x)] for out in (self.width // 2, 0))
+        off, near = (np.abs(x[k] - np.interp(k, ends, x[ends])) for k in (np.arange(a, b), beside))
+        return bool(near.max() < self.alone * off.min())
