@@ -265,9 +265,8 @@ class AbstractBodyEffect(AbstractEffect):
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
     ) -> dict[str, Any]:
-        if trial:  # what was tried is there already, beside its correction
-            coefficients = np.add(coefficients, self.coefficients(trial, robot, joint))
-        return self.read(coefficients, robot, joint)
+        tried = self.coefficients(trial, robot, joint) if trial else [0.0] * len(coefficients)
+        return self.read([a + b for a, b in zip(coefficients, tried, strict=True)], robot, joint)
 
     def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         return self.coefficients(parameters, robot, joint)
