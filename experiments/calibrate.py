@@ -87,7 +87,7 @@ class Calibrate(AbstractExperiment):
             "| of others: median, largest |",
             "|---|---:|---:|---:|---:|---:|",
         ]
-        least = {WHOLE: ""} | {x.name: f"{x.least:.3g}" for x in REFUSALS}
+        least = {WHOLE: ""} | {x.name: f"{x.least:.3g}" if x.least > 1e-9 else "above 0" for x in REFUSALS}
         for name in dict.fromkeys(x.left_out for x in rows):
             own = [x for x in rows if x.left_out == name]
             worn = [x for x in own if x.hidden != WHOLE]
@@ -125,4 +125,5 @@ def _is_it(inquiry: Inquiry, candidate: Candidate, anomaly: Hidden | None) -> bo
 
 
 def _ends(values: Sequence[float], at: tuple[float, float]) -> str:
-    return ", ".join(f"{x:.3g}" for x in np.percentile(values, at)) if values else "-"
+    shown = [x for x in values if np.isfinite(x)]  # of an effect without a delay, its delay has no figure
+    return ", ".join(f"{x:.3g}" for x in np.percentile(shown, at)) if shown else "-"

@@ -14,7 +14,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.bodies import body_columns
 from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
-from invdyn_cli.diagnosis.decide.claim import judged
+from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -103,6 +103,19 @@ class Columns:
     def line(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Coefficients (p,) of the terms alone by plain least squares: the friction line that a user would draw."""
         return standard.line(self._motions(left, rows), ~self.inertial)
+
+    def without_links(self, fitted: Standard, left: np.ndarray, rows: np.ndarray, least: np.ndarray) -> Standard:
+        """The terms alone, in the place of a fit with links: least squares within the same bounds."""
+        bounds = np.where([[name == "offset"] for name in self.terms], -np.inf, least).ravel()
+        free = ~self.inertial
+        while True:
+            theta = standard.line(self._motions(left, rows), free)
+            beyond = np.flatnonzero(theta[~self.inertial] < bounds)
+            if not len(beyond):
+                break
+            free[np.flatnonzero(~self.inertial)[beyond]] = False
+        terms = np.outer(~self.inertial, ~self.inertial)
+        return replace(fitted, theta=theta, covariance=fitted.covariance * terms, share=0.0, chosen="held out")
 
     def _motions(self, left: np.ndarray, rows: np.ndarray) -> list[Sums]:
         """What every trajectory says."""
@@ -221,7 +234,12 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
     alone, friction = columns.of(columns.fit(before, choosing).theta), columns.of(columns.line(before, choosing))
     columns = columns.behind(acting)
     learned = columns.fit(chosen, choosing, least)
-    found = columns.fit(whole, np.ones_like(choosing), least)
+    every = np.ones_like(choosing)
+    found = columns.fit(whole, every, least)
+    if evidence.reference_rows is None and held_out(evidence):
+        plain = columns.without_links(learned, chosen, choosing, least)
+        if _error(evidence, chosen - columns.of(plain.theta)) < _error(evidence, chosen - columns.of(learned.theta)):
+            learned, found = plain, columns.without_links(found, whole, every, least)
     asked = learned.gain > 0
     together, ends = _merged(evidence, columns.terms, found, acting, intervals) if asked else (acting, intervals)
     return Beside(
@@ -240,6 +258,12 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
         share=(found.share, found.chosen),
         worth=np.sqrt(np.mean(columns.of(np.where(columns.inertial, found.theta, 0.0)) ** 2, axis=0)),
     )
+
+
+def _error(evidence: Evidence, residual: np.ndarray) -> float:
+    """Mean logarithm of the joints' squared residuals (R, n) on the held-out rows."""
+    squares = np.mean(residual[judged(evidence)] ** 2, axis=0)
+    return float(np.mean(np.log(np.maximum(squares, 1e-300))))
 
 
 def claims(
@@ -321,6 +345,8 @@ def _merged(
                 _, low, high = ends[place][name]
                 ends[place][name] = (total, low + value, high + value)
     for j, row in enumerate(theta[: 10 * n].reshape(n, 10)):
+        if not row.any():
+            continue
         spread = 1.96 * std[10 * j : 10 * j + 10]
         split = {"mass": 0, "moment": slice(1, 4), "inertia": slice(4, 10)}
         plain = {k: float(row[at]) if k == "mass" else row[at] for k, at in split.items()}

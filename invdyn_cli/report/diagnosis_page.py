@@ -314,10 +314,13 @@ def _standard(diagnosis: Diagnosis) -> str:
         cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
     how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
+    about = f"correct in the URDF to about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+    if not links["share"]:
+        about = "left as the URDF has them, because held-out data are predicted better so."
     note = (
         "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
         "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
-        f"correct in the URDF to about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+        + about
     )
     return table(("joint", *heads, "links"), body, "") + f'<p class="note">{escape(note)}</p>'
 

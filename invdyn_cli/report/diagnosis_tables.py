@@ -66,7 +66,8 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     if not heads:
         return None
     share = 100 * diagnosis.standard["inertials"]["share"]
-    said = f"Standard terms of every arm; bold: also named as a cause. Links: as the URDF within about {share:.2g} %."
+    about = f"as the URDF within about {share:.2g} %" if share else "as the URDF has them"
+    said = f"Standard terms of every arm; bold: also named as a cause. Links: {about}."
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)
     units = {name: dict.fromkeys(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
