@@ -265,8 +265,7 @@ class AbstractBodyEffect(AbstractEffect):
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
     ) -> dict[str, Any]:
-        tried = self.coefficients(trial, robot, joint) if trial else [0.0] * len(coefficients)
-        return self.read([a + b for a, b in zip(coefficients, tried, strict=True)], robot, joint)
+        return self.read(coefficients, robot, joint)
 
     def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         return self.coefficients(parameters, robot, joint)

@@ -317,10 +317,12 @@ def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndar
 
 
 def parameters_of(evidence: Evidence, candidate: Candidate, coefficients: np.ndarray) -> dict:
-    """Parameters of one candidate from its coefficients."""
+    """Parameters of one candidate from its coefficients, which are corrections where a body was tried at a size."""
+    effect, robot, joint = candidate.effect, evidence.robot, candidate.joint
     own = [float(x) for x in coefficients]
-    own = own[:-REVERSAL_COLUMNS] if candidate.effect.jumps else own
-    return candidate.effect.found(own, candidate.shape, evidence.robot, candidate.joint)
+    own = own[:-REVERSAL_COLUMNS] if effect.jumps else own
+    tried = effect.coordinates(candidate.shape, robot, joint) if candidate.shape else None
+    return effect.found(own if tried is None else np.add(own, tried).tolist(), candidate.shape, robot, joint)
 
 
 def strain(always: Hypothesis, theta: np.ndarray) -> float:

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.grams import FOLDS
-from invdyn_cli.diagnosis.search.judge import HypothesisScorer
+from invdyn_cli.diagnosis.search.judge import HypothesisScorer, parameters_of
 from invdyn_cli.diagnosis.search.steps import free_beside, search
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import EffectInstance
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 
 NAMES = [
@@ -153,3 +156,18 @@ def test_a_joint_has_one_level_of_friction(evidence):
     coulomb = candidate(evidence, "coulomb_friction", 0)
     instead = {c.effect.name for c in free_beside([coulomb], pool, instead=True) if c.joint == 0}
     assert instead == {"stribeck_friction", "presliding_hysteresis", "viscous_friction"}
+
+
+@pytest.mark.parametrize("name", ["payload", "base_tilt"])
+def test_a_body_that_was_tried_is_read_with_its_correction(name):
+    """The candidate at parameters that were found has them without a correction, and both together with one."""
+    evidence = evidence_of(log_of(raw(*moved(10.0))), (name,))
+    effect = EFFECTS[name]
+    draw = np.random.default_rng(0)
+    scale = np.array([move[-1] for move in effect.directions(evidence.robot, None)])
+    first, more = 0.05 * scale * draw.normal(size=(2, len(scale)))
+    tried = trial_at(evidence, EffectInstance(effect, None, effect.read(first, evidence.robot, None)))
+    for correction in (0 * more, more):
+        found = parameters_of(evidence, tried, correction)
+        expected = effect.read(first + correction, evidence.robot, None)
+        assert all(np.allclose(found[key], expected[key], rtol=1e-9, atol=1e-12) for key in expected)
