@@ -47,7 +47,9 @@ def channel_plots(drawn: CheckedLog) -> str:
                 lines = [replace(lines[0], width=2.6, frames=False), Line(f"{channel} as corrected", new, "blue", 1.1)]
             if channel == "q" and (asked := drawn.column(log, "q_ref", j)):
                 lines.insert(0, Line("q_ref as logged", _dense(asked, total), "orange", 3.5, frames=False))
-            quantity = f"{QUANTITIES[channel]} [{drawn.logged_unit(channel, j)}]"
+            unit = drawn.logged_unit(channel, j)
+            known = unit != "as logged"  # else the shorter name: a panel has no room for more
+            quantity = f"{QUANTITIES[channel] if known else channel} [{unit}]"
             panels.append(Panel(joint, quantity, lines, marks, note, joint=j, height=105))
     q = np.stack([_dense(drawn.column(drawn.corrected, "q", j), total) for j in range(len(log.joints))], axis=1)
     return plots(time, panels, arm=posture(drawn.robot, time, q), label="the log over time")

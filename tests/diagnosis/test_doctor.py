@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks.columns import SignError
 from invdyn_cli.diagnosis.checks.description import Description
-from invdyn_cli.diagnosis.checks.samples import nominal_torque
+from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
 from invdyn_cli.errors import RobotError
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.logfile import refuse_defects
@@ -375,15 +376,17 @@ def test_the_unit_of_one_joint(seed, log, arm):
     np.testing.assert_allclose(corrected.trajectories[0].tau, log.trajectories[0].tau)
 
 
-@pytest.mark.parametrize("unit", ["kgf cm", "percent"])
+@pytest.mark.parametrize("unit", ["kgf cm", "percent", "percent, one limit"])
 def test_other_units_of_torque(unit, log, arm):
-    """kgf cm and percent of rated torque are named, alone or beside what is as likely, and left for the user."""
+    """kgf cm and percent of rated torque, also of one that all joints have, are named, alone or beside what is as
+    likely, and left for the user."""
     raw, limits = log.trajectories[0], np.array([200.0, 150, 80, 60, 30, 20, 9])
+    limits = np.full(7, 300.0) if "one" in unit else limits
     robot = replace(arm, effort_limit=limits)
     bad = changed(log, tau=raw.tau * (10.1972 if unit == "kgf cm" else 100 / limits))
     examination = doctor.examine(bad, robot)
     (found,) = seen(examination, "unit_error", least="warn")
-    assert unit in found.meaning + found.seen
+    assert unit.split(",")[0] in found.meaning
     assert doctor.done(examination) == ()
 
 
@@ -407,6 +410,26 @@ def test_an_offset_of_a_session_is_one(seed, arm):
     other = replace(raws[1], tau=delayed(raws[1].tau, raws[1].t, 0.05))
     found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), arm), "time_offset", least="warn")
     assert {c.trajectory: c.value for c in found} == pytest.approx({"a": late, "b": late + 0.05}, abs=2e-3)
+
+
+def test_a_recording_that_contradicts_its_session(arm):
+    """Two joints alone tell that a third recording is 100 ms late: no offset of the session is stated or corrected."""
+    log = sound(arm)
+    raws = [replace(sound(arm, k).trajectories[0], name=name) for k, name in enumerate("abc")]
+    raws = [replace(x, tau=delayed(x.tau, x.t, late)) for x, late in zip(raws, (0.03, 0.03, 0.1), strict=True)]
+    noisy = raws[2].tau.std(0) * np.where(np.arange(7) < 4, 0.0, 3.0)
+    raws[2] = replace(raws[2], tau=raws[2].tau + noisy * np.random.default_rng(0).normal(size=raws[2].tau.shape))
+    found = seen(doctor.examine(replace(log, trajectories=tuple(raws)), arm), "time_offset")
+    assert [c.trajectory for c in found if c.severity == "warn"] and all(c.trajectory for c in found)
+
+
+def test_friction_tells_a_sign(log, arm):
+    """Friction brakes every joint of a sound log, and would drive a joint whose torque has the opposite sign."""
+    sound_work, turned_work = (
+        SignError()._work(gather(changed(log, tau=sign * log.trajectories[0].tau), arm)) for sign in (1, -1)
+    )
+    assert sound_work.min() > -0.05 and sound_work.max() > 0.1
+    np.testing.assert_allclose(turned_work, -sound_work, atol=1e-6)
 
 
 def test_what_was_not_looked_at_is_skipped(log):

@@ -8,6 +8,7 @@ import pytest
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.channels import Saturation
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.values import Outliers
 from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.recording.rows import clock_pieces, taken
 from invdyn_cli.robots import load_urdf
@@ -150,6 +151,25 @@ def test_outliers(log, arm):
     }
     np.testing.assert_allclose(corrected.trajectories[0].q, raw.q, atol=1e-3)
     np.testing.assert_allclose(corrected.trajectories[0].tau[:, 1], raw.tau[:, 1], atol=0.1 * raw.tau[:, 1].std())
+
+
+def test_the_jerk_of_a_stop_is_no_outlier(log):
+    """An arm that is stopped within 40 ms jerks for one sample, and a filter's answer to a step has a peak of several:
+    neither is a transmission error; the same sample in the middle of a motion is one."""
+    raw = log.trajectories[0]
+    stop = 3000
+    t = np.minimum(raw.t, raw.t[stop])  # of the motion: it stands still from there
+    q = np.stack([np.interp(t, raw.t, x) for x in raw.q.T], axis=1)
+    tau = raw.tau.copy()
+    tau[stop + 1, 1] += 5 * np.ptp(raw.tau[:, 1])
+    qdd = np.stack([np.gradient(np.gradient(x, raw.t), raw.t) for x in raw.q.T], axis=1)
+    qdd = np.stack([np.convolve(x, np.ones(20) / 20, "same") for x in qdd.T], axis=1)
+    peak = 20 * np.ptp(qdd[100:-100, 2]) * np.exp(-0.5 * (np.arange(-10, 11) / 2.5) ** 2)
+    qdd[1500 - 10 : 1500 + 11, 2] += peak
+    found = Outliers().examine(changed(log, q=q, qd=None, qdd=qdd, tau=tau), None)
+    assert [c for c in found if c.threshold["channel"] == "tau" or c.joint == log.joints[2]] == []
+    (found,) = Outliers().examine(changed(log, qd=None, tau=tau), None)
+    assert (found.joint, found.value, found.threshold["channel"]) == (log.joints[1], 1, "tau")
 
 
 def test_noise_and_friction_have_no_outliers(arm):

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.units import MotionUnits
 from invdyn_cli.diagnosis.checks.values import Outliers
 from invdyn_cli.recording.rows import taken
 from invdyn_cli.robots import load_urdf
-from tests.diagnosis.sick import changed, sound
+from tests.diagnosis.sick import changed, delayed, seen, sound
 
 
 @pytest.fixture(scope="module")
@@ -123,3 +124,27 @@ def test_a_velocity_that_was_converted_twice(log, arm):
     (doubted,) = (c for c in found if c.severity == "warn")
     assert doubted.joint == log.joints[1] and "or qd is too small" in doubted.meaning
     assert MotionUnits().correct(bad, found, None) == (bad, [])
+
+
+@pytest.mark.parametrize("factor", [180 / np.pi, 0.5 / np.pi])
+def test_a_joint_that_hardly_moves(factor, log):
+    """A joint that moves by hundredths of a radian, its q alone in degrees or revolutions, is told by qd and qdd, which
+    come 40 ms late as a filter makes them."""
+    raw = log.trajectories[0]
+    small = np.where(np.arange(len(log.joints)) == 0, 0.005, 1.0)
+    assert raw.qd is not None
+    q = raw.q * small
+    qd, qdd = (delayed(x * small, raw.t, 0.04) for x in (raw.qd, np.gradient(raw.qd, raw.t, axis=0)))
+    bad = changed(log, q=q * np.where(small < 1, factor, 1.0), qd=qd, qdd=qdd)
+    corrected, examination = doctor.correct(bad, None)
+    (found,) = seen(examination, "unit_error", least="warn")
+    assert (found.joint, found.threshold["channel"]) == (log.joints[0], "q")
+    np.testing.assert_allclose(corrected.trajectories[0].q, q, rtol=1e-6)
+
+
+def test_commands_keep_their_own_unit(log, arm):
+    """q in degrees beside q_ref in radians: q alone is corrected, and nothing is said of q_ref."""
+    raw = log.trajectories[0]
+    corrected, examination = doctor.correct(changed(log, q=raw.q * 180 / np.pi, q_ref=raw.q), arm)
+    assert [c.threshold["channel"] for c in seen(examination, "unit_error", least="warn")] == ["q"]
+    np.testing.assert_array_equal(corrected.trajectories[0].q_ref, raw.q)

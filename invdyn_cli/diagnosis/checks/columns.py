@@ -171,8 +171,10 @@ class SignError(AbstractCheck):
                     found.append(self._seen(log, j, "q, tau", gain, what))
                 elif self._fits(sizes, j):
                     found.append(self._seen(log, j, "tau", gain, f"the torque of {log.joints[j]}"))
-        what = "the position and velocity of {}, but not its torque"
-        found += [self._seen(log, j, "q", gain, what.format(log.joints[j])) for j in moved if j not in turned]
+        half = [j for j in moved if j not in turned]
+        for j in half:
+            torque = "but not its torque" if verdict.judged[j] else "whether its torque, too, does not show"
+            found.append(self._seen(log, j, "q", gain, f"the position and velocity of {log.joints[j]}, {torque}"))
         odds = f"log odds of {gain:.3g} against the signs as logged"
         found += [self._either(log, j, pairs[j], odds) for j in either]
         told = {c.joint for c in found}
@@ -190,8 +192,8 @@ class SignError(AbstractCheck):
                 found += [self._doubted(log, j, float(values[j])) for j in doubted]
                 found += [self._either(log, j, {(1, -1), (-1, 1)}, _drives(work[j])) for j in driven]
         told = {c.joint for c in found}
-        unsure = [log.joints[j] for j in range(n) if not verdict.judged[j] or len(pairs[j]) > 1]
-        unsure = [name for name in unsure if name not in told]
+        unsure = [j for j in range(n) if not verdict.judged[j] or len(pairs[j]) > 1]
+        unsure = [log.joints[j] for j in unsure if log.joints[j] not in told or (j in half and not verdict.judged[j])]
         if unsure:
             found.append(self.skipped("this motion does not show the sign of " + ", ".join(unsure), "tau"))
         return found or [Check(self.name, "ok", value=1.0, seen="no joint's sign can be turned without a worse fit")]

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.arrangement import FLAW, OWN, UNITS
+from invdyn_cli.diagnosis.checks.arrangement import FLAW, OWN, UNITS, known_orders
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
 from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope, span
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
@@ -73,7 +73,8 @@ class GravityRemoved(AbstractCheck):
     Attributes:
         slope: median slope of torque on gravity torque that still is none (ours: with gravity in it, a payload or a
             wrong gain makes 0.5 to 2).
-        odds: log of the likelihood ratio that it takes (ours: the odds against the defect, e^5, and e^8).
+        odds: log of the likelihood ratio that it takes (ours: the odds against the defect, e^5, and e^8); before the
+            order is known, times the number of orders, one of which may look like it.
         varied: least RMS of the gravity torque, of what random states ask of a joint (ours).
         explained: share of the torque's variance that the bodies without gravity have to explain before "ambiguous" is
             said, median over the joints (ours: noise and wrong columns stay below).
@@ -107,6 +108,9 @@ class GravityRemoved(AbstractCheck):
         if value > self.slope:
             return [Check(self.name, "ok", value=float(np.median(slopes)), seen="the torque follows gravity")]
         gain, explained = _without_gravity(samples, robot)
+        n = robot.dofs
+        orders = 1 if self.again else n * (n - 1) / 2 + len(known_orders(robot))
+        gain -= np.log(max(orders, 1))
         if gain < self.odds and not (self.again and gain > -self.odds and explained > self.explained):
             why = f"torque follows gravity with a slope of {value:.2g}, and yet the URDF without it is not likelier"
             return [self.skipped(why)]
