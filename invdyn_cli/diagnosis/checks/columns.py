@@ -244,7 +244,7 @@ class SignError(AbstractCheck):
         where these do not explain the torque, or nominal torque and rotor do so as well where joints move in phase."""
         work = np.zeros(samples.tau.shape[1])
         for j, tau in enumerate(samples.tau.T):
-            qd, friction = samples.motion.qd[:, j], samples.columns(j)
+            qd, friction = np.asarray(samples.motion.qd)[:, j], samples.columns(j)
             x = np.column_stack([friction, samples.nominal[:, j], samples.motion.qdd[:, j]])
             size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
             fitted = np.linalg.lstsq(x / size, tau, rcond=1e-8)[0] / size
