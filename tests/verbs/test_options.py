@@ -1,5 +1,6 @@
 """`invdyn VERB --help`: every option has a line, and nothing heavy is loaded for it."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,7 @@ def test_every_option_of_a_choice_has_a_line(group, choice):
 def test_an_undocumented_option_is_noticed(tmp_path, monkeypatch):
     """A field without a line in its class's docstring is reported: the tests above can fail."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "mine", raising=False)  # of another test's folder
     Path("mine.py").write_text(
         'class Mine:\n    """A model.\n\n    Attributes:\n        said: [m] something.\n    """\n'
     )
