@@ -7,10 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from experiments.cases import SIZES
 from experiments.confusion import claims
-from experiments.worn import ANOMALIES, drawn, said_of, spoken
-from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
+from experiments.worn import Worn, drawn, said_of, spoken
 from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.case import Case, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
@@ -22,13 +20,13 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.simulation.hidden import Hidden
 
 WHOLE = "none"
-"""What is left out of the whole table."""
+"""The name of the row that is left out when none is."""
 
 
 @dataclass(frozen=True)
 class Worth:
-    """One log without one row of the table: how its anomaly was spoken of, what else was claimed, and the row's figure
-    of each candidate that the search found, as a multiple of the least: of the right one, and of others."""
+    """One log without one row of the table: what was said of its anomaly, what else was claimed, and the row's figure
+    of the right candidate that the search found, and of the others."""
 
     seed: int
     hidden: str
@@ -40,21 +38,13 @@ class Worth:
 
 
 @dataclass(frozen=True)
-class Calibrate(AbstractExperiment):
-    """Worn arms, each searched once and decided with each row of the table left out."""
+class Calibrate(Worn):
+    """The logs of `Worn`, each searched once and decided with each row of the table left out."""
 
     row: ClassVar[type] = Worth
 
-    seed: int = 0
     logs: int = 12
     clean: int = 6
-    only: Sequence[str] = ANOMALIES
-
-    def plan(self, rows: Sequence[Worth]) -> Iterable[tuple]:
-        """A job per log: its seed and its anomaly."""
-        names = chosen("only", self.only, SIZES)
-        plan = [(1000 * self.seed + k, names[k % len(names)]) for k in range(self.logs)]
-        return plan + [(1000 * self.seed + 500 + k, "") for k in range(self.clean)]
 
     def run(self, folder: Path, seed: int, name: str) -> Iterable[Worth]:
         """Draw and search one log, and decide without each row."""
@@ -65,6 +55,7 @@ class Calibrate(AbstractExperiment):
             return
         inquiry, columns = searched(case)
         hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else WHOLE
+        found = _found(inquiry, anomaly)
         told: dict[tuple, tuple[str, tuple[str, ...]]] = {}
         for number, table in enumerate([REFUSALS, *(_without(k) for k in range(len(REFUSALS)))]):
             kept = tuple(c.key for c in supported(inquiry, table)[0])
@@ -73,7 +64,7 @@ class Calibrate(AbstractExperiment):
                 result, false = spoken(anomaly, claims(diagnosis))
                 told[kept] = result, tuple(map(said_of, false))
             name = WHOLE if number == 0 else REFUSALS[number - 1].name
-            figures = _figures(inquiry, anomaly, number - 1) if number else ((), ())
+            figures = [tuple(REFUSALS[number - 1].figure(x) for x in some) if number else () for some in found]
             yield Worth(seed, hidden, name, *told[kept], *figures)
 
     def line(self, row: Worth) -> str:
@@ -106,17 +97,15 @@ def _without(place: int) -> tuple:
     return REFUSALS[:place] + REFUSALS[place + 1 :]
 
 
-def _figures(inquiry: Inquiry, anomaly: Hidden | None, place: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """A row's figure of every anomaly that the search found: of the right one, and of the others."""
+def _found(inquiry: Inquiry, anomaly: Hidden | None) -> tuple[list[Claim], list[Claim]]:
+    """The anomalies that the search found, before any is refused: the right one, and the others."""
     hypothesis = inquiry.hypothesis
-    chosen, after = exactly(inquiry, hypothesis, inquiry.chosen), left(inquiry, hypothesis)
+    exact, after = exactly(inquiry, hypothesis, inquiry.chosen), left(inquiry, hypothesis)
     right, others = [], []
     for k, c in enumerate(hypothesis):
-        if c.effect.group == "standard":
-            continue
-        value = float(REFUSALS[place].figure(Claim(inquiry, hypothesis, k, chosen, after)))
-        (right if _is_it(inquiry, c, anomaly) else others).append(value)
-    return tuple(right), tuple(others)
+        if c.effect.group != "standard":
+            (right if _is_it(inquiry, c, anomaly) else others).append(Claim(inquiry, hypothesis, k, exact, after))
+    return right, others
 
 
 def _is_it(inquiry: Inquiry, candidate: Candidate, anomaly: Hidden | None) -> bool:

@@ -116,7 +116,8 @@ def decided(
     rest = made.residual if case.compares else more.residual  # of a change, beside what both logs show
     tests = residual_tests(evidence, rest, effects.values(), more.acting)
     floor = repeats.floor_of_repeats(evidence.recording)
-    named = {(f.effect, f.joint) for f in made.findings if f.status == "named" and not case.compares}
+    claimed = () if case.compares else made.findings  # a change is no term
+    named = {(f.effect, f.joint) for f in claimed if f.status == "named"}
     diagnosis = Diagnosis(
         verdict=wording.verdict(
             made, learned, structured_joints, structured(tests, robot.joints), floor, _scores(evidence, rest)
@@ -126,7 +127,7 @@ def decided(
         baseline=_scores(evidence, more.before),
         extended=_scores(evidence, more.residual),
         baselines={name: _scores(evidence, x) for name, x in more.baselines.items()},
-        standard=standard.told(evidence, more, named),  # a change is no term
+        standard=standard.told(evidence, more, named),
         tests=tests,
         noise_floor=None
         if floor is None

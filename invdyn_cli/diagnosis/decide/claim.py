@@ -1,5 +1,5 @@
-"""What one candidate of a hypothesis explains, on rows that chose nothing, and what the rest leaves without it: the
-figures that decide whether it may be claimed."""
+"""The figures that decide whether a candidate of a hypothesis may be claimed: what it explains of held-out data, and
+what the other candidates leave without it."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -128,20 +128,20 @@ class Claim:
 
 
 def judged(evidence: Evidence) -> np.ndarray:
-    """Rows (R,) bool that chose nothing; all but the reference's where there are none."""
+    """Held-out rows (R,) bool; where there are none, all rows but the reference's."""
     test = evidence.role == ROLES.index("test")
     return test if held_out(evidence) else evidence.role != ROLES.index("reference")
 
 
 def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
-    """Rows (R,) bool on which an effect is judged that makes `squares` (R,) of them: all where it hardly comes up on
-    those that chose nothing."""
+    """Rows (R,) bool on which an effect with these squares (R,) is judged: the held-out ones, or all if it hardly acts
+    on those."""
     rows = judged(evidence)
     return rows if np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
 
 
 def held_out(evidence: Evidence) -> bool:
-    """Whether there are rows that chose nothing."""
+    """Whether there are held-out rows."""
     return bool(np.any(evidence.role == ROLES.index("test")))
 
 
