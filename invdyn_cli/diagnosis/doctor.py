@@ -102,7 +102,8 @@ def correct(
                 follow(log, mine)
             failed = any(one.severity == "fail" for one in seen)
             if change:
-                log, notes = check.correct(log, mine, robot)
+                corrected, notes = check.correct(log, mine, robot)
+                log = corrected if notes else log  # the same object as long as nothing changes: see `once_for_a_log`
                 corrections += [{"check": check.name, "done": note} for note in notes]
             hopeless |= failed and (not change or any(one.severity == "fail" for one in _asked(check, log, robot)))
         try:

@@ -19,7 +19,7 @@ from scipy import special
 
 from invdyn_cli.diagnosis.checks.fits import span
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
-from invdyn_cli.diagnosis.checks.samples import SLOW, Samples, nominal_torque, regressor_rows
+from invdyn_cli.diagnosis.checks.samples import SLOW, Samples, regressor_rows, torque_of
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.maths.statistics import autocorrelation_time
 from invdyn_cli.types import Array, Motion, Robot
@@ -118,18 +118,17 @@ def fitness(
     torque over N m that are tried, of each column; `effective` (n,) rows of each column, where they are known; else
     from what is left of column `home[j]` on joint j."""
     n = rows.tau.shape[1]
-    taken, columns = regressor_rows(robot, rows.motion)
-    motion = Motion(*(np.asarray(x)[taken] for x in (rows.motion.q, rows.motion.qd, rows.motion.qdd)))
-    later = Motion(motion.q + STEP * motion.qd, motion.qd + STEP * motion.qdd, motion.qdd + STEP * rows.jerk[taken])
-    model = _nominal(rows, robot, motion)
-    change = (_nominal(rows, robot, later) - model) / STEP
+    taken, columns = regressor_rows(robot, rows.motion, THIN)
+    motion, jerk = rows.motion[taken], rows.jerk[taken]
+    later = (motion.q + STEP * motion.qd, motion.qd + STEP * motion.qdd, motion.qdd + STEP * jerk)
+    both = Motion(*(np.concatenate(x) for x in zip((motion.q, motion.qd, motion.qdd), later, strict=True)))
+    bodies = replace(robot, gravity=np.zeros(3)) if rows.without_gravity else robot
+    model, change = np.split(torque_of(bodies, both), 2)
+    change = (change - model) / STEP
     tau = rows.tau[taken]
     spread = tau.std(0)
     tau = (tau - tau.mean(0)) / np.where(spread > 0, spread, 1.0)
-    thin = slice(None, None, THIN)
-    joints = [
-        _Joint.of(motion[thin], j, tau[thin], columns[j][thin], model[thin, j], change[thin, j]) for j in range(n)
-    ]
+    joints = [_Joint.of(motion, j, tau, columns[j], model[:, j], change[:, j]) for j in range(n)]
     scales = {share: np.append(_scales(robot, share), [GAIN, DELAY]) for share in SHARES}
     if effective is None:
         rows_each = np.ones(n)
@@ -139,12 +138,6 @@ def fitness(
     found = [_of_joint(x, spread, scales, units, effective, rows.reach[j]) for j, x in enumerate(joints)]
     likelihood, lost, plain, factor, explained = (np.array(x) for x in zip(*found, strict=True))
     return Fitness(likelihood, lost, plain, factor, explained, effective)
-
-
-def _nominal(rows: Rows, robot: Robot, motion: Motion) -> np.ndarray:
-    """(R, n) the URDF's torque; without that of gravity where the rows are without it."""
-    torque, gravity = nominal_torque(robot, motion)
-    return torque - gravity if rows.without_gravity else torque
 
 
 @dataclass(frozen=True)
@@ -224,15 +217,16 @@ def _of_joint(joint: _Joint, spread, scales, units, effective, reach: float):
         sizes, vectors = joint.directions(scale)
         of_tau = (vectors.T @ joint.gram[:p, p : p + n]).T / sizes  # (n, k)
         of_model = vectors.T @ joint.gram[:p, -1] / sizes
-        along = of_tau[:, None, None, :] - signed[..., None] * of_model
-        gain = weight[..., None] * (factor[..., None] * sizes) ** 2
-        values = np.empty((len(NOISE), *signed.shape))
-        for k, noise in enumerate(NOISE):
-            ratio = gain / noise
-            left = np.maximum(square - np.sum(along**2 * ratio / (1 + ratio), axis=-1), 0)
-            spent = np.sum(np.log1p(ratio), axis=-1) + effective[:, None, None] * np.log(noise)
-            values[k] = -0.5 * (spent + weight * left / noise)
+        gain = weight[..., None] * (factor[..., None] * sizes) ** 2  # (n, 1, units + 1, k)
+        tried = NOISE[:, None, None, None]
+        ratio = gain[:, 0] / tried  # (noise, n, units + 1, k)
+        products = np.stack([of_tau**2, np.broadcast_to(of_model**2, of_tau.shape), of_tau * of_model], axis=-1)
+        tau_tau, model_model, tau_model = np.moveaxis(ratio / (1 + ratio) @ products, -1, 0)[..., None, :]
+        taken = tau_tau + signed**2 * model_model - 2 * signed * tau_model
+        spent = np.sum(np.log1p(ratio), axis=-1)[..., None, :] + effective[:, None, None] * np.log(tried)
+        values = -0.5 * (spent + weight * np.maximum(square - taken, 0) / tried)
         noise = NOISE[np.argmax(values, axis=0)]
+        along = of_tau[:, None, None, :] - signed[..., None] * of_model
         total = values.max(0) + _positive(joint, vectors, sizes, along, signed, factor, noise, weight)
         explained = np.maximum(explained, 1 - noise.min(axis=(1, 2)))
         best = total if best is None else np.maximum(best, total)

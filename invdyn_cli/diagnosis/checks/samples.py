@@ -69,29 +69,31 @@ def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] 
 
 def nominal_torque(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """The URDF's torque (T, n) [N m; N] for a motion (T, n), and the part of it that holds the arm against gravity."""
-    robot = _nameless(robot)
-    both = []
+    still = np.zeros_like(np.asarray(motion.q))
+    return torque_of(robot, motion), torque_of(robot, Motion(motion.q, still, still))
+
+
+def torque_of(robot: Robot, motion: Motion) -> np.ndarray:
+    """The URDF's torque (T, n) [N m; N] for a motion (T, n)."""
+    robot, made = _nameless(robot), [np.zeros((0, robot.dofs))]
     for at in range(0, len(motion), SIZE):
         part = motion[slice(at, at + SIZE)]
         padding = ((0, SIZE - len(part)), (0, 0))
         q, qd, qdd = (np.pad(np.asarray(x), padding, mode="edge").T for x in (part.q, part.qd, part.qdd))
-        both.append([np.asarray(x)[: len(part)] for x in _torques(robot, q, qd, qdd)])
-    nothing = [np.zeros((0, robot.dofs))] * 2
-    nominal, gravity = (np.concatenate(x) for x in zip(*(both or [nothing]), strict=True))
-    return nominal, gravity
+        made.append(np.asarray(_torque(robot, q, qd, qdd))[: len(part)])
+    return np.concatenate(made)
 
 
 def reach(robot: Robot, states: int = 256) -> np.ndarray:
     """(n,) RMS of the nominal torque [N m; N] over random states: velocities and accelerations of about 1."""
     q, qd, qdd = rigid_body.random_states(robot, states, seed=0)
-    nominal, _ = nominal_torque(robot, Motion(q.T, qd.T, qdd.T))
-    return np.sqrt(np.mean(nominal**2, axis=0))
+    return np.sqrt(np.mean(torque_of(robot, Motion(q.T, qd.T, qdd.T)) ** 2, axis=0))
 
 
-def regressor_rows(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """Which rows (SIZE,) of a motion (R, n) were taken, evenly, and their joint-torque regressor (n, SIZE, 10 n): all
-    inertial parameters of all links. Rows of a short motion repeat."""
-    rows = np.linspace(0, len(motion) - 1, SIZE).astype(int)
+def regressor_rows(robot: Robot, motion: Motion, thin: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Which rows (R,) of a motion were taken, evenly, SIZE or every `thin`-th of these; and their joint-torque regressor
+    (n, R, 10 n): all inertial parameters of all links. Rows of a short motion repeat."""
+    rows = np.linspace(0, len(motion) - 1, SIZE).astype(int)[::thin]
     x = np.asarray(_regressor(_nameless(robot), *(np.asarray(x)[rows].T for x in (motion.q, motion.qd, motion.qdd))))
     return rows, x.reshape(-1, *x.shape[2:]).transpose(1, 2, 0)
 
@@ -107,7 +109,5 @@ def _regressor(robot: Robot, q, qd, qdd):
 
 
 @jax.jit
-def _torques(robot: Robot, q, qd, qdd):
-    nominal = rigid_body.inverse_dynamics(robot, robot.inertial, q, qd, qdd)
-    still = jax.numpy.zeros_like(q)
-    return nominal.T, rigid_body.inverse_dynamics(robot, robot.inertial, q, still, still).T
+def _torque(robot: Robot, q, qd, qdd):
+    return rigid_body.inverse_dynamics(robot, robot.inertial, q, qd, qdd).T
