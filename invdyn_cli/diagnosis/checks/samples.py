@@ -91,8 +91,8 @@ def reach(robot: Robot, states: int = 256) -> np.ndarray:
 
 
 def regressor_rows(robot: Robot, motion: Motion, thin: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Which rows (R,) of a motion were taken, evenly, SIZE or every `thin`-th of these; and their joint-torque regressor
-    (n, R, 10 n): all inertial parameters of all links. Rows of a short motion repeat."""
+    """Which rows (R,) of a motion were taken, evenly, SIZE or every `thin`-th of these; and their joint-torque
+    regressor (n, R, 10 n): all inertial parameters of all links. Rows of a short motion repeat."""
     rows = np.linspace(0, len(motion) - 1, SIZE).astype(int)[::thin]
     x = np.asarray(_regressor(_nameless(robot), *(np.asarray(x)[rows].T for x in (motion.q, motion.qd, motion.qdd))))
     return rows, x.reshape(-1, *x.shape[2:]).transpose(1, 2, 0)
