@@ -84,7 +84,7 @@ class Motion:
     def __len__(self) -> int:
         return len(self.q)
 
-    def __getitem__(self, rows: slice) -> "Motion":
+    def __getitem__(self, rows: slice | np.ndarray) -> "Motion":
         return Motion(self.q[rows], self.qd[rows], self.qdd[rows])
 
 
@@ -102,7 +102,7 @@ class Trajectory:
     tau: Array
     stage: Array | None = None
 
-    def __getitem__(self, rows: slice) -> "Trajectory":
+    def __getitem__(self, rows: slice | np.ndarray) -> "Trajectory":
         stage = None if self.stage is None else self.stage[rows]
         return Trajectory(self.name, self.t[rows], self.motion[rows], self.tau[rows], stage)
 
