@@ -77,7 +77,8 @@ def written(result: checking.CheckResult, config: DictConfig) -> tuple[str, ...]
     named = tuple(replace(one, name=one.name.replace("/", ".")) for one in log.trajectories)
     history = (*log.history, *(f"invdyn check: {one}" for one in result.corrections))
     write_log(replace(log, trajectories=named, history=history), target)
-    return (f"{len(result.corrections)} corrections written into {target}",)
+    count = len(result.corrections)
+    return (f"{count} {'correction' if count == 1 else 'corrections'} written into {target}",)
 
 
 def relative(folder: Path) -> Path:

@@ -102,6 +102,19 @@ def test_gaps_do_not_hide_outliers(log):
     assert [(c.joint, c.value) for c in found] == [(log.joints[1], 1)]
 
 
+@pytest.mark.parametrize("with_robot", [True, False])
+def test_degrees_of_all_joints_of_which_some_hardly_tell(with_robot, log, arm):
+    """All q in degrees beside qd in rad/s; one joint stays within its limits and its qd is 10 % too small, as a slow
+    filter of the drive makes it; one stands still: the unit is that of all joints."""
+    raw = log.trajectories[0]
+    q, qd = np.degrees(raw.q), np.array(raw.qd)
+    q[:, 2], qd[:, 2] = 0.05 * q[:, 2], 0.9 * 0.05 * qd[:, 2]
+    q[:, 3], qd[:, 3] = q[0, 3], 0.0
+    bad = changed(log, q=q, qd=qd)
+    found = [c for c in MotionUnits().examine(bad, arm if with_robot else None) if c.severity == "fail"]
+    assert [(c.joint, c.threshold["factor"]) for c in found] == [(None, pytest.approx(180 / np.pi))]
+
+
 @pytest.mark.parametrize("torque", ["as it is", "noise"])
 def test_degrees_of_one_joint_beside_velocities_in_radians(torque, log, arm):
     """Its position is in degrees: limits and velocity tell, even where no torque does. Its velocity is not blamed."""

@@ -175,18 +175,21 @@ class MotionUnits(AbstractCheck):
         self, log: Log, raw: RawTrajectory, turning: np.ndarray, beyond: np.ndarray, reach: np.ndarray
     ) -> list[Check]:
         """Positions in degrees whose velocities are in rad/s: dq/dt over qd is the unit on all joints that are beyond
-        their limits; nothing where it is not. Other joints may have it, too."""
+        their limits; nothing where it is not. All joints have it, too, unless one's velocity is nearer to rad/s."""
         ratios = 1 / _rates(stretches(replace(log, trajectories=(raw,))), "qd", self.slow)
-        own = beyond & np.isfinite(ratios)
-        in_degrees = turning & (np.abs(ratios / DEGREE - 1) < self.within)
-        if not own.any() or not in_degrees[own].all():
+        finite = turning & np.isfinite(ratios)
+        in_degrees = finite & (np.abs(ratios / DEGREE - 1) < self.within)
+        if not (beyond & finite).any() or not in_degrees[beyond & finite].all():
             return []
-        names = [None] if in_degrees[turning & np.isfinite(ratios)].all() else None
+        names = [None] if np.all(ratios[finite] > np.sqrt(DEGREE)) else np.flatnonzero(in_degrees | beyond)
         found = []
-        for name in names or [log.joints[j] for j in np.flatnonzero(in_degrees | beyond)]:
-            j = int(np.argmax(np.where(beyond, reach, 0))) if name is None else log.joints.index(name)
-            seen = f"{log.joints[j]} goes to {reach[j]:.4g}; the derivative of q is {ratios[j]:.5g} times qd"
-            found.append(replace(self._seen("q", raw.name, DEGREE, DEGREE, "degrees", seen), joint=name))
+        for name in names:
+            j = int(np.argmax(np.where(beyond, reach, 0))) if name is None else int(name)
+            seen = f"{log.joints[j]} goes to {reach[j]:.4g}"
+            if finite[j]:
+                seen += f"; the derivative of q is {ratios[j]:.5g} times qd"
+            joint = None if name is None else log.joints[j]
+            found.append(replace(self._seen("q", raw.name, DEGREE, DEGREE, "degrees", seen), joint=joint))
         return found
 
     def _single(self, log: Log, trajectory: str, j: int, reach: float, fits: list[float]) -> Check:
