@@ -47,7 +47,7 @@ def test_a_job_of_one_program_is_the_run_alone(command):
 def test_what_does_not_belong_together_says_so(command):
     """Of six jobs, two pairs share a program each (their widths differ), and PEST runs as before, with the reason."""
     Path("model").mkdir()
-    Path("model/quick.yaml").write_text("defaults: [ffnn]\nepochs: 1\n")  # PEST refuses the option model.epochs
+    Path("model/quick.yaml").write_text("defaults: [ffnn]\nhidden: [4]\nepochs: 1\n")  # options that PEST refuses
     said = command("run", "-m", "model=quick,pest", "seed=0,1", *TINY)
     assert said.code == 0, said.err
     assert said.err[:2] == [
