@@ -3,9 +3,12 @@
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {
@@ -44,6 +47,12 @@ def invdyn(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedPro
 def script(folder: Path | None = None) -> str:
     """The `invdyn` that was installed into a folder; None: beside this Python."""
     return str((folder or Path(sys.executable).parent) / "invdyn")
+
+
+def usually(always: Iterable[Any], values: Iterable[Any]) -> list[Any]:
+    """The values of a test of which `make test` tries some, and `make benchmarks` the others."""
+    later = pytest.mark.benchmark
+    return [x if x in always else pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=later) for x in values]
 
 
 def tree(folder: Path) -> Mapping[str, float]:

@@ -15,7 +15,7 @@ from beartype.claw import beartype_packages
 from tests.commands import ENVIRONMENT, Said
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(ENVIRONMENT["XDG_CACHE_HOME"]) / "invdyn" / "jax"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.01")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
 """What one worker has compiled the other one, the commands and the next run take over; before jax is imported."""
 

@@ -1,6 +1,7 @@
 """What stops a command (a kill, Ctrl-C, a full disk, a reader that goes away) leaves no half file and ends in no crash.
 
-A few moments by default, the same each time; INVDYN_STOPS=50 tries so many of each, drawn anew.
+A few moments by default, the same each time, of the verbs that differ most; `make benchmarks` stops all of them, and
+INVDYN_STOPS=50 tries so many moments of each, drawn anew.
 """
 
 import csv
@@ -19,7 +20,7 @@ import h5py
 import pytest
 import yaml
 
-from tests.commands import ENVIRONMENT, ROOT, TINY
+from tests.commands import ENVIRONMENT, ROOT, TINY, usually
 
 STOPS = int(os.environ.get("INVDYN_STOPS", "0"))
 DRAWN = random.Random(None if STOPS else 0)
@@ -58,6 +59,8 @@ COMMANDS = {
     "compare": ("compare", "ran", "again", "hydra.run.dir=out"),
 }
 WRITING = ("run", "sweep", "diagnose", "simulate", "tables")
+LONG = ("run", "diagnose")
+"""The verbs that write most, each by a way of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +139,7 @@ def wait_until(process: subprocess.Popen, moment: float) -> None:
         return
 
 
-@pytest.mark.parametrize("verb", WRITING)
+@pytest.mark.parametrize("verb", usually(LONG, WRITING))
 def test_kills(verb, folder):
     """A process that is killed leaves whole files; the same command, called again, ends well and leaves no part."""
     for moment in moments(1, 12):
@@ -152,7 +155,7 @@ def test_kills(verb, folder):
     assert not list(broken(folder)) and not list((folder / "out").rglob("*.part"))
 
 
-@pytest.mark.parametrize("verb", COMMANDS)
+@pytest.mark.parametrize("verb", usually(("run", "sweep", "diagnose", "tables"), COMMANDS))
 def test_ctrl_c(verb, folder):
     """Ctrl-C ends any verb within 3 s with one word and exit code 130, and what is there is whole."""
     for moment in moments(1, 7):
@@ -177,7 +180,7 @@ def refused(process: subprocess.Popen) -> None:
     assert len(lines) <= (process.returncode == 2) and bool(errors) == (process.returncode == 2), errors
 
 
-@pytest.mark.parametrize("verb", WRITING)
+@pytest.mark.parametrize("verb", usually(LONG, WRITING))
 def test_files_that_cannot_grow(verb, folder, tmp_path):
     """Where a file may not grow as needed (quota, full disk): one line, exit code 2, nothing half written."""
     for _ in moments(1, 1):
@@ -201,7 +204,7 @@ def full_disk(tmp_path) -> Iterator[Path]:
         subprocess.run(["umount", str(place)], check=True)
 
 
-@pytest.mark.parametrize("verb", WRITING)
+@pytest.mark.parametrize("verb", usually(LONG, WRITING))
 def test_a_full_disk(verb, folder, full_disk):
     """The same on a disk that is as good as full."""
     for _ in moments(1, 1):
@@ -215,7 +218,7 @@ def test_a_full_disk(verb, folder, full_disk):
         shutil.rmtree(full_disk / "out", ignore_errors=True)
 
 
-@pytest.mark.parametrize("verb", ["run", "check", "simulate"])
+@pytest.mark.parametrize("verb", usually(["simulate"], ["run", "check", "simulate"]))
 def test_a_closed_pipe(verb, folder):
     """The reader of stdout (head) goes away: one line, exit code 2, and files that were written stay."""
     process = start(COMMANDS[verb], folder)
@@ -229,7 +232,7 @@ def test_a_closed_pipe(verb, folder):
     assert not list(broken(folder))
 
 
-@pytest.mark.parametrize("verb", ["run", "check"])
+@pytest.mark.parametrize("verb", usually(["check"], ["run", "check"]))
 def test_a_terminal_that_knows_ascii(verb, folder):
     """Letters that it lacks are shown as ?; nothing fails for them."""
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
@@ -238,7 +241,7 @@ def test_a_terminal_that_knows_ascii(verb, folder):
     assert process.returncode == 0 and not errors and out.isascii() and "arm_joint_1" in out
 
 
-@pytest.mark.parametrize("verb", ["run", "diagnose"])
+@pytest.mark.parametrize("verb", usually(["run"], LONG))
 def test_a_lost_folder(verb, folder):
     """The working directory is removed while a command works: it is made again, or one line says that it is gone."""
     for moment in moments(1, 6):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Motion, Robot
@@ -329,5 +329,5 @@ def _chirp(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
     limits = [np.maximum(x, 1e-9)[:, None] for x in (g.size, 0.9 * allowed.speed, 0.8 * allowed.acceleration)]
     size = np.sum([(omega**k / x) ** 4 for k, x in enumerate(limits)], axis=0) ** -0.25  # nearly the least of the three
     fade, *_ = _faded(t, takes, 0.2 * takes)
-    spline = make_interp_spline(t, size * fade * np.sin(angle), k=5, axis=1)
+    spline = scipy.interpolate.make_interp_spline(t, size * fade * np.sin(angle), k=5, axis=1)
     return tuple(spline(t, k) for k in range(3))

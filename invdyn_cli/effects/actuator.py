@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy import ndimage, signal
+import scipy
 
 from invdyn_cli.interfaces import (
     AbstractChannelEffect,
@@ -236,7 +236,7 @@ class ActuatorLag(AbstractChannelEffect):
             return tau
         decay = np.exp(-1 / x)
         now, before = 1 - x * (1 - decay), x * (1 - decay) - decay
-        out, _ = signal.lfilter([now, before], [1, -decay], tau, zi=[tau[0] * (1 - now)])
+        out, _ = scipy.signal.lfilter([now, before], [1, -decay], tau, zi=[tau[0] * (1 - now)])
         return out
 
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
@@ -295,5 +295,5 @@ def shifted(x: Array, samples: float) -> np.ndarray:
     x = np.asarray(x, float)
     if not samples or len(x) < 4:
         return x
-    rows = [ndimage.shift(row, -samples, order=3, mode="nearest") for row in x.reshape(len(x), -1).T]
+    rows = [scipy.ndimage.shift(row, -samples, order=3, mode="nearest") for row in x.reshape(len(x), -1).T]
     return np.transpose(rows).reshape(x.shape)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import scipy.io
+import scipy
 
 from invdyn_cli import hdf5
 from invdyn_cli.errors import LogError

@@ -11,9 +11,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve, solve_triangular
-from scipy import optimize
 
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.maths.scaling import spread_rows
@@ -71,7 +71,7 @@ def minimise(
         return float(value), np.asarray(ravel_pytree(slope)[0])
 
     bounds = list(zip(lower, at + REACH, strict=True))
-    found = optimize.minimize(
+    found = scipy.optimize.minimize(
         both, np.maximum(at, lower), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": steps}
     )
     return jax.tree.map(np.asarray, back(jnp.asarray(found.x)))

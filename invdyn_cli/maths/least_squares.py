@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 Solver = Literal["lstsq", "tsvd", "ridge"]
 SOLVERS = ("lstsq", "tsvd", "ridge")
@@ -89,7 +89,7 @@ class _Decomposed:
         x, y = r[:, :-targets], r[:, -targets:]
         length = np.sqrt(np.sum(x**2, axis=0))
         self.length = np.where(length > 0, length, 1.0)
-        left, self.values, self.right = linalg.svd(x / self.length, full_matrices=False, check_finite=False)
+        left, self.values, self.right = scipy.linalg.svd(x / self.length, full_matrices=False, check_finite=False)
         self.scores = left.T @ y
 
     def cut(self, share: float) -> float:
@@ -108,4 +108,4 @@ class _Decomposed:
 def _reduced(blocks: Sequence[np.ndarray]) -> np.ndarray:
     """R of blocks that are stacked."""
     rows = np.concatenate(blocks)
-    return np.asarray(linalg.qr(rows, mode="r", overwrite_a=True, check_finite=False)[0])[: rows.shape[1]]
+    return np.asarray(scipy.linalg.qr(rows, mode="r", overwrite_a=True, check_finite=False)[0])[: rows.shape[1]]

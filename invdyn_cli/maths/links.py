@@ -7,7 +7,7 @@ consistent.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.regression import Solution
@@ -47,7 +47,7 @@ def consistent(robot: Robot, solution: Solution, covariance: np.ndarray) -> tupl
     change = (found.rows - wanted).ravel()
     psi = solution.psi + np.concatenate([change, -tied @ change])
     mean, spread = float(np.trace(share)) / noise, float(np.trace(share @ share)) / noise**2
-    chance = spread / mean * float(stats.chi2.ppf(1 - CHANCE, mean**2 / spread)) if spread > 0 else 0.0
+    chance = spread / mean * float(scipy.stats.chi2.ppf(1 - CHANCE, mean**2 / spread)) if spread > 0 else 0.0
     return psi, found.cost, max(chance, 1.0)
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import linalg
+import scipy
 
 from invdyn_cli.types import Array
 
@@ -142,7 +142,7 @@ def divergence(row: Array, reference: Array) -> float:
     Twice the relative entropy of mass distributions; no unit and no frame changes it (Lee, Wensing and Park, IEEE T-RO
     2020, eq. 21).
     """
-    ratio = linalg.solve(pseudo_inertia(reference), pseudo_inertia(row), assume_a="pos")
+    ratio = scipy.linalg.solve(pseudo_inertia(reference), pseudo_inertia(row), assume_a="pos")
     if np.linalg.eigvals(ratio).real.min() <= 0:
         return float("inf")
     return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
@@ -193,7 +193,7 @@ def _centred(x: np.ndarray, factor: np.ndarray, goal: np.ndarray, centre: np.nda
         inverse = np.linalg.inv(root)
         moves = np.einsum("nab,kbc,ndc->nadk", inverse, _BASIS, inverse).reshape(count, 16, 10)
         toward = np.eye(4) - np.einsum("nba,nbc,ncd->nad", root, centre, root)
-        rows = np.concatenate([factor, np.asarray(linalg.block_diag(*moves))])
+        rows = np.concatenate([factor, np.asarray(scipy.linalg.block_diag(*moves))])
         step = np.linalg.lstsq(rows, np.concatenate([goal - factor @ x, toward.ravel()]), rcond=None)[0]
         decrement = float(np.linalg.norm(rows @ step))
         x = x + step / (1 + decrement if decrement > DAMPED else 1.0)

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import linalg
+import scipy
 
 from invdyn_cli.chunks import CHUNK
 from invdyn_cli.interfaces import Progress, silent
@@ -93,10 +93,10 @@ def solve(
         scale = np.maximum(scale, floor * max(scale[0], 1e-300))
         preconditioner = possible @ directions / scale
         gram, moment = _accumulate(design, dataset, preconditioner, progress)
-        values, vectors = linalg.eigh(gram)
+        values, vectors = scipy.linalg.eigh(gram)
         real = values > values[-1] * len(values) * np.finfo(float).eps
         root = np.sqrt(np.where(real, values, 0))
-        left, singular_values, right = linalg.svd((root[:, None] * vectors.T) @ (scale[:, None] * directions.T))
+        left, singular_values, right = scipy.linalg.svd((root[:, None] * vectors.T) @ (scale[:, None] * directions.T))
         if values[-1] < 1e8 * np.median(values[real]):
             break
         scale, directions = singular_values, right.T
@@ -121,10 +121,10 @@ def base_parameters(design: Design, solution: Solution, covariance: np.ndarray) 
     Pivoted QR of the kept directions (Gautier 1991). `covariance` (rank, rank) is that of the kept coordinates.
     """
     columns = design.columns
-    _, r, order = linalg.qr(solution.kept.T, mode="economic", pivoting=True)  # type: ignore[misc]
+    _, r, order = scipy.linalg.qr(solution.kept.T, mode="economic", pivoting=True)  # type: ignore[misc]
     rank = solution.rank
     combine = np.zeros((rank, len(columns)))
-    combine[:, order] = linalg.solve_triangular(r[:, :rank], r) if rank else r
+    combine[:, order] = scipy.linalg.solve_triangular(r[:, :rank], r) if rank else r
     spread = combine @ solution.kept
     return {
         "names": [columns[c] for c in order[:rank]],
@@ -228,8 +228,8 @@ def _possible_directions(design: Design) -> np.ndarray:
 def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Singular values (r,) and right-singular vectors (r, r) of the rows K basis of a few samples, by QR."""
     rows = np.asarray(design_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion), bool)))
-    triangle = linalg.qr(rows.reshape(len(rows), -1).T @ basis, mode="r")[0][: basis.shape[1]]
-    _, scale, right = linalg.svd(triangle, full_matrices=True)
+    triangle = scipy.linalg.qr(rows.reshape(len(rows), -1).T @ basis, mode="r")[0][: basis.shape[1]]
+    _, scale, right = scipy.linalg.svd(triangle, full_matrices=True)
     return np.pad(scale, (0, basis.shape[1] - len(scale))), right.T
 
 

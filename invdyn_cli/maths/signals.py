@@ -7,8 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy import signal
-from scipy.interpolate import make_interp_spline
+import scipy
 
 DERIVATIVES = ("backward", "central", "savgol")
 """Ways to differentiate: x_t - x_{t-1}; (x_{t+1} - x_{t-1}) / 2; a local polynomial's slope (Savitzky, Golay 1964)."""
@@ -31,7 +30,7 @@ def differentiate(
     if len(x) < max(window, 3):
         raise ValueError(f"{len(x)} samples; a window of {max(window, 3)} needs at least as many")
     if method == "savgol":
-        return np.asarray(signal.savgol_filter(x, window, order, deriv=1, delta=1 / rate, axis=0, mode="interp"))
+        return np.asarray(scipy.signal.savgol_filter(x, window, order, deriv=1, delta=1 / rate, axis=0, mode="interp"))
     if method == "central":
         return np.gradient(x, 1 / rate, axis=0)
     steps = np.diff(x, axis=0) * rate
@@ -51,7 +50,7 @@ def settling(rate: float, cutoff: float, order: int = 4) -> int:
         raise ValueError(f"cut-off {cutoff:g} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
     if order < 1:
         raise ValueError(f"order {order}; allowed: 1 and more")
-    zpk: Any = signal.butter(order, cutoff, fs=rate, output="zpk")
+    zpk: Any = scipy.signal.butter(order, cutoff, fs=rate, output="zpk")
     slowest = np.max(np.abs(zpk[1]), initial=1e-9)
     return int(np.ceil(np.log(0.01) / np.log(slowest)))
 
@@ -75,24 +74,24 @@ def lowpass(
     x = np.moveaxis(np.asarray(x), axis, -1)
     rest = rest.reshape(len(rest), *[1] * (x.ndim - 1), 2)
     if causal:
-        return np.moveaxis(signal.sosfilt(sections, x, zi=rest * x[..., :1])[0], -1, axis)
+        return np.moveaxis(scipy.signal.sosfilt(sections, x, zi=rest * x[..., :1])[0], -1, axis)
     first, last = x[..., :1], x[..., -1:]
     x = np.concatenate([2 * first - x[..., padding:0:-1], x, 2 * last - x[..., -2 : -padding - 2 : -1]], axis=-1)
     for _ in range(2):
-        x = signal.sosfilt(sections, x, zi=rest * x[..., :1])[0][..., ::-1]
+        x = scipy.signal.sosfilt(sections, x, zi=rest * x[..., :1])[0][..., ::-1]
     return np.moveaxis(x[..., padding : padding + samples], -1, axis)
 
 
 @lru_cache(maxsize=256)
 def butterworth(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
     """Second-order sections (S, 6) of the low-pass filter, as SciPy has them."""
-    return np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
+    return np.asarray(scipy.signal.butter(order, cutoff, fs=rate, output="sos"))
 
 
 @lru_cache(maxsize=256)
 def at_rest(rate: float, cutoff: float, order: int = 4) -> np.ndarray:
     """The state (S, 2) of the low-pass filter after a constant input of 1."""
-    return np.asarray(signal.sosfilt_zi(butterworth(rate, cutoff, order)))
+    return np.asarray(scipy.signal.sosfilt_zi(butterworth(rate, cutoff, order)))
 
 
 def resample(
@@ -106,4 +105,4 @@ def resample(
     ticks = t[0] + np.arange(int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1) / rate
     if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= tolerance):
         return t, x
-    return ticks, make_interp_spline(t, x, k=degree, axis=0)(ticks)
+    return ticks, scipy.interpolate.make_interp_spline(t, x, k=degree, axis=0)(ticks)

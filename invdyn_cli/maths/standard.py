@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy import linalg, optimize
+import scipy
 
 from invdyn_cli.types import Array, Robot
 
@@ -144,7 +144,7 @@ def fit(motions: Sequence[Sums], prior: Prior, times: Array, share: float | None
         share = min(SHARES, key=lambda s: judge(prior, times, s))
     theta, noise, precision = _posterior(total, prior, times, share)
     scale = prior.at(share)
-    half = linalg.solve_triangular(linalg.cholesky(precision, lower=True), np.diag(scale), lower=True)
+    half = scipy.linalg.solve_triangular(scipy.linalg.cholesky(precision, lower=True), np.diag(scale), lower=True)
     fewer = (np.zeros(len(scale)), np.where(prior.inertial, 0.0, prior.scale))
     gains = [evidence(total, replace(prior, scale=x), times, share) for x in fewer]
     gain, of_inertial = evidence(total, prior, times, share) - np.array(gains)
@@ -181,7 +181,7 @@ def evidence(total: Sums, prior: Prior, times: Array, share: float) -> float:
     theta, noise, precision = _posterior(total, prior, np.asarray(times, float), share)
     effective = total.rows / times
     known = (theta / np.maximum(prior.at(share), 1e-300)) ** 2
-    spread = 2 * np.sum(np.log(np.diag(linalg.cholesky(precision, lower=True))))
+    spread = 2 * np.sum(np.log(np.diag(scipy.linalg.cholesky(precision, lower=True))))
     return float(-0.5 * effective @ np.log(noise) - 0.5 * known.sum() - 0.5 * spread)
 
 
@@ -215,7 +215,7 @@ def _posterior(total: Sums, prior: Prior, times: np.ndarray, share: float) -> tu
     for _ in range(ROUNDS):
         weighed = np.einsum("j,jab->ab", 1 / (noise * times), scaled)
         precision = np.eye(len(scale)) + weighed[:-1, :-1]
-        theta = scale * linalg.solve(precision, weighed[:-1, -1], assume_a="pos")
+        theta = scale * scipy.linalg.solve(precision, weighed[:-1, -1], assume_a="pos")
         before, noise = noise, np.maximum(_squares(total, theta) / np.maximum(total.rows, 1), least)
         if np.allclose(before, noise, rtol=1e-3):
             break
@@ -227,9 +227,11 @@ def _bounded(theta: np.ndarray, precision: np.ndarray, prior: Prior, scale: np.n
     lower = np.where(prior.positive, prior.least, -np.inf)
     if np.all(theta >= lower):
         return theta
-    root = linalg.cholesky(precision)
+    root = scipy.linalg.cholesky(precision)
     safe = np.where(scale > 0, scale, 1.0)
-    found = optimize.lsq_linear(root, root @ (theta / safe), (np.minimum(lower / safe, 0.0), np.inf), method="bvls")
+    found = scipy.optimize.lsq_linear(
+        root, root @ (theta / safe), (np.minimum(lower / safe, 0.0), np.inf), method="bvls"
+    )
     return found.x * scale
 
 

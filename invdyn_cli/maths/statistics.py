@@ -2,7 +2,7 @@
 scores."""
 
 import numpy as np
-from scipy import stats
+import scipy
 
 
 def autocorrelation_time(x: np.ndarray, *, window: float = 5.0) -> float:
@@ -67,4 +67,4 @@ def coherence(scores: np.ndarray) -> tuple[float, float, float]:
         return 0.0, 1.0, 1.0
     scale = variance / (2 * mean)
     value, freedom = float(np.sum(products)) / scale, mean / scale
-    return value, freedom, float(stats.chi2.sf(value, freedom))
+    return value, freedom, float(scipy.stats.chi2.sf(value, freedom))

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import signal
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from invdyn_cli.effects.composition import Span
 from invdyn_cli.errors import LogError
@@ -122,7 +121,7 @@ class Filter:
         out = []
         for row, cutoff in zip(mask, self.cutoffs, strict=True):
             reach = max(1, round(0.5 * self.rate / cutoff))
-            out.append(signal.convolve(row.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5)
+            out.append(scipy.signal.convolve(row.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5)
         return np.array(out)[:, self.rows(mask.shape[-1])]
 
 
@@ -317,7 +316,7 @@ def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: float
     elif smooth < 0.35 * rate:
         q = lowpass(q.T, rate, smooth).T
     ticks = np.arange(len(t)) / rate
-    spline = make_interp_spline(ticks, q, k=5, axis=1)
+    spline = scipy.interpolate.make_interp_spline(ticks, q, k=5, axis=1)
     bandwidth = min(smooth, 0.35 * rate)
     feigned = noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
     return Piece(name, role, t, q, spline.derivative(1)(ticks), spline.derivative(2)(ticks), tau, feigned)

@@ -7,8 +7,8 @@ went through the same filter. A panel takes its axes and an exhibit.
 import math
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
-from scipy.signal import lombscargle
 
 from invdyn_cli.report.canvas import (
     BAND,
@@ -163,7 +163,7 @@ def spectrum_over_angle(axes: Axes, exhibit: Exhibit, *, most: int = 6000, lines
     if span > 0:
         highest = max(2.2 * abs(cycles), 10.0)
         found = np.linspace(min(0.5 / span, 0.5 * highest), highest, lines)
-        power = lombscargle(q[use], y[use] - y[use].mean(), found)
+        power = scipy.signal.lombscargle(q[use], y[use] - y[use].mean(), found)
         axes.plot(found, 2 * np.sqrt(np.maximum(power, 0) / len(use)), color=MEASURED, lw=1.2)
         axes.set_xlim(0, highest)
     axes.axvline(cycles, color=PREDICTED, lw=2.2, alpha=0.35, zorder=0)

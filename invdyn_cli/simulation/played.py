@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from invdyn_cli import untrusted
 from invdyn_cli.errors import UsageError, closest, listed
@@ -39,7 +39,7 @@ class Played(AbstractReference):
             UsageError: for a file that cannot be read, lacks a joint, or leaves the joints' limits.
         """
         t, q = read_csv(self.path, robot.joints)
-        spline = make_interp_spline(t, q, k=5)
+        spline = scipy.interpolate.make_interp_spline(t, q, k=5)
         clock = np.arange(int(np.floor(t[-1] * rate + 1e-6)) + 1) / rate
         motion = Motion(*(spline(clock, k) for k in range(3)))
         self._refuse_beyond(robot, motion)

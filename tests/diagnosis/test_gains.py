@@ -15,6 +15,7 @@ from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Diagnosis, Quantity
+from tests.commands import usually
 
 UPRIGHT = 1
 """Seed of an arm whose first axis is vertical, so that gravity does not load it."""
@@ -46,7 +47,7 @@ def sizes(diagnosis: Diagnosis) -> dict[tuple[str, str | None], Quantity]:
     return {(f.effect, f.joint): next(iter(f.parameters.values())) for f in claims}
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", usually([1], [1, 2]))
 def test_masses_tell_the_gains(seed):
     """Gains are within 5 % and within three standard errors, friction of joints that gravity loads is within 5 % of the
     truth in N m; the report says so in one sentence, and the written model records the gains."""

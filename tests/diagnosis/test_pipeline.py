@@ -15,6 +15,7 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
+from tests.commands import usually
 from tests.diagnosis.analytic import said
 
 LOAD = {"mass": 0.8, "com": [0.02, -0.01, 0.1]}
@@ -115,7 +116,7 @@ def usual(twice, robot):
     return diagnose(twice, robot)
 
 
-@pytest.mark.parametrize("windows", WINDOWS)
+@pytest.mark.parametrize("windows", usually(["the second chooses"], WINDOWS))
 def test_it_does_not_matter_what_chooses(windows, twice, robot):
     """Whichever stretches choose and judge, the same cause is found, its size within 2 %."""
     (found,) = claims(diagnose(twice, robot, windows=WINDOWS[windows]))

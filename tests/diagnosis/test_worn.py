@@ -21,6 +21,7 @@ from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Motion
+from tests.commands import usually
 from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
 
 NAMES = ("coulomb_friction", "link_inertia_error")
@@ -68,7 +69,7 @@ def test_wear_is_asked_for_where_links_are_off(off):
     assert (fitted is None) == (off == 0.0)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.benchmark)])
+@pytest.mark.parametrize("seed", usually([0], [0, 1]))
 def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
     """Friction on every joint, links up to 8 % off and a spring: the spring is named, and no other anomaly. Frictions
     of 3 % of their joint's torque and more are claimed, too, within 10 %, behind it; the table by joint says so."""
@@ -99,7 +100,7 @@ def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
         assert named == {key for key in told if key[0] != "link_inertia_error"}
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.benchmark)])
+@pytest.mark.parametrize("seed", usually([0], [0, 1]))
 def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
     """A body of 0.7 to 1.5 times the last link's mass beside friction and links up to 8 % off: the ten parameters of
     the last link make the same torques, but none is believed to be that wrong. It is told as a payload, or left open
@@ -134,10 +135,10 @@ def weaker(scene):
     return {"gain": 0.75, "window": [6.0, 14.0]}
 
 
-@pytest.mark.parametrize(
-    ("effect", "sizes"),
-    [("torque_ripple", ripple), ("presliding_hysteresis", bristles), ("torque_gain_change", weaker)],
-)
+ANOMALIES = {"torque_ripple": ripple, "presliding_hysteresis": bristles, "torque_gain_change": weaker}
+
+
+@pytest.mark.parametrize(("effect", "sizes"), usually([("torque_ripple", ripple)], ANOMALIES.items()))
 def test_an_anomaly_is_ranked_beside_the_standard_model(effect, sizes, tmp_path):
     """On a worn arm an anomaly that a model of every column would take up (a ripple), that stands beside rigid friction
     (bristles) or that comes and goes is named on its joint, and no other is claimed that could not be wear. Beside

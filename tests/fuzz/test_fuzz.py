@@ -115,7 +115,7 @@ def test_runs(changes, folder, sound):
         answers(lambda: page.page(record, []))
 
 
-@examples(25, 0.005)
+@examples(12, 0.005)
 @given(asked=strategies.commands())
 def test_overrides(asked, command):
     """Options of any value are taken or refused in one line: exit code 0 to 2, no error of ours."""

@@ -171,8 +171,10 @@ def test_a_search_by_optuna(tmp_path):
     """Optuna makes the validation error small: its best value is the least mean NMSE of all its jobs, a failed one
     counts as infinitely bad, and jobs that it asks for at once share a program."""
     argv = ("run", "-m", "model=ffnn", "model.epochs=2", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
-    search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=6", "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found")
-    said = invdyn(*argv, *search, cwd=tmp_path)  # a process of its own: optuna warns on import
+    drawn = ("hydra/sweeper=optuna", "hydra.sweeper.sampler.seed=0", "hydra.sweeper.n_trials=6")
+    said = invdyn(
+        *argv, *drawn, "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found", cwd=tmp_path
+    )  # a process of its own: optuna warns on import
     folder = tmp_path / "found"
     rows = rows_of(folder)
     assert len(rows) == 6, said.stderr

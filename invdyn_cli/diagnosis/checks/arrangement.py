@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from invdyn_cli.diagnosis.checks.fitness import Fitness, Rows, fitness, rows_of
 from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
@@ -281,7 +281,7 @@ def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[A
     orders = [tuple(order)]
     table, direct = fit.likelihood[..., mode], fit.plain[..., mode]
     for scores in (table.max(2), table.max(2) - fit.lost, direct.max(2)):
-        joints, columns = linear_sum_assignment(-scores)
+        joints, columns = scipy.optimize.linear_sum_assignment(-scores)
         orders.append(tuple(int(i) for i in columns[np.argsort(joints)]))
     bases = set(orders)
     for base in tuple(bases):

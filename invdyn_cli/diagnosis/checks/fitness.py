@@ -15,7 +15,7 @@ residual, or of the torque. A column that no rigid body explains is equally like
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
+import scipy
 
 from invdyn_cli.diagnosis.checks.fits import span
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
@@ -254,13 +254,13 @@ def _positive(joint: _Joint, vectors, sizes, along, signed, factor, noise, weigh
         variance = noise / weight * float(reading @ reading)
         variance = variance + np.sum((factor[..., None] * through[k]) ** 2 / (1 + ratio), axis=-1)
         turned = np.array([1.0, -1.0])[None, :, None]  # a turned column has its friction turned, too
-        chance = special.log_ndtr(turned * mean / np.sqrt(np.maximum(variance, 1e-300)))
+        chance = scipy.special.log_ndtr(turned * mean / np.sqrt(np.maximum(variance, 1e-300)))
         total += np.maximum(chance, FEWEST) - np.log(0.5)
     reading = joint.readings[1]  # off the whole torque, as if the links' other torques were noise
     n = signed.shape[0]
     power = np.diag(joint.gram)[joint.parts.shape[1] : joint.parts.shape[1] + n]
     deviation = np.sqrt(np.maximum(power / len(joint.tau) / weight[:, 0, 0] * float(reading @ reading), 1e-300))
-    chance = special.log_ndtr(np.array([1.0, -1.0]) * (reading @ joint.tau / deviation)[:, None])
+    chance = scipy.special.log_ndtr(np.array([1.0, -1.0]) * (reading @ joint.tau / deviation)[:, None])
     return total + np.maximum(chance, HEAVY)[..., None] - np.log(0.5)
 
 

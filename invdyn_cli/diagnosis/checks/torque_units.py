@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
 from invdyn_cli.diagnosis.checks.fitness import GAINS, fitness, rows_of
@@ -102,7 +102,7 @@ class TorqueUnits(AbstractCheck):
         likelihood = _log_density(np.log(ratio[:, None] / factors[judged]))  # (joints, units)
         middle = float(np.exp(np.median(np.log(ratio))))
         common = likelihood.sum(0) - FLAW * (np.arange(len(names)) > 0)
-        own = norm.logpdf(np.log(ratio / middle), scale=DRIVES).sum() - np.log(RANGE) - FLAW
+        own = scipy.stats.norm.logpdf(np.log(ratio / middle), scale=DRIVES).sum() - np.log(RANGE) - FLAW
         one = FLAW + np.log(len(log.joints))
         single = np.where(beside[judged] > FOUND, likelihood - one, -np.inf)
         single[:, 0] = likelihood[:, 0]
@@ -198,8 +198,8 @@ def doubted(log: Log, robot: Robot) -> np.ndarray:
 
 def _log_density(x: np.ndarray) -> np.ndarray:
     """Of the log of a ratio over a unit's."""
-    parts = [np.log(1 - SELDOM) + norm.logpdf(x, scale=GAIN), np.log(SELDOM) + norm.logpdf(x, scale=LARGE)]
-    return np.logaddexp(*parts)
+    density = scipy.stats.norm.logpdf
+    return np.logaddexp(np.log(1 - SELDOM) + density(x, scale=GAIN), np.log(SELDOM) + density(x, scale=LARGE))
 
 
 def _candidates(robot: Robot, samples: Samples) -> tuple[list[str], np.ndarray]:

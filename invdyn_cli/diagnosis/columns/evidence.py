@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from invdyn_cli.effects.composition import (
     EffectInstance,
@@ -128,7 +128,7 @@ class Evidence:
                 at = np.flatnonzero(self.piece == number)
                 if self.reference_rows is not None and self.reference_rows[at].any():
                     continue
-                fine = signal.resample_poly(columns[:, at, j].T, filter.keep, 1, padtype="line")
+                fine = scipy.signal.resample_poly(columns[:, at, j].T, filter.keep, 1, padtype="line")
                 t = piece.t[filter.rows(len(piece.t))[0] :][: len(fine)]
                 fine = channel(through, j, fine, Span(piece.trajectory, t, filter.rate))
                 out[:, at, j] = np.asarray(fine)[:: filter.keep].T

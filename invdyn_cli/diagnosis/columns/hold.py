@@ -10,7 +10,7 @@ from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import linalg
+import scipy
 
 from invdyn_cli.diagnosis.columns.bodies import STEP, body_columns, gravity_columns
 from invdyn_cli.diagnosis.columns.evidence import filtered, joint_states
@@ -52,7 +52,7 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
             continue
         used = scale > 1e-9 * scale.max()
         x = x[:, used] / scale[used]
-        values, vectors = linalg.eigh(x.T @ x)
+        values, vectors = scipy.linalg.eigh(x.T @ x)
         kept = values > 1e-11 * values[-1]
         inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
         theta = inverse @ (x.T @ tau[j])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.coordinates import EDGES, with_parameters
@@ -57,11 +57,13 @@ def _told(acting: EffectInstance) -> dict[str, Any]:
 def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
     """Half of the widest interval of replicas (B, …) of some kinds: jackknife, Student's t (Tukey 1958); at least that
     of the moves (m, …) that the noise leaves unknown."""
-    widest = stats.norm.ppf((1 + share) / 2) * np.sqrt(np.sum(np.clip(unknown, -BOUNDLESS, BOUNDLESS) ** 2, axis=0))
+    widest = scipy.stats.norm.ppf((1 + share) / 2) * np.sqrt(
+        np.sum(np.clip(unknown, -BOUNDLESS, BOUNDLESS) ** 2, axis=0)
+    )
     for one in replicas:
         one, count = np.clip(one, -BOUNDLESS, BOUNDLESS), len(one)
         spread = np.sqrt((count - 1) / count * np.sum((one - one.mean(0)) ** 2, axis=0))
-        widest = np.maximum(widest, stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread)
+        widest = np.maximum(widest, scipy.stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread)
     return widest
 
 

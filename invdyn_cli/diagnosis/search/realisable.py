@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.coordinates import precision_of
@@ -140,7 +140,7 @@ def _change(
     values, vectors = np.linalg.eigh(known / np.outer(unit, unit))
     shown = np.maximum(values - 1, 0)  # what the data say themselves
     freedom = max(int(np.sum(shown > SEEN)), 1)
-    return change, float(shown @ ((unit * change) @ vectors) ** 2), float(stats.chi2.ppf(1 - CHANCE, freedom))
+    return change, float(shown @ ((unit * change) @ vectors) ** 2), float(scipy.stats.chi2.ppf(1 - CHANCE, freedom))
 
 
 def _matters(evidence: Evidence, before: Refined, after: Refined) -> bool:
