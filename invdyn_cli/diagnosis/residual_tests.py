@@ -185,9 +185,9 @@ def _around(x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray, q
         turns = np.flatnonzero(np.diff(np.sign(x[far])) != 0)
         for before, after in zip(far[turns], far[turns + 1], strict=True):
             event = before + int(np.argmax(np.sign(x[before : after + 1]) == np.sign(x[after])))
-            near = own[(t[own] >= t[event] + LAGS[0]) & (t[own] < t[event] + LAGS[-1])]
-            closer = near[~(np.abs(since[near]) <= np.abs(t[near] - t[event]))]
-            since[closer], way[closer] = t[closer] - t[event], np.sign(x[after])
+            lag = np.round(t[own] - t[event], 6)  # else a clock's last digit decides on which side of a limit a row is
+            near = (lag >= LAGS[0]) & (lag < LAGS[-1]) & ~(np.abs(since[own]) <= np.abs(lag))
+            since[own[near]], way[own[near]] = lag[near], np.sign(x[after])
     inside = np.stack([(since >= low) & (since < high) for low, high in pairwise(LAGS)], axis=1).astype(float)
     columns = np.hstack([inside, inside * way[:, None]])
     return Basis(columns if np.isfinite(since).any() else columns[:, :0], since, quantity, way)
