@@ -38,8 +38,8 @@ CERTAIN = ("N mm or mN m", "kN m", "N m times 1000 twice", "N m over 1000 twice"
 """Far from any physical cause: corrected. The others are told, and left for the user to decide."""
 
 WITHOUT_GAINS = (
-    "data.drive_gain=[…] in N m/A, from the drives' data sheets; without them, invdyn diagnose estimates gains from the "
-    "URDF's masses"
+    "data.drive_gain=[…] in N m/A, from the drives' data sheets; without them, invdyn diagnose estimates gains from "
+    "the URDF's masses"
 )
 """Advice for a log of currents."""
 
