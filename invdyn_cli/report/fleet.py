@@ -235,7 +235,7 @@ def page(logs: Sequence[Diagnosed]) -> str:
 
 STYLE = """
 table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
-table.words td:first-child { white-space: nowrap; } """
+@media (min-width: 40rem) { table.words td:first-child { white-space: nowrap; } } """
 
 
 def _row(one: Diagnosed) -> str:
