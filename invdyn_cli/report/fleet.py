@@ -70,7 +70,7 @@ class Diagnosed:
         joints: dict[str, list[str]] = {}
         for x in self.findings:
             if x.status in CLAIMS and x.group == "standard":
-                joints.setdefault(words(x.effect), []).extend([x.joint] * (x.joint is not None))
+                joints.setdefault(words(x.effect), []).extend([x.joint] if x.joint else [])
         return "; ".join(name + (f" ({', '.join(some)})" if some else "") for name, some in joints.items())
 
 
