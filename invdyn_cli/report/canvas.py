@@ -44,7 +44,7 @@ STYLE: dict[Any, Any] = {
     "font.size": 8.5,
     "axes.titlesize": 9,
     "axes.titlelocation": "left",
-    "axes.titley": 1.0,
+    "axes.titley": 1.0,  # else every axis is measured once more for it
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
