@@ -3,9 +3,11 @@
 import itertools
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -84,17 +86,22 @@ def spread(seconds: Sequence[float]) -> str:
 
 
 def measure(
-    what: str, invdyn: Callable[[], object], by_hand: Callable[[], object], repetitions: int, per: int = 1
+    what: str,
+    invdyn: Callable[[], object],
+    by_hand: Callable[[], object],
+    repetitions: int,
+    per: int = 1,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> dict:
-    """Times of both, taking turns after one warm-up each; `per` divides invdyn's (epochs in one call)."""
+    """Times of both, taking turns after one warm-up each; `per` divides invdyn's (epochs or jobs in one call)."""
     sides = {"invdyn": (invdyn, per), "by_hand": (by_hand, 1)}
     times: dict[str, list[float]] = {name: [] for name in sides}
     for repetition in range((1 if TINY in os.environ else repetitions) + 1):
         for name, (call, share) in sides.items():
-            started = time.perf_counter()
+            started = clock()
             call()
             if repetition:
-                times[name].append((time.perf_counter() - started) / share)
+                times[name].append((clock() - started) / share)
     ratio = statistics.median(times["by_hand"]) / statistics.median(times["invdyn"])
     return {"what": what, **times, "ratio": ratio}
 
@@ -292,7 +299,39 @@ def adapt(deep: bool = False) -> dict:
     return measure(f"nets of {nets_of}, 7 joints, learn on along 90,000 samples; against PyTorch", ours, by_hand, 3)
 
 
-PARTS = {"train": train, "pest": pest, "rnea": rnea, "dbm": dbm, "adapt": adapt, "adapt_deep": lambda: adapt(deep=True)}
+def sweep() -> dict:
+    """CPU time of a job of a sweep over seeds and learning rates against the same job as a command of its own."""
+    seeds, epochs = (1, 1) if TINY in os.environ else (12, 20)
+    how = ["model=ffnn", "robot.dofs=4", "data.duration=2", f"model.epochs={epochs}"]
+
+    def command(*options: str) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            place = f"hydra.{'sweep' if '-m' in options else 'run'}.dir={folder}"
+            made = [sys.executable, "-c", "from invdyn_cli.cli import entry; entry()", "run", *options, *how, place]
+            subprocess.run(made, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def together() -> None:
+        command("-m", f"seed=range({seeds})", "model.learning_rate=0.001,0.002")
+
+    what = f"CPU time of a job of {epochs} epochs, four joints, in a sweep of {2 * seeds}; against a command of its own"
+    return measure(what, together, lambda: command("seed=0"), 3, per=2 * seeds, clock=cpu_of_children)
+
+
+def cpu_of_children() -> float:
+    """[s] CPU time of all processes that this one has started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+PARTS = {
+    "train": train,
+    "pest": pest,
+    "rnea": rnea,
+    "dbm": dbm,
+    "adapt": adapt,
+    "adapt_deep": lambda: adapt(deep=True),
+    "sweep": sweep,
+}
 
 if __name__ == "__main__":  # started by `Bench.run`
     if os.environ[PART] != "train" and hasattr(os, "sched_setaffinity"):

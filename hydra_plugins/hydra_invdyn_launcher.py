@@ -4,14 +4,16 @@ It stands here because Hydra takes launchers of the package `hydra_plugins` alon
 of every command, so that it imports nothing heavy.
 """
 
+import copy
+import gc
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.utils import JobReturn, setup_globals
-from omegaconf import open_dict
+from hydra.core.utils import JobReturn, configure_log, run_job, setup_globals
+from omegaconf import DictConfig, open_dict
 
 if TYPE_CHECKING:
     from invdyn_cli.verbs.together import Job
@@ -24,24 +26,48 @@ class Vmapped(BasicLauncher):
         """Run the jobs of these overrides, numbered from `initial_job_idx` on."""
         from invdyn_cli.verbs import sweep, together
 
-        before = HydraConfig.instance().cfg
-        try:
-            jobs = [self._job(initial_job_idx + i, overrides) for i, overrides in enumerate(job_overrides)]
-        finally:
-            HydraConfig.instance().cfg = before
-        with sweep.prepared(together.fitted(jobs)):
-            return super().launch(job_overrides, initial_job_idx)
-
-    def _job(self, number: int, overrides: Sequence[str]) -> "Job":
-        """The config that the job will have, and its folder."""
-        from invdyn_cli.verbs.together import Job
-
-        assert self.hydra_context is not None and self.config is not None
+        assert self.config is not None and self.hydra_context is not None and self.task_function is not None
         setup_globals()
+        configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
+        Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
+        numbered = enumerate(job_overrides, initial_job_idx)
+        configs = {number: self._config(number, overrides) for number, overrides in numbered}
+        prepared = together.fitted([self._job(number, config) for number, config in configs.items()])
+        gc.freeze()  # what is there now stays to the end: no need to go through it again in every job
+        done = []
+        with sweep.prepared(prepared):
+            for config in configs.values():
+                done.append(
+                    run_job(
+                        hydra_context=self.hydra_context,
+                        task_function=self.task_function,
+                        config=config,
+                        job_dir_key="hydra.sweep.dir",
+                        job_subdir_key="hydra.sweep.subdir",
+                    )
+                )
+                configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
+        return done
+
+    def _config(self, number: int, overrides: Sequence[str]) -> DictConfig:
+        """The config of a job, Hydra's own part included."""
+        assert self.hydra_context is not None and self.config is not None
         config = self.hydra_context.config_loader.load_sweep_config(self.config, list(overrides))
         with open_dict(config):
             config.hydra.job.id = config.hydra.job.num = number
+        return config
+
+    def _job(self, number: int, config: DictConfig) -> "Job":
+        """What the task will get, and the folder that it will write into."""
+        from invdyn_cli.verbs.together import Job
+
+        before = HydraConfig.instance().cfg
+        try:
             HydraConfig.instance().set_config(config)
             folder = Path(config.hydra.sweep.dir, str(config.hydra.sweep.subdir))
-            del config["hydra"]
-        return Job(number, config, folder)
+            own = copy.deepcopy(config)
+        finally:
+            HydraConfig.instance().cfg = before
+        with open_dict(own):
+            del own["hydra"]
+        return Job(number, own, folder)

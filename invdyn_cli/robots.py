@@ -201,7 +201,10 @@ def _named(model: pin.Model, joints: Sequence[str]) -> list[int]:
         raise RobotError(f"robot.joints is empty or names a joint twice: {listed(joints)}; allowed: {listed(allowed)}")
     for name in joints:
         if name not in allowed:
-            raise RobotError(f"no moving joint {name!r}{closest(name, allowed)}; allowed: {listed(allowed)}")
+            raise RobotError(
+                f"no moving joint {name!r}{closest(name, allowed)}; allowed: {listed(allowed)}",
+                advice=f"robot.joints=[{','.join(allowed[: len(joints)])}], in the order of the log's columns",
+            )
     return [model.getJointId(x) for x in joints]
 
 

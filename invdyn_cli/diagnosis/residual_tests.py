@@ -179,15 +179,18 @@ def _around(x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray, q
     """Indicators of the time since a quantity (R,) changed its sign, as they are and with the new sign."""
     least = SWING * float(np.quantile(np.abs(x[used]), 0.9))
     since, way = np.full(len(x), np.nan), np.zeros(len(x))
+    ticks = np.round(1e6 * t)  # [us]: else a clock's last digit decides on which side of a limit a row is
     for number in np.unique(piece):
         own = np.flatnonzero(piece == number)
         far = own[np.abs(x[own]) > least]
         turns = np.flatnonzero(np.diff(np.sign(x[far])) != 0)
         for before, after in zip(far[turns], far[turns + 1], strict=True):
             event = before + int(np.argmax(np.sign(x[before : after + 1]) == np.sign(x[after])))
-            near = own[(t[own] >= t[event] + LAGS[0]) & (t[own] < t[event] + LAGS[-1])]
-            closer = near[~(np.abs(since[near]) <= np.abs(t[near] - t[event]))]
-            since[closer], way[closer] = t[closer] - t[event], np.sign(x[after])
+            lag = (ticks[own] - ticks[event]) / 1e6
+            inside = (lag >= LAGS[0]) & (lag < LAGS[-1])
+            near, lag = own[inside], lag[inside]
+            closer = ~(np.abs(since[near]) <= np.abs(lag))
+            since[near[closer]], way[near[closer]] = lag[closer], np.sign(x[after])
     inside = np.stack([(since >= low) & (since < high) for low, high in pairwise(LAGS)], axis=1).astype(float)
     columns = np.hstack([inside, inside * way[:, None]])
     return Basis(columns if np.isfinite(since).any() else columns[:, :0], since, quantity, way)

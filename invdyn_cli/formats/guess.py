@@ -19,6 +19,7 @@ from invdyn_cli.formats.words import meaning
 
 VALUES = "guessed from values"
 OPTIONAL = ("qd", "qdd", "q_ref", "q_link")
+TORQUES = ("tau", "current", "load")
 
 
 def complete(where: str, table: Table, given: ColumnMap) -> ColumnMap:
@@ -134,6 +135,10 @@ class _Guess:
         if not found:
             if not any("q.columns" in x for x in self.advice):
                 self.ask(f"the positions among {listed(self.table.columns, most=40)}", "q.columns=FIRST:LAST")
+                if not self.given.channel("tau").columns and not any(
+                    x.meaning.quantity in TORQUES for x in self.candidates
+                ):
+                    self.ask("the torques or currents", "tau.columns=FIRST:LAST", "tau.unit='N m'|A|mA|percent")
             return
         self.joints_by, self.columns_q = list(found), list(found.values())
         self.channels["q"] = replace(given, columns=tuple(found.values()))

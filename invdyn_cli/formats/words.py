@@ -1,4 +1,7 @@
-"""What the name of a column says: quantity, joint, unit, and whether it is measured or commanded."""
+"""What the name of a column says: quantity, joint, unit, and whether it is measured or commanded.
+
+English words, and those of German, French, Spanish and Italian controllers that mean one thing only.
+"""
 
 import re
 from dataclasses import dataclass
@@ -6,19 +9,21 @@ from dataclasses import dataclass
 from invdyn_cli.formats.units import canonical
 
 QUANTITIES = {
-    "q": "q pos position positions angle angles theta state",
-    "qd": "qd dq vel velocity velocities speed speeds omega qdot",
+    "q": "q pos position positions angle angles theta state winkel lage posicion posizione",
+    "qd": "qd dq vel velocity velocities speed speeds omega qdot geschwindigkeit drehzahl vitesse velocidad velocita",
     "qdd": "qdd ddq acc accel acceleration accelerations qddot",
-    "tau": "tau torque torques trq effort efforts moment moments",
-    "current": "current currents cur curr amps i",
+    "tau": "tau torque torques trq effort efforts moment moments drehmoment drehmomente couple coppia",
+    "current": "current currents cur curr amps i strom courant corriente corrente",
     "load": "load pwm",
     "t": "t time timestamp timestamps stamp clock",
 }
 _FLAGS = {
-    "commanded": "target desired des cmd command commanded commands ref reference setpoint goal action d",
-    "measured": "actual act measured meas msr feedback fb present observation",
-    "other": "tcp pose cartesian ee wrench force ext external error err temp temperature temperatures voltage volt ft",
-    "filler": "joint joints j axis motor robot value values data sensor states field header",
+    "commanded": "target desired des cmd command commanded commands ref reference setpoint goal action d soll "
+    "sollwert consigne",
+    "measured": "actual act measured meas msr feedback fb present observation ist istwert",
+    "other": "tcp pose cartesian ee wrench force ext external error err temp temperature temperatures temperatur "
+    "voltage volt ft spannung",
+    "filler": "joint joints j a axis achse axe motor robot value values data sensor states field header",
     "unit": "deg degs degree degrees rad rads radian radians ms us ns nm nmm ma rpm percent pct dps msec usec nsec",
 }
 COMMANDED, MEASURED, OTHER, FILLERS, UNITS = (frozenset(words.split()) for words in _FLAGS.values())

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from invdyn_cli.files import write_file
 from invdyn_cli.report.tables import choice, significant
@@ -43,6 +44,7 @@ STYLE: dict[Any, Any] = {
     "font.size": 8.5,
     "axes.titlesize": 9,
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # else every axis is measured once more for it
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -68,7 +70,7 @@ def save(figure: Figure, path: Path) -> Path:
     drawn = io.BytesIO()
     if path.suffix == ".png":  # savefig would draw all of it twice
         figure.set_dpi(110)
-        FigureCanvasAgg(figure).print_png(drawn)
+        FigureCanvasAgg(figure).print_png(drawn, pil_kwargs={"compress_level": 4})
     else:
         figure.savefig(drawn, dpi=110, format=path.suffix[1:])
     return write_file(path, drawn.getvalue())
@@ -116,7 +118,7 @@ def label_below(axes: Axes, label: str, i: int, panels: int, *, shared: bool = T
     last = i + columns >= panels
     axes.tick_params(labelbottom=last or not shared)
     axes.set_xlabel(label if last else "")
-    axes.xaxis.set_in_layout(not last or i + columns >= rows * columns)
+    axes.xaxis.set_in_layout(i + columns >= rows * columns if last else not shared)
 
 
 def limit_around(axes: Axes, measured: np.ndarray, other: np.ndarray, least: float = 0.0) -> None:
@@ -153,11 +155,12 @@ def log_axis(axes: Axes) -> None:
 
     def between(value: float, _: float) -> str:
         low, high = axes.get_ylim()
-        return f"{value:g}" if high < 100 * low and f"{value:e}"[0] in "25" else ""
+        return f"{value:g}" if high < 100 * low else ""
 
     if not np.isfinite(axes.dataLim.minposy):
         axes.set_ylim(0.1, 10)
     axes.set_yscale("log")
+    axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(between)
 

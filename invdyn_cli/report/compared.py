@@ -288,6 +288,9 @@ def _read(config: str) -> Any:
 
 
 def _flat(node: Any, above: str = "") -> dict[str, str]:
+    """Options by their dotted names; a class by its own name, without the module."""
     if not isinstance(node, dict):
         return {above: str(node)} if above else {}
-    return {k: v for name, x in node.items() for k, v in _flat(x, f"{above}.{name}" if above else str(name)).items()}
+    found = {above: str(node["_target_"]).rpartition(".")[2]} if above and "_target_" in node else {}
+    inner = ((f"{above}.{name}" if above else str(name), x) for name, x in node.items() if name != "_target_")
+    return found | {k: v for name, x in inner for k, v in _flat(x, name).items()}

@@ -15,6 +15,9 @@ CAPTION = (
     "low with soft feedback. Below: how much of the torque the feedback still makes."
 )
 
+UNITS = {"damping_time": " [s]", "velocity_cutoff": " [Hz]", "settle": " [s]", "largest_error": " [rad]"}
+"""Of the options that have one."""
+
 
 def write_page(record: ControlRecord, choices: Mapping[str, Any], figure: Path, path: Path) -> Path:
     """Write the page of control runs to `path`, whole or not at all; `choices` are the names of the command line."""
@@ -25,7 +28,7 @@ def page(record: ControlRecord, choices: Mapping[str, Any], figure: Path) -> str
     """The page as HTML text."""
     told = "".join(f'<p class="lead">{escape(x)}</p>\n' for x in sentences(record))
     told += "".join(f'<p class="warning">{escape(x)}</p>\n' for x in record.warnings)
-    options = {name: value for name, value in vars(record.sweep).items() if name != "gains"}
+    options = {f"{name}{UNITS.get(name, '')}": x for name, x in vars(record.sweep).items() if name != "gains"}
     seconds = {name: significant(value) for name, value in record.seconds.items()}
     sections = [
         ("Error and feedback over the gain", picture(figure, CAPTION)),

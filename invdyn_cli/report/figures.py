@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 from invdyn_cli.maths.metrics import ACCURATE
 from invdyn_cli.report.adapted import adaptation
@@ -100,6 +101,7 @@ def torques(record: RunRecord, *, longest: float = 20.0, most: int = 2) -> Figur
         below.set_ylabel(f"residual\n[{unit}]")
         above.spines.bottom.set_visible(False)
         above.tick_params(bottom=False)
+        above.xaxis.set_in_layout(False)
         below.margins(x=0.01)
         label_below(below, "time [s]", i, len(joints))
     for axes in grid[-2:, (len(joints) - 1) % columns + 1 :].flat:
@@ -181,6 +183,7 @@ def loss(record: RunRecord) -> Figure | None:
         axes.set_title(plain(joints[i]) if panels == len(joints) else "")
         axes.set_ylabel("loss")
         log_axis(axes)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         label_below(axes, "epoch", i, panels)
     for axes in grid.flat[panels:]:
         axes.remove()

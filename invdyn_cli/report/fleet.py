@@ -64,6 +64,15 @@ class Diagnosed:
         """What is named or ambiguous, beyond the standard terms of every arm."""
         return tuple(x for x in self.findings if x.status in CLAIMS and x.group != "standard")
 
+    @property
+    def standard(self) -> str:
+        """The standard terms that are named, with their joints: 'Coulomb friction (joint_2, joint_3)'; "" for none."""
+        joints: dict[str, list[str]] = {}
+        for x in self.findings:
+            if x.status in CLAIMS and x.group == "standard":
+                joints.setdefault(words(x.effect), []).extend([x.joint] if x.joint else [])
+        return "; ".join(name + (f" ({', '.join(some)})" if some else "") for name, some in joints.items())
+
 
 @dataclass(frozen=True)
 class Change:
@@ -168,7 +177,7 @@ def fleet_table(logs: Sequence[Diagnosed]) -> Table:
         for one in some:
             style = STATUS_STYLE["failed"] if one.verdict == "failed" else ""
             verdict = Text(VERDICT_WORDS.get(one.verdict, one.verdict), style)
-            told = one.message or "; ".join(_told(x) for x in one.causes) or "-"
+            told = one.message or "; ".join(filter(None, (*map(_told, one.causes), one.standard))) or "-"
             shown.add_row(Text(robot or "-"), Text(one.log), verdict, Text(told))
     return shown
 
@@ -225,12 +234,13 @@ def page(logs: Sequence[Diagnosed]) -> str:
 
 
 STYLE = """
-table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; } """
+table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
+@media (min-width: 40rem) { table.words td:first-child { white-space: nowrap; } } """
 
 
 def _row(one: Diagnosed) -> str:
-    causes = "<br>".join(escape(_headline(x)) for x in one.causes) or escape(one.message)
-    causes = causes or ("none" if one.is_usable else "not looked for")
+    told = [*map(_headline, one.causes), *filter(None, [capital(one.standard), one.message])]
+    causes = "<br>".join(map(escape, told)) or ("none" if one.is_usable else "not looked for")
     link = f'<a href="{escape(one.folder, quote=True)}/report.html">report</a>' if one.verdict != "failed" else ""
     verdict = escape(VERDICT_WORDS.get(one.verdict, one.verdict))
     verdict = f'<b class="worst">{verdict}</b>' if one.verdict == "failed" else verdict

@@ -106,9 +106,24 @@ def folded(label: str, content: str, *, shown: bool = False) -> str:
 
 
 def pairs(facts: Mapping[str, Any]) -> str:
-    """A two-column table; nested values have dotted names, empty ones are left out."""
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(facts) if v)
-    return f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
+    """A two-column table; nested values have dotted names, empty ones are left out. A list of mappings is a table of
+    its own, folded."""
+    tables = {k: v for k, v in facts.items() if isinstance(v, list | tuple) and v and isinstance(v[0], Mapping)}
+    plain = {k: v for k, v in facts.items() if k not in tables}
+    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(plain) if v)
+    shown = f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
+    return shown + "".join(folded(f"{k} ({len(v)})", _records(v)) for k, v in tables.items())
+
+
+def _records(records: Sequence[Mapping[str, Any]]) -> str:
+    """A row for each mapping, a column for each name."""
+    names = list(dict.fromkeys(name for one in records for name in one))
+    head = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in names)
+    lines = (dict(_flat({name: one.get(name) for name in names})) for one in records)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(one.get(name, ''))}</td>" for name in names) + "</tr>" for one in lines
+    )
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _flat(facts: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:

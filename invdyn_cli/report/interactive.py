@@ -236,7 +236,8 @@ def _panel(panel: Panel, pick: _Thinned, t: np.ndarray) -> dict[str, Any]:
         return {"name": one.name, "colour": one.colour, "at": at}
 
     return {
-        "title": panel.title, "quantity": panel.quantity, "note": panel.note, "joint": panel.joint,
+        "title": panel.title.replace("N m", "N\u00a0m"),
+        "quantity": panel.quantity, "note": panel.note, "joint": panel.joint,
         "height": panel.height, "zero": panel.zero, "marks": [mark(x) for x in panel.marks],
         "lines": [
             {"name": x.name, "colour": x.colour, "width": x.width, "dashed": x.dashed, "frames": x.frames,

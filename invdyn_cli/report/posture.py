@@ -1,5 +1,6 @@
 """Where the joints of an arm are over time, for the stick figure beside a page's plots."""
 
+import jax
 import numpy as np
 
 from invdyn_cli.maths.rigid_body import link_motions
@@ -22,7 +23,7 @@ def posture(robot: Robot | None, time: Timeline, q: np.ndarray) -> Posture | Non
         return None
     rows = good[np.linspace(0, len(good) - 1, FRAMES).astype(int)]
     still = np.zeros((robot.dofs, FRAMES))
-    links = link_motions(robot, q[rows].T, still, still)
+    links = _link_motions(robot, q[rows].T, still, still)
     origins = np.stack([np.asarray(x) for x in links.origin], axis=-1)
     inertial = np.asarray(robot.inertial, float)
     ends = [j for j in range(robot.dofs) if j not in robot.parents]
@@ -34,6 +35,9 @@ def posture(robot: Robot | None, time: Timeline, q: np.ndarray) -> Posture | Non
     points = np.stack([np.zeros_like(origins[0]), *origins, *tips], axis=1) @ _upright(np.asarray(robot.gravity)).T
     parents = [-1, *(p + 1 for p in robot.parents), *(j + 1 for j in ends)]
     return Posture(time.joined()[0][rows], points, parents, robot.joints)
+
+
+_link_motions = jax.jit(link_motions)
 
 
 def _upright(gravity: np.ndarray) -> np.ndarray:

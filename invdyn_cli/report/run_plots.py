@@ -36,7 +36,7 @@ def run_plots(record: RunRecord, note: str = "") -> str:
             colours = ("vermillion", "blue") if name == last else ("grey", "grey")
             said.append(Line(words[name], y[:, j], colours[0], 1.1, frames=False))
             of = "residual" if len(found) == 1 else f"residual, {words[name]}"
-            left.append(Line(of, tau[:, j] - y[:, j], colours[1], 1.1))
+            left.append(Line(of, _residual(tau[:, j], y[:, j]), colours[1], 1.1))
         score = record.scores.get(last)
         title = joint
         if score is not None:
@@ -44,7 +44,7 @@ def run_plots(record: RunRecord, note: str = "") -> str:
         panels.append(Panel(title, f"torque [{unit}]", said, joint=j, height=140))
         panels.append(Panel("", f"residual [{unit}]", left, joint=j, height=95, zero=True))
         speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
-        rest = tau[:, j] - found[last][:, j]
+        rest = _residual(tau[:, j], found[last][:, j])
         fine = np.isfinite(rest) & np.isfinite(qd[:, j])
         centre, _, middle, _ = binned(qd[fine, j], rest[fine])
         sides = ("median of a bin", np.insert(centre, np.searchsorted(centre, 0), np.nan),
@@ -53,6 +53,13 @@ def run_plots(record: RunRecord, note: str = "") -> str:
             Cloud(joint, speed, f"residual [{unit}]", [("samples in view", qd[:, j], rest, "sky")], [sides], joint=j)
         )
     return plots(time, panels, clouds, posture(robot_of(record), time, q), "torques of the test set", note)
+
+
+def _residual(measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """Their difference (T,), NaN beyond twice the measured range, where the prediction has left its plot, too."""
+    residual = measured - predicted
+    reach = 2 * np.ptp(measured)
+    return np.where(np.abs(residual) <= reach, residual, np.nan) if reach > 0 else residual
 
 
 def timeline(data: Dataset) -> Timeline:

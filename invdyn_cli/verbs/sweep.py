@@ -3,6 +3,7 @@
 import json
 import os
 import traceback
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -127,8 +128,7 @@ class Summary(Callback):
         folder = Path(config.hydra.sweep.dir)
         rows = sorted((_row(path.parent) for path in folder.glob(f"*/{STATUS}")), key=lambda row: row["job"])
         write_file(folder / "sweep.csv", tables.sweep_csv(rows))
-        shared = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
-        named = [{**row, "overrides": _without(row["overrides"], shared)} for row in rows]
+        named = [{**row, "overrides": name} for row, name in zip(rows, _names(rows), strict=True)]
         console = Screen()
         console.print(tables.sweep_table(named))
         write_page(named, folder)
@@ -157,9 +157,15 @@ def write_page(rows: Sequence[Mapping[str, Any]], folder: Path) -> Path:
     return compared.write_page(runs, folder, f"A sweep of {len(rows)} jobs", told=sentences)
 
 
-def _without(overrides: str, shared: set[str]) -> str:
-    """What a job does not have in common with all others."""
-    return " ".join(x for x in overrides.split() if x not in shared)
+def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The overrides of each job that it does not share with all others; of model.hidden the last part, hidden, unless
+    two options end so."""
+    jobs = [row["overrides"].split() for row in rows]
+    shared = set.intersection(*map(set, jobs)) if len(jobs) > 1 else set()
+    own = [[override.partition("=") for override in job if override not in shared] for job in jobs]
+    ends = Counter(key.rpartition(".")[2] for key in {key for job in own for key, *_ in job})
+    short = {key: end for job in own for key, *_ in job if ends[end := key.rpartition(".")[2]] == 1}
+    return [" ".join(f"{short.get(key, key)}{equals}{value}" for key, equals, value in job) for job in own]
 
 
 def _row(folder: Path) -> dict[str, Any]:

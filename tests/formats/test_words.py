@@ -41,6 +41,11 @@ NAMES = {
     "field.effort0": ("tau", "0", False, ""),
     "field.header.stamp": ("t", "", False, ""),
     "J2 Torque (Nm)": ("tau", "2", False, "N m"),
+    "A2_Winkel_ist": ("q", "2", False, ""),
+    "Achse3_Winkel_soll": ("q", "3", True, ""),
+    "A1_Strom_mA": ("current", "1", False, "mA"),
+    "axe_2_couple": ("tau", "2", False, ""),
+    "Temperatur": ("", "", False, ""),
     "robot_state": ("", "", False, ""),
     "robot_mode": ("", "mode", False, ""),
 }

@@ -37,6 +37,11 @@ RATED = {"percent of rated torque": 100.0, "per mille of rated torque": 1000.0}
 CERTAIN = ("N mm or mN m", "kN m", "N m times 1000 twice", "N m over 1000 twice")
 """Far from any physical cause: corrected. The others are told, and left for the user to decide."""
 
+WITHOUT_GAINS = (
+    "data.drive_gain=[…] in N m/A, from the drives' data sheets; without them, invdyn diagnose estimates gains from "
+    "the URDF's masses"
+)
+"""Advice for a log of currents."""
 
 GAIN, LARGE, SELDOM = 0.25, 0.7, 0.03
 """Standard deviation of the log of logged over expected torque that gains, payloads and inertials make (ours: E4 of the
@@ -171,7 +176,8 @@ class TorqueUnits(AbstractCheck):
         said = ", ".join(f"{joint} {1 / x:.3g}" for joint, x in ratios.items() if x > 0)
         seen = "torque_unit is A and there are no drive gains"
         seen += f"; the nominal torques suggest [N m/A] {said}" if said else ""
-        return self._seen("fail", None, None, None, seen, "currents cannot be compared with torques")
+        made = self._seen("fail", None, None, None, seen, "currents cannot be compared with torques")
+        return replace(made, advice=WITHOUT_GAINS)
 
     def _seen(self, severity, joint, value, factor, seen: str, what: str) -> Check:
         return Check(
