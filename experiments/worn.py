@@ -78,7 +78,8 @@ class RandomWalk(AbstractReference):
 class Counted:
     """One log: what was hidden beside the wear and how many times the noise it makes on the joint that feels it most,
     how it was spoken of, anomalies that were claimed beside it, and the relative error of each standard term that
-    counts: on joints whose torque is more than the sensor's noise, and on the others (`faint`)."""
+    counts: on joints whose torque is more than the sensor's noise, and on the others (`faint`); whether the 95 %
+    interval of each of them has its true value."""
 
     seed: int
     said: str
@@ -89,6 +90,7 @@ class Counted:
     false: tuple[str, ...]
     errors: tuple[float, ...]
     faint: tuple[float, ...]
+    covered: tuple[bool, ...]
     verdict: str
     seconds: float
 
@@ -202,13 +204,19 @@ def drawn(seed: int, name: str) -> Drawn:
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
 
 
-def term_errors(one: Drawn, diagnosis: Diagnosis) -> tuple[list[float], list[float]]:
-    """Relative errors of the friction terms of the written model that count, but where bristles stand beside them: on
-    joints whose torque is more than their sensor's noise, and on the others."""
+class Term(NamedTuple):
+    """A friction term of the written model: its relative error, whether its 95 % interval has the true value, and
+    whether its joint's torque is less than the sensor's noise."""
+
+    error: float
+    covered: bool
+    faint: bool
+
+
+def terms_of(one: Drawn, diagnosis: Diagnosis) -> list[Term]:
+    """The friction terms that count, but where bristles stand beside them."""
     terms = {"coulomb_friction": ("coulomb", "coulomb"), "viscous_friction": ("viscous", "damping")}
-    scene = one.scene
-    loud: list[float] = []
-    faint: list[float] = []
+    scene, model, found = one.scene, diagnosis.model, []
     for friction in one.worn:
         beside = one.anomaly if one.anomaly and one.anomaly.joint == friction.joint else None
         if friction.effect not in terms or (beside and "hysteresis" in beside.effect):
@@ -220,10 +228,11 @@ def term_errors(one: Drawn, diagnosis: Diagnosis) -> tuple[list[float], list[flo
             true += beside.parameters["coulomb"]
         if true * (scene.speed[j] if term == "viscous" else 1.0) < COUNTS * scene.torque[j]:
             continue
-        got = [a.parameters for a in diagnosis.model.acting if a.joint == j] if diagnosis.model else []
-        errors = loud if scene.torque[j] > one.noise[j] else faint
-        errors.append(abs(sum(p.get(name, 0.0) for p in got) - true) / true)
-    return loud, faint
+        got = list(zip(model.acting, model.intervals, strict=True)) if model else []
+        own = [x.get(name, (a.parameters[name],) * 3) for a, x in got if a.joint == j and name in a.parameters]
+        value, low, high = np.sum([(0.0,) * 3, *own], axis=0)
+        found.append(Term(abs(value - true) / true, low <= true <= high, scene.torque[j] <= one.noise[j]))
+    return found
 
 
 def spoken(anomaly: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
@@ -254,10 +263,14 @@ def count(seed: int, name: str) -> Counted:
     found = claims(diagnosis)
     result, false = spoken(anomaly, found)
     names = tuple(said_of(f) for f in found if f.effect not in STANDARD)
-    loud, faint = map(tuple, term_errors(one, diagnosis))
+    terms = terms_of(one, diagnosis)
+    loud, faint = (tuple(float(x.error) for x in terms if x.faint == faint) for faint in (False, True))
+    covered = tuple(bool(x.covered) for x in terms)
     hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
     false = tuple(map(said_of, false))
-    return Counted(seed, one.said, hidden, one.times, result, names, false, loud, faint, diagnosis.verdict, seconds)
+    return Counted(
+        seed, one.said, hidden, one.times, result, names, false, loud, faint, covered, diagnosis.verdict, seconds
+    )
 
 
 def said_of(finding: Finding) -> str:
@@ -302,6 +315,7 @@ class Worn(AbstractExperiment):
             cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
             lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
         errors, faint = np.array([e for c in rows for e in c.errors]), np.array([e for c in rows for e in c.faint])
+        covered = [x for c in rows for x in c.covered]
         worn = [c for c in rows if c.hidden != "none"]
         loud = [c for c in worn if c.times > LOUD]
         right, plain = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud))
@@ -315,7 +329,8 @@ class Worn(AbstractExperiment):
                 f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",
                 f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
                 f"{100 * np.median(errors) if len(errors) else 0:.2g} %; on joints whose torque is less than the "
-                f"sensor's noise {np.sum(faint < RIGHT)} of {len(faint)}.",
+                f"sensor's noise {np.sum(faint < RIGHT)} of {len(faint)}. The 95 % intervals of {sum(covered)} of "
+                f"{len(covered)} have the true value.",
                 f"Seconds a log: median {seconds[len(seconds) // 2]:.0f}, longest {seconds[-1]:.0f}.",
             ]
         )

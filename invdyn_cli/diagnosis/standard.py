@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.columns.bodies import body_columns
 from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
 from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
+from invdyn_cli.diagnosis.decide.intervals import reach
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of
@@ -39,6 +40,15 @@ LINK = EFFECTS[LinkInertiaError.name]
 
 CLAIMED = 0.01
 """Share of its joint's RMS torque that a standard term must be worth to be claimed."""
+
+STRETCHES = 8
+"""Number of stretches of time, each left out once, from whose fits a coefficient's scatter is taken."""
+
+SYSTEMATIC = 2.5e-3
+"""Standard error, as a share of a coefficient, that no scatter shows: clocks, holding, filters (`make worn`)."""
+
+RECORDINGS = 3
+"""Least number of recordings from which the scatter between them is taken."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +110,19 @@ class Columns:
         first = standard.fit(motions, prior, np.ones(self.evidence.dofs), standard.USUAL)
         return motions, prior, self._times(left - self.of(first.theta), rows)
 
+    def reach(self, fitted: Standard, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(p,) half of the 95 % interval of coefficients that were fitted to what is `left` (R, n) on some `rows` (R,),
+        from the root of the sum of squares: what the noise and the prior leave unknown; their scatter between stretches
+        of time or between recordings, which shows what the model has not; and SYSTEMATIC."""
+        _, prior, times = self._asked(left, rows, standard.link_scales(self.evidence.robot))
+        stretches = [self._sums(left, stretch) for stretch in _stretches(rows)]
+        ways = [x for x, least in ((stretches, 2), (self._motions(left, rows), RECORDINGS)) if len(x) >= least]
+        scatter = reach(
+            [standard.replicas(x, prior, times, fitted.share) for x in ways], np.zeros((1, len(fitted.theta)))
+        )
+        unknown = reach([], np.diag(std_of(fitted)))
+        return np.sqrt(scatter**2 + unknown**2 + (2 * SYSTEMATIC * fitted.theta) ** 2)
+
     def line(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Coefficients (p,) of the terms alone by plain least squares: the friction line that a user would draw."""
         return standard.line(self._motions(left, rows), ~self.inertial)
@@ -157,6 +180,7 @@ class Beside:
             the rows that chose.
         before: (R, n) what the nominal model leaves.
         learned, found: the standard model beside the findings, of what chose and of all rows.
+        reach: (p,) half of the 95 % interval of each coefficient of `found`.
         share: by which the URDF's links are off, and how that was learned.
         worth: (n,) RMS torque of the links' change [N m; N].
     """
@@ -170,6 +194,7 @@ class Beside:
     before: np.ndarray
     learned: Standard
     found: Standard
+    reach: np.ndarray
     share: tuple[float, str]
     worth: np.ndarray
 
@@ -241,7 +266,8 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
         if _error(evidence, chosen - columns.of(plain.theta)) < _error(evidence, chosen - columns.of(learned.theta)):
             learned, found = plain, columns.without_links(found, whole, every, least)
     asked = learned.gain > 0
-    together, ends = _merged(evidence, columns.terms, found, acting, intervals) if asked else (acting, intervals)
+    half = columns.reach(found, whole, every)
+    together, ends = _merged(evidence, columns.terms, found, half, acting, intervals) if asked else (acting, intervals)
     return Beside(
         columns=columns,
         acting=tuple(together),
@@ -255,6 +281,7 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
         before=before,
         learned=learned,
         found=found,
+        reach=half,
         share=(found.share, found.chosen),
         worth=np.sqrt(np.mean(columns.of(np.where(columns.inertial, found.theta, 0.0)) ** 2, axis=0)),
     )
@@ -277,13 +304,13 @@ def claims(
         named: (effect, joint) of the anomalies that were claimed; a special case of one is part of it.
     """
     n, rows, columns, made = evidence.dofs, judged(evidence), more.columns, []
-    value, std = (x[10 * n :].reshape(-1, n) for x in (more.found.theta, std_of(more.found)))
+    value, half = (x[10 * n :].reshape(-1, n) for x in (more.found.theta, more.reach))
     learned = more.learned.theta[10 * n :].reshape(-1, n)
     special = {(x, joint) for name, joint in named if name in EFFECTS for x in EFFECTS[name].contains}
     for t, term in enumerate(columns.terms):
         effect, name = TERMS[term]
         for j, joint in enumerate(evidence.robot.joints):
-            low, high = (float(value[t, j] + side * 1.96 * std[t, j]) for side in (-1, 1))
+            low, high = float(value[t, j] - half[t, j]), float(value[t, j] + half[t, j])
             own = np.outer(learned[t, j] * columns.own[t, j], np.eye(n)[j])
             torque, whole = (float(np.sqrt(np.mean(x[rows, j] ** 2))) for x in (own, evidence.tau))
             if low <= 0 <= high or torque < CLAIMED * whole or (effect, joint) in {*named, *special}:
@@ -311,6 +338,14 @@ def least_of(columns: Columns, acting: Sequence[EffectInstance]) -> np.ndarray:
     return least
 
 
+def _stretches(rows: np.ndarray) -> list[np.ndarray]:
+    """The chosen rows (R,) bool in STRETCHES parts, one behind the other, each as such."""
+    made = np.zeros((STRETCHES, len(rows)), bool)
+    for stretch, at in zip(made, np.array_split(np.flatnonzero(rows), STRETCHES), strict=True):
+        stretch[at] = True
+    return list(made)
+
+
 def _place(acting: Sequence[EffectInstance], term: str, joint: int) -> int | None:
     """Where a joint's term stands among effects that always act."""
     effect = TERMS[term][0]
@@ -321,22 +356,23 @@ def _merged(
     evidence: Evidence,
     terms: Sequence[str],
     found: Standard,
+    half: np.ndarray,
     acting: Sequence[EffectInstance],
     intervals: Sequence[Mapping[str, tuple]],
 ) -> tuple[Sequence[EffectInstance], Sequence[Mapping[str, tuple]]]:
     """All effects and their intervals."""
     n = evidence.dofs
-    theta, std = found.theta, std_of(found)
+    theta = found.theta
     together: list[EffectInstance] = list(acting)
     ends: list[dict[str, tuple]] = [dict(x) for x in intervals]
     for t, term in enumerate(terms):
         effect, name = TERMS[term]
         for j in range(n):
-            value, reach = (float(x[10 * n + t * n + j]) for x in (theta, 1.96 * std))
+            value, wide = (float(x[10 * n + t * n + j]) for x in (theta, half))
             place = _place(acting, term, j)
             if place is None:
                 together.append(EffectInstance(EFFECTS[effect], j, {name: value}))
-                ends.append({name: (value, value - reach, value + reach)})
+                ends.append({name: (value, value - wide, value + wide)})
                 continue
             old = together[place]
             total = float(old.parameters[name]) + value
@@ -347,7 +383,7 @@ def _merged(
     for j, row in enumerate(theta[: 10 * n].reshape(n, 10)):
         if not row.any():
             continue
-        spread = 1.96 * std[10 * j : 10 * j + 10]
+        spread = half[10 * j : 10 * j + 10]
         split = {"mass": 0, "moment": slice(1, 4), "inertia": slice(4, 10)}
         plain = {k: float(row[at]) if k == "mass" else row[at] for k, at in split.items()}
         together.append(EffectInstance(LINK, j, plain))

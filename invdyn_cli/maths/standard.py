@@ -159,6 +159,13 @@ def widest(motions: Sequence[Sums], prior: Prior, times: Array) -> float:
     return max(s for s in shares if found[s] > max(found.values()) - OPEN)
 
 
+def replicas(parts: Sequence[Sums], prior: Prior, times: Array, share: float) -> np.ndarray:
+    """(parts, p) coefficients of the data without each of its parts, for a jackknife."""
+    total, times = _total(parts), np.asarray(times, float)
+    others = [Sums(total.grams - one.grams, total.rows - one.rows) for one in parts]
+    return np.stack([_posterior(x, prior, times, share)[0] for x in others])
+
+
 def left(motions: Sequence[Sums], theta: Array) -> np.ndarray:
     """RMS (n,) of the torque that these coefficients leave unexplained."""
     total = _total(motions)

@@ -1,6 +1,7 @@
 """Worn arms: links that are some percent off are no causes by themselves, and hide none."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -50,23 +51,53 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
     assert np.mean(left) < wear.FELT * (len(scale) - len(worn.precision))
 
 
+def beside(robot, off, draw, *terms):
+    """These terms, and what links that are off by up to a share make beside the robot's."""
+    scale = off * link_scales(robot) * draw.uniform(-1, 1, (robot.dofs, 10))
+    other = replace(robot, inertial=robot.inertial + scale)
+
+    def whole(t, m):
+        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot)]
+        return sum(term(t, m) for term in terms) + moves[0] - moves[1]
+
+    return whole
+
+
 @pytest.mark.parametrize("off", [0.0, 0.08])
 def test_wear_is_asked_for_where_links_are_off(off):
     """Beside friction that was found no log asks for links that are off where they are right; where every one is some
     percent off it does."""
-    draw, robot = np.random.default_rng(0), arm()
-    scale = off * link_scales(robot) * draw.uniform(-1, 1, (robot.dofs, 10))
-    other = replace(robot, inertial=robot.inertial + scale)
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
-
-    def term(t, m):
-        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot)]
-        return friction(t, m) + moves[0] - moves[1]
-
+    term = beside(arm(), off, np.random.default_rng(0), friction)
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
     fitted = wear.of(standard.columns_of(evidence, "unknown"), inquiry)
     assert (fitted is None) == (off == 0.0)
+
+
+def test_intervals_of_standard_terms_have_their_true_values():
+    """Friction on every joint, links up to 5 % off, and a wave that no term has: of the 95 % intervals of 36 frictions
+    85 % or more have the true value (a fair 95 % has fewer once in 70). Without the wave's scatter they are narrower
+    by far."""
+    covered, narrower = [], []
+    for seed in range(6):
+        draw, n = np.random.default_rng(seed), arm().dofs
+        coulomb, damping, phase = (draw.uniform(*ends, n) for ends in ((1, 3), (0.5, 2), (0, 6)))
+        frictions = partial(lambda c, d, t, m: c * np.sign(m.qd) + d * m.qd, coulomb, damping)
+        wave = partial(lambda p, t, m: 0.3 * np.sin(2 * np.pi * 0.21 * t[:, None] + p), phase)
+        term = beside(arm(), 0.05, draw, frictions, wave)
+        evidence = evidence_of(log_of(raw(*moved(30.0, seed=seed), term, torque=0.02, position=1e-6)), NAMES)
+        columns, every = standard.columns_of(evidence, "unknown"), np.ones(len(evidence.tau), bool)
+        left = evidence.residual((), np.zeros(0))
+        fitted = columns.fit(left, every)
+        half = columns.reach(fitted, left, every)[10 * n :].reshape(-1, n)
+        value = fitted.theta[10 * n :].reshape(-1, n)
+        for name, true in (("coulomb", coulomb), ("viscous", damping)):
+            row = columns.terms.index(name)
+            covered += list(np.abs(value[row] - true) <= half[row])
+        narrower += list(1.96 * standard.std_of(fitted)[10 * n :] / half.ravel())
+    assert len(covered) == 36 and np.mean(covered) >= 0.85
+    assert np.median(narrower) < 0.9
 
 
 @pytest.mark.parametrize("seed", usually([0], [0, 1]))

@@ -27,6 +27,7 @@ from invdyn_cli.interfaces import (
     JointState,
     Parameters,
 )
+from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.recording.pieces import ROLES, Piece, Recording
 from invdyn_cli.types import Array, Robot
 
@@ -45,6 +46,9 @@ REST_TIME = 0.05
 
 SPARE = 64
 """Number of columns for which there is space before a table is copied."""
+
+SLOW = 0.25
+"""Part of a joint's frequency band in which the arm moves."""
 
 ADJOINING = 0.1
 """[s] Longest gap between two pieces of a trajectory across which the state of an effect with a memory continues."""
@@ -241,6 +245,18 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
     arrays = [np.asarray(x) for x in parts]
     each = [recording.filter(x) if joint is None else recording.filter.of(joint, x) for x in arrays]
     return np.concatenate(each, axis=-1)
+
+
+def slow(evidence: Evidence, x: Array, joint: int) -> np.ndarray:
+    """(R,) of x (R,) the lowest part of a joint's band, piece by piece: the arm moves there, and the noise of
+    differentiated positions is small. 0 on pieces that are shorter than the filter's memory."""
+    filter, out = evidence.recording.filter, np.zeros(len(x))
+    rate = filter.rate / filter.keep
+    cutoff = min(SLOW * filter.cutoffs[joint], 0.45 * rate)
+    for number in np.unique(evidence.piece):
+        at = evidence.piece == number
+        out[at] = lowpass(x[at], rate, cutoff) if at.sum() > settling(rate, cutoff) else 0.0
+    return out
 
 
 def _last_block(t: np.ndarray, length: float) -> int:

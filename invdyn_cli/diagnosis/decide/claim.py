@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow
+from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
@@ -20,6 +21,10 @@ FELT = 0.1
 
 RARE = 0.1
 """Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
+
+
+FARTHEST = 3.0
+"""Standard deviations, between blocks, by which a gain may be larger than it seems."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,33 @@ class Claim:
         return float(np.sum(self.inquiry.noise.weights * unknown * valid.sum(0) * (gains > 1e-3 * gains.max())))
 
     @cached_property
+    def slow_gain(self) -> float:
+        """Of what it makes where the arm moves (`slow`), the share that may be saved there, at most: an effect has one
+        size at all frequencies. Above, a controller answers to the noise of encoders, and the logged motion has that
+        noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
+        evidence, joints = self.inquiry.evidence, np.flatnonzero(self._own)
+        after, change = (
+            np.stack([slow(evidence, (x * evidence.valid)[:, j], j) for j in joints], axis=1)
+            for x in (self.after, self.before - self.after)
+        )
+        weights = self.inquiry.noise.weights[joints]
+        saved, made = (2 * after + change) * change @ weights, change**2 @ weights
+        each = np.bincount(evidence.block, saved)
+        return float((saved.sum() + FARTHEST * np.sqrt(len(each)) * np.std(each)) / max(made.sum(), 1e-300))
+
+    @cached_property
+    def rivals(self) -> list[naming.Rival]:
+        """The best trial of every other effect in its place."""
+        inquiry = self.inquiry
+        return naming.rivals(inquiry.judge, inquiry.always, self.hypothesis, self.place, inquiry.pool)
+
+    @cached_property
+    def beaten(self) -> float:
+        """Held-out loss of the best effect in its place whose size cannot be, beyond its own: what that explains better
+        has no name here."""
+        return min((r.excess for r in self.rivals if r.impossible), default=np.inf)
+
+    @cached_property
     def evidence(self) -> float:
         """Held-out loss of all else by itself, fitted anew, beyond that of the hypothesis, prices included."""
         judge, always = self.inquiry.judge, self.inquiry.always
@@ -94,12 +126,12 @@ class Claim:
 
     @cached_property
     def delay(self) -> float:
-        """Its own delay [s], infinite where it has none."""
+        """The least that its own delay [s] may be, by its interval; infinite where it has none."""
         late_by = self.candidate.effect.late_by
-        if not late_by:
+        place = next((k for k, a in enumerate(self.chosen.acting) if a.key == self.candidate.key), None)
+        if not late_by or place is None:
             return np.inf
-        acting = acting_of(self.inquiry.judge, self.inquiry.always, self.hypothesis)[self.place]
-        return float(acting.parameters[late_by])
+        return float(intervals(self.inquiry.evidence, self.chosen)[place][late_by][1])
 
     @cached_property
     def exact(self) -> tuple[float, float]:

@@ -26,6 +26,10 @@ MIN_SHARE_OF_RESIDUAL = 0.5
 of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
 
 
+ONE_SIZE = 0.75
+"""Least share of what an effect makes where the arm moves that may be saved there: 1 for a true one; columns are
+approximations."""
+
 EVIDENCE = 400.0
 """Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted
 (docs/decisions/045)."""
@@ -64,12 +68,21 @@ REFUSALS = (
         1.0,
         lambda _: "most of what it would explain comes from an effect that is not in the catalogue",
     ),
+    Refusal(
+        "share of what it makes where the arm moves",
+        lambda x: x.slow_gain,
+        ONE_SIZE,
+        lambda _: "it has another size where the arm moves than at higher frequencies, where encoders make noise",
+    ),
     Refusal("evidence beside the standard model", lambda x: x.evidence if x.inquiry.wear else np.inf, EVIDENCE),
     Refusal(
         "delay over the sampling period",
         lambda x: x.delay / x.inquiry.evidence.recording.period,
         1.0,
-        lambda x: f"{1e3 * x.delay:.2g} ms is less than one sampling period and may come from the clock of the log",
+        lambda x: (
+            f"it may be no more than {1e3 * max(x.delay, 0.0):.2g} ms, which is less than one sampling period, and "
+            "come from the log's clock"
+        ),
     ),
     Refusal("chance that its exact formula gains", lambda x: x.exact[0], 1 - naming.DOUBT),
     Refusal(
@@ -79,6 +92,12 @@ REFUSALS = (
         lambda _: (
             "it is small compared with the residual, and may be an artefact of encoder noise in the feedback loop"
         ),
+    ),
+    Refusal(
+        "loss of what cannot be in its place",
+        lambda x: x.beaten,
+        -naming.LEAST_DIFFERENCE,
+        lambda _: "another effect, of a size that cannot be, would explain the data better",
     ),
 )
 """What a claim must reach, in this order."""
@@ -93,15 +112,15 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         chosen = exactly(inquiry, hypothesis, chosen)
     while hypothesis:
         after = left(inquiry, hypothesis)
-        claims = (Claim(inquiry, hypothesis, i, chosen, after) for i in range(len(hypothesis)))
+        claims = [Claim(inquiry, hypothesis, i, chosen, after) for i in range(len(hypothesis))]
         refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
         if refused:
             worst, row = min(refused, key=lambda x: x[0].gain)
             place, why = worst.place, row.why(worst)
-            if why and not any(r.equal for r in _rivals(inquiry, hypothesis, place)):
+            if why and not any(r.equal for r in worst.rivals):
                 name = _titled(inquiry, worst.candidate)
                 said.append(f"{name[0].upper()}{name[1:]} was tried, but it is not claimed: {why}.")
-        elif inquiry.wear and (vague := _vague(inquiry, hypothesis)):
+        elif inquiry.wear and (vague := _vague(claims)):
             place, rival = vague
             one, other = sorted(_titled(inquiry, x) for x in (hypothesis[place], rival.candidate))
             said.append(f"Neither {one} nor {other} is claimed: these different effects explain the data equally well.")
@@ -124,17 +143,14 @@ def _titled(inquiry: Inquiry, one: Candidate) -> str:
     return one.effect.title + (f" on {inquiry.evidence.robot.joints[one.joint]}" if one.joint is not None else "")
 
 
-def _rivals(inquiry: Inquiry, hypothesis: Hypothesis, i: int) -> list[naming.Rival]:
-    return naming.rivals(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool)
-
-
-def _vague(inquiry: Inquiry, hypothesis: Hypothesis) -> tuple[int, naming.Rival] | None:
+def _vague(claims: Sequence[Claim]) -> tuple[int, naming.Rival] | None:
     """The candidate beside the standard model in whose place an effect does best for which theory does not take it, if
     there is one, and that effect: what so different effects explain alike is too little to have a name."""
     found: list[tuple[int, naming.Rival]] = []
-    for i, one in enumerate(hypothesis):
+    for claim in claims:
+        one = claim.candidate
         like = {one.effect.name, *(name for names in one.effect.confounders for name in names)}
-        others = [r for r in _rivals(inquiry, hypothesis, i) if r.equal]
+        others = [r for r in claim.rivals if r.equal]
         others = [r for r in others if not (one.effect.load and r.candidate.effect.load)]
-        found += [(i, r) for r in others if r.candidate.effect.name not in like]
+        found += [(claim.place, r) for r in others if r.candidate.effect.name not in like]
     return min(found, key=lambda x: x[1].excess, default=None)

@@ -11,16 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import trial_at
-from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.evidence import slow
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.interfaces import AbstractEffect
-from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.maths.statistics import autocorrelation_time
-
-SLOW = 0.25
-"""Part of a joint's frequency band in which delay and lag are compared."""
 
 
 def distinguish(
@@ -43,11 +39,12 @@ def distinguish(
         others = chosen.acting[:i], chosen.acting[i + 1 :]
         trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
         assert one.joint is not None
-        slow = [_slow(evidence, x, one.joint)[rows] for x in (trial, chosen)]
-        best = min(slow, key=lambda x: float(x @ x))
+        valid = evidence.valid[:, one.joint]
+        left = [slow(evidence, x.residual[:, one.joint] * valid, one.joint)[rows] for x in (trial, chosen)]
+        best = min(left, key=lambda x: float(x @ x))
         unit = float(np.mean(best**2)) * autocorrelation_time(best)  # of a loss: noise variance x correlation time
         numbers, of = np.unique(evidence.block[rows], return_inverse=True)
-        losses = [np.bincount(of, x**2, len(numbers)) for x in slow]
+        losses = [np.bincount(of, x**2, len(numbers)) for x in left]
         step = (losses[0] - losses[1]) / max(unit, 1e-300)
         if step.sum() < 0:
             chosen, step = trial, -step
@@ -56,16 +53,3 @@ def distinguish(
             hypothesis = (*hypothesis[:i], candidate, *hypothesis[i + 1 :])
         close[hypothesis[i].key] = naming.chance(step, 0.0) > naming.DOUBT
     return hypothesis, chosen, close
-
-
-def _slow(evidence: Evidence, refined: Refined, joint: int) -> np.ndarray:
-    """(R,) a joint's residual in the lowest part of its band. A lag's column carries the slope of the model's torque,
-    and with it the noise of positions thrice differentiated, which a delay's does not; down there both are quiet."""
-    rate = evidence.recording.filter.rate / evidence.recording.filter.keep
-    cutoff = min(SLOW * evidence.recording.filter.cutoffs[joint], 0.45 * rate)
-    out = np.zeros(len(refined.residual))
-    for number in np.unique(evidence.piece):
-        at = evidence.piece == number
-        x = refined.residual[at, joint] * evidence.valid[at, joint]
-        out[at] = lowpass(x, rate, cutoff) if len(x) > settling(rate, cutoff) else 0.0
-    return out

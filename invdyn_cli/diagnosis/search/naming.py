@@ -47,8 +47,8 @@ show in a single one."""
 
 @dataclass(frozen=True)
 class Rival:
-    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, and
-    the parameters that it then has."""
+    """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, the
+    parameters that it then has, and whether these cannot be though it is no more general effect."""
 
     candidate: Candidate
     excess: float
@@ -56,6 +56,7 @@ class Rival:
     equal: bool
     why: str
     parameters: Parameters
+    impossible: bool = False
 
 
 def simplified(
@@ -138,7 +139,8 @@ def rivals(
         elif not equal:
             why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
         parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
-        made.append(Rival(c, excess, error, equal, why, parameters))
+        impossible = bool(c.effect.refuse(parameters)) and not clash(c, own)
+        made.append(Rival(c, excess, error, equal, why, parameters, impossible))
     return made
 
 

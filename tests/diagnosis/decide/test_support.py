@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from invdyn_cli.diagnosis.decide import claim, support
 from invdyn_cli.diagnosis.search.inquiry import inquire
@@ -27,3 +28,25 @@ def test_a_delay_that_was_never_refined_is_judged():
     assert why is not None and why.why(one) == ""
     kept, _, said = support.supported(replace(inquiry, hypothesis=hypothesis))
     assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)
+
+
+@pytest.mark.parametrize(("true", "expected"), [(1.0, 1.0), (0.0, -1.0), (0.5, 0.0)])
+def test_an_effect_has_one_size_where_the_arm_moves(true, expected):
+    """An effect whose torque is slow and fast, of which the residual has the fast part whole and of the slow part a
+    share: the share that is saved where the arm moves tells, whatever is saved above. Theory: of a column x of which
+    the residual has a x, it saves (2 a - 1) of x's squares."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(40.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
+    inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
+    (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
+    one = claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.chosen, claim.left(inquiry, inquiry.hypothesis))
+    t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
+    slow, fast = (np.sin(2 * np.pi * share * cutoff * t) for share in (0.05, 0.8))
+    noise = 0.01 * np.random.default_rng(0).normal(size=evidence.valid.shape)
+    before, after = noise.copy(), noise.copy()
+    before[:, 0] += true * slow + 3 * fast
+    after[:, 0] += (true - 1) * slow
+    one = replace(one, after=after)
+    one.__dict__["before"] = before  # cached: what the search left is replaced by what is made up here
+    assert one.slow_gain == pytest.approx(expected, abs=0.35)  # three standard deviations of the blocks are added
+    assert (one.slow_gain < support.ONE_SIZE) == (true < 1)
