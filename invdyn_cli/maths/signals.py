@@ -106,3 +106,18 @@ def resample(
     if len(ticks) == len(t) and np.all(np.abs(t - ticks) * rate <= tolerance):
         return t, x
     return ticks, scipy.interpolate.make_interp_spline(t, x, k=degree, axis=0)(ticks)
+
+
+def lattice(x: np.ndarray, most: int = 100_000) -> float:
+    """The step of which all values of x (T,) are multiples, 0 if there is none (T is cut to `most`)."""
+    values = np.unique(x[:most])
+    if len(values) < 3 or len(values) > 0.9 * min(len(x), most):
+        return 0.0
+    steps = np.diff(values)
+    steps = steps[steps > 1e-6 * np.median(steps)]  # float32 rounding of one and the same value
+    if not len(steps):
+        return 0.0
+    step = float(np.quantile(steps, 0.01))
+    small = steps[steps < 20.5 * step] / step
+    on = np.abs(small - np.round(small)) < 0.1
+    return step if on.mean() > 0.95 and len(small) > 0.5 * len(steps) else 0.0

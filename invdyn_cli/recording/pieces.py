@@ -13,7 +13,7 @@ import scipy
 from invdyn_cli.effects.composition import Span
 from invdyn_cli.errors import LogError
 from invdyn_cli.log import Log, RawTrajectory, Window
-from invdyn_cli.maths.signals import lowpass, resample, settling
+from invdyn_cli.maths.signals import lattice, lowpass, resample, settling
 from invdyn_cli.recording.rows import without_gaps
 from invdyn_cli.types import Motion
 
@@ -186,7 +186,10 @@ def prepare(
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
     if not cut:
         raise LogError(f"no stretch of the log has more than {4 * ANSWER} samples without a gap")
-    position_noise = _noise([np.diff(q, 4, axis=1) for _, _, _, q, _ in cut])
+    farthest = [max((raw.q[:, j] for raw in log.trajectories), key=np.ptp) for j in range(len(log.joints))]
+    position_noise = np.maximum(  # a joint that rests shows less noise than a step of its encoder makes
+        _noise([np.diff(q, 4, axis=1) for _, _, _, q, _ in cut]), np.array([lattice(q) for q in farthest]) / np.sqrt(12)
+    )
     torque_noise = _noise([_unanswered(q, tau) for _, _, _, q, tau in cut])
     step = max(1, round(1 / (period * options.rate)))
     rate = 1 / (period * step)

@@ -101,6 +101,18 @@ def test_noise_is_told_at_the_log_s_own_rate(answer):
     np.testing.assert_allclose(recording.torque_noise, 0.05, rtol=0.1)
 
 
+def test_an_encoder_s_noise_is_no_less_than_its_step_makes():
+    """A joint that rests for two thirds of the time shows no noise meanwhile; rounding to a step makes step / sqrt(12)
+    all the same (Widrow 1956)."""
+    t, m = moved(20.0, rate=1000.0)
+    step = 2 * np.pi / 2**16
+    rests = np.arange(len(t)) % 9000 < 6000
+    at = np.maximum.accumulate(np.where(rests, 0, np.arange(len(t))))  # holds the last posture before the rest
+    one = raw(t, m, torque=0.02)
+    recording = recording_of(log_of(replace(one, q=step * np.round(m.q[at] / step))))
+    assert np.all(recording.position_noise > 0.99 * step / np.sqrt(12))
+
+
 def test_the_cut_off_falls_with_the_noise_of_positions():
     """The noisier the encoders, the lower every joint's cut-off; without noise it is the highest of the list."""
     levels = [

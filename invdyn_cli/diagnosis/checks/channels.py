@@ -9,25 +9,11 @@ from invdyn_cli.diagnosis.checks.fits import rms
 from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
+from invdyn_cli.maths.signals import lattice
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import is_series, median_step, runs, usable_rows
 from invdyn_cli.recording.stretches import stretches
 from invdyn_cli.types import Check, Robot
-
-
-def lattice(x: np.ndarray, most: int = 100_000) -> float:
-    """The step of which all values of x (T,) are multiples, 0 if there is none (T is cut to `most`)."""
-    values = np.unique(x[:most])
-    if len(values) < 3 or len(values) > 0.9 * min(len(x), most):
-        return 0.0
-    steps = np.diff(values)
-    steps = steps[steps > 1e-6 * np.median(steps)]  # float32 rounding of one and the same value
-    if not len(steps):
-        return 0.0
-    step = float(np.quantile(steps, 0.01))
-    small = steps[steps < 20.5 * step] / step
-    on = np.abs(small - np.round(small)) < 0.1
-    return step if on.mean() > 0.95 and len(small) > 0.5 * len(steps) else 0.0
 
 
 @dataclass(frozen=True)

@@ -228,9 +228,11 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording, parents
 
 
 def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:
-    """(n, rows) bool: rows that no rest reaches through the filter."""
-    slow = np.abs(piece.qd) < np.maximum(rest_speed, 4 * piece.motion_noise)[:, None]
+    """(n, rows) bool: rows that no rest reaches through the filter. Speeds are means over REST_TIME: one that creeps
+    from one step of its encoder to the next seems to stop and go."""
     length = max(2, round(REST_TIME * recording.filter.rate))
+    mean = scipy.ndimage.uniform_filter1d(piece.qd, length, axis=1)
+    slow = np.abs(mean) < np.maximum(rest_speed, 4 * piece.motion_noise)[:, None]
     rest = np.zeros_like(slow)
     for j in range(len(slow)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], slow[j], [False]]).astype(int)))

@@ -119,6 +119,8 @@ class Claim:
     @cached_property
     def acts_at_rest(self) -> bool:
         """Whether it is there while joints rest: of one that is not they say nothing, but of what friction bears."""
+        if self.candidate.effect.held:
+            return False
         evidence = self.inquiry.evidence
         term = term_of(self.inquiry, self.hypothesis, self.place) ** 2 * self.inquiry.noise.weights
         at_rest = ~evidence.valid
