@@ -67,8 +67,6 @@ class AbstractEffect(abc.ABC):
     """"standard" for what every arm has in addition to its URDF, "anomaly" for what only some arms have."""
     jumps: ClassVar[bool] = False
     """Whether its torque jumps where the joint reverses."""
-    held: ClassVar[bool] = False
-    """Whether it holds its joint at rest by its past, as dry friction does: what a rest shows does not speak of it."""
     load: ClassVar[bool] = False
     """Whether it is a body that the last link carries."""
     turns_gravity: ClassVar[bool] = False

@@ -38,7 +38,6 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     confounders = (("coulomb_friction",), ("stribeck_friction",), ("backlash",))
     contains = ("coulomb_friction",)
     contains_as_limit = True
-    held = True
     nonlinear = ("stiffness",)
     advice = (
         "reversals of a few milliradians, slow and fast: it depends on the distance since the reversal, not on speed"

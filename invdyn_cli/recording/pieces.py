@@ -35,7 +35,7 @@ class Preparation:
             filtered, so that a reversal is placed within 2 ms.
         cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; chosen is the highest at which the
             noise of the twice differentiated positions is small compared with that of the torque (SMALL, NEGLIGIBLE).
-        smoothing: [-] bandwidth of the motion signals, as a multiple of that of the columns.
+        smoothing: [-] bandwidth of a joint's motion signals, as a multiple of that of its columns.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms.
         max_gap: [s] a longer step splits a trajectory.
         train_share: [-] first share of each trajectory's time for training; the rest is held out.
@@ -199,7 +199,7 @@ def prepare(
         for numbers in zip(position_noise, torque_noise, strongest, inertia, strict=True)
     ]
     common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))))
-    smooth = max(options.smoothing * max(cutoffs), options.sharpness)
+    smooth = np.maximum(options.smoothing * np.array(cutoffs), options.sharpness)
     pieces = []
     for name, role, t, q, tau in cut:
         if len(t) // step > 3 * common.inset + 8:
@@ -215,7 +215,7 @@ def prepare(
         "working_rate_Hz": rate,
         "filter_cutoff_Hz": dict(zip(log.joints, cutoffs, strict=True)),
         "filter_order": 4,
-        "motion_cutoff_Hz": smooth,
+        "motion_cutoff_Hz": dict(zip(log.joints, smooth.tolist(), strict=True)),
     }
     return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
 
@@ -309,17 +309,14 @@ def _cutoff(
     return possible[-1]
 
 
-def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: float) -> Piece:
+def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: np.ndarray) -> Piece:
     rate = 1 / period
+    bandwidth = np.minimum(smooth, 0.35 * rate / step)
+    q = np.array([lowpass(x, rate, f) if f < 0.35 * rate else x for x, f in zip(q, bandwidth, strict=True)])
     if step > 1:
-        limit = 0.35 * rate / step
-        tau = lowpass(tau.T, rate, limit)[::step].T
-        q = lowpass(q.T, rate, min(limit, smooth))[::step].T
-        t, rate = t[::step], rate / step
-    elif smooth < 0.35 * rate:
-        q = lowpass(q.T, rate, smooth).T
+        tau = lowpass(tau.T, rate, 0.35 * rate / step)[::step].T
+        q, t, rate = q[:, ::step], t[::step], rate / step
     ticks = np.arange(len(t)) / rate
     spline = scipy.interpolate.make_interp_spline(ticks, q, k=5, axis=1)
-    bandwidth = min(smooth, 0.35 * rate)
     feigned = noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
     return Piece(name, role, t, q, spline.derivative(1)(ticks), spline.derivative(2)(ticks), tau, feigned)

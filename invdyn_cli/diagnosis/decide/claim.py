@@ -118,13 +118,11 @@ class Claim:
 
     @cached_property
     def acts_at_rest(self) -> bool:
-        """Whether it is there while joints rest: of one that is not they say nothing, but of what friction bears."""
-        if self.candidate.effect.held:
-            return False
+        """Whether it is there while joints rest, and not all of them have friction, which bears anything there."""
         evidence = self.inquiry.evidence
         term = term_of(self.inquiry, self.hypothesis, self.place) ** 2 * self.inquiry.noise.weights
         at_rest = ~evidence.valid
-        return bool(at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
+        return bool(not self.inquiry.wear and at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
     @cached_property
     def delay(self) -> float:
