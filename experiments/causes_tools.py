@@ -24,7 +24,7 @@ SHARE = 0.01
 CUTOFF, RATE, MARGIN = 10.0, 100.0, 0.5
 """[Hz] of the low-pass filter and of the rows that estimators get, and [s] that are cut off at both ends."""
 
-WINDOWS, WINDOW, STEP = 40, 0.25, 0.002
+WINDOWS, WINDOW, STEP = 24, 0.25, 0.002
 """How many windows MuJoCo simulates, of how many seconds, with which time step [s]."""
 
 MOVES = 0.2
@@ -175,8 +175,24 @@ def mujoco_sysid(log: Log, urdf: Path) -> list[dict[str, Any]]:
         sensors.append(sysid.TimeSeries.from_names(t, rows.qd[part], model))
     names = [f"window {k}" for k in starts]
     windows = sysid.ModelSequences(log.robot, spec, names, states, controls, sensors)
-    residual = sysid.build_residual_fn(models_sequences=[windows], n_threads=1)
-    best, result = sysid.optimize(params, residual, verbose=False, max_iters=50)
+    models: dict[bytes, mujoco.MjModel] = {}
+
+    def build(params: Any, spec: Any) -> mujoco.MjModel:
+        """The model of some parameters, compiled once for all windows."""
+        key = params.as_vector().tobytes()
+        if key not in models:
+            models[key] = sysid.apply_param_modifiers(params, spec)
+        return models[key]
+
+    def differ(params: Any, predicted: Any, measured: Any, *_: Any, **__: Any) -> tuple[np.ndarray, Any, Any]:
+        """In shares of the joints' speeds; by default each window has shares of its own, and rest counts for most."""
+        measured = sysid.apply_delayed_ts_window(measured, predicted, 0.0, 0.0)
+        predicted = predicted.resample(measured.times)
+        return (predicted.data - measured.data) / speed, predicted, measured
+
+    options: dict[str, Any] = {"build_model": build, "modify_residual": differ, "n_threads": 1}
+    residual = sysid.build_residual_fn(models_sequences=[windows], **options)
+    best, result = sysid.optimize(params, residual, verbose=False, max_iters=30)
     _, halves = sysid.calculate_intervals(residual(result.x, best)[0], result.jac)
     found = zip(best.keys(), result.x, halves, strict=True)
     return named(rows, log.joints, [(*x.split("@", 1), float(y), float(half)) for x, y, half in found])
