@@ -133,8 +133,8 @@ def lacks(tool: str) -> str:
 
 
 def ask(command: Sequence[str], log: Path, urdf: Path, limit: float) -> tuple[list[Finding] | str, float]:
-    """A tool's findings, or in one line why there are none, and its seconds. It runs in a folder of its own, which holds
-    copies of the log and the URDF alone."""
+    """A tool's findings, or in one line why there are none, and its seconds. It runs in a folder of its own, which
+    holds copies of the log and the URDF alone."""
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(log, Path(folder) / "log.h5")
         shutil.copy(urdf, Path(folder) / "robot.urdf")
