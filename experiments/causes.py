@@ -182,18 +182,18 @@ def score(hidden: Hidden | None, beside: Sequence[Hidden], found: Iterable[Findi
     if parts and {f.effect for f in split} == parts:
         result = "named"
     rest = [f for f in claims if f is not best and not (result == "named" and f in split)]
-    false = [f for f in rest if not _is_there(f, [hidden, *beside, *_rotor(hidden)])]
+    false = [f for f in rest if not matches(hidden, f) and not _is_there(f, [*beside, *_rotor(hidden)])]
     here = [f for f in claims if hidden.effect in WHOLE_ARM or f.joint == hidden.joint]
     names = dict.fromkeys(said_of(f).split("@")[0] for f in here if not _is_there(f, beside))
     errors = size_errors(hidden, beside, best) if best and best.effect == hidden.effect else ()
     return Score(result, tuple(names), tuple(map(said_of, false)), errors)
 
 
-def _is_there(claim: Finding, all_of: Sequence[Hidden]) -> bool:
-    """Whether a claim is true of what an arm has, or says that it may be that."""
-    here = {one.effect for one in all_of if one.joint in (claim.joint, None)}
-    may = claim.status == "ambiguous" and any(set(one) <= here for one in claim.alternatives)
-    return may or any(matches(one, claim) for one in all_of)
+def _is_there(claim: Finding, beside: Sequence[Hidden]) -> bool:
+    """Whether a claim is true of what an arm has beside its cause, or says that it may be that."""
+    here = {one.effect for one in beside if one.joint in (claim.joint, None)}
+    may = claim.status == "ambiguous" and any(set(one) <= here for one in [(claim.effect,), *claim.alternatives])
+    return may or any(matches(one, claim) for one in beside)
 
 
 def _rotor(hidden: Hidden) -> list[Hidden]:

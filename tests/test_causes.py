@@ -76,6 +76,7 @@ def tool(tmp_path):
             ("torque_offset@a",),
         ),
         ([said("torque_delay", "b", "viscous_friction")], "missed", (), ()),
+        ([said("coulomb_friction", "b", "unknown")], "missed", (), ()),
     ],
 )
 def test_what_is_right_and_what_is_false(found, result, here, false):
