@@ -25,7 +25,7 @@ from experiments.cases import SIZES, WHOLE_ARM, draw_case
 from experiments.confusion import LOUD, MAIN, matches, relative_error
 from experiments.worn import ANOMALIES, drawn, said_of
 from invdyn_cli.abstract_experiment import AbstractExperiment
-from invdyn_cli.errors import UsageError, closest, listed
+from invdyn_cli.errors import UsageError, closest, listed, shortened
 from invdyn_cli.files import write_file
 from invdyn_cli.log import Log
 from invdyn_cli.logfile import write_log
@@ -144,16 +144,19 @@ def ask(command: Sequence[str], log: Path, urdf: Path, limit: float) -> tuple[li
             done = subprocess.run(argv, cwd=folder, capture_output=True, text=True, errors="replace", timeout=limit)
             said = (done.stderr.strip() or done.stdout.strip()).splitlines()
             answer = _read(Path(folder) / "answer.json") if done.returncode == 0 else None
-            why = f"exit code {done.returncode}: {said[-1] if said else 'it says nothing'}"
+            why = f"exit code {done.returncode}: {shortened(said[-1], 200) if said else 'it says nothing'}"
         except subprocess.TimeoutExpired:
             answer, why = None, f"no answer within {limit:g} s"
         except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-            answer, why = None, f"answer.json cannot be read as a list of findings: {type(error).__name__} {error}"
+            answer, why = None, f"answer.json is no list of findings: {shortened(error, 200)}"
         return why if answer is None else answer, time.perf_counter() - started
 
 
 def _read(path: Path) -> list[Finding]:
-    return [_finding(one) for one in json.loads(path.read_text())]
+    trees = json.loads(path.read_text())
+    if not isinstance(trees, list) or not all(isinstance(x, dict) and {"effect", "joint"} <= x.keys() for x in trees):
+        raise ValueError("it must be a list of objects that have effect and joint")
+    return list(map(_finding, trees))
 
 
 def _finding(tree: Mapping[str, Any]) -> Finding:

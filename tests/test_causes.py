@@ -130,17 +130,17 @@ def test_a_tool_sees_the_log_and_the_urdf_alone(made, tool):
     ("lines", "why"),
     [
         ("print('starts')\nraise ValueError('no such joint')", "exit code 1: ValueError: no such joint"),
-        ("pass", "FileNotFoundError"),
-        ("open('answer.json', 'w').write('friction!')", "JSONDecodeError"),
-        ("open('answer.json', 'w').write('[{\"joint\": \"a\"}]')", "KeyError 'effect'"),
-        ("open('answer.json', 'w').write('{\"verdict\": 1}')", "TypeError"),
-        ("import time\ntime.sleep(60)", "no answer within 2 s"),
+        ("pass", "No such file"),
+        ("open('answer.json', 'w').write('friction!')", "is no list of findings: Expecting value"),
+        ("open('answer.json', 'w').write('[{\"joint\": \"a\"}]')", "objects that have effect and joint"),
+        ("open('answer.json', 'w').write('{\"verdict\": 1}')", "objects that have effect and joint"),
+        ("import time\ntime.sleep(60)", "no answer within 1 s"),
     ],
 )
 def test_a_tool_that_gives_no_answer_has_failed(made, tool, lines, why):
     """A crash, no file, rubbish and endless work are one line each, and no traceback."""
-    said, _ = ask(tool(lines), *made[1:], 2)
-    assert why in said and "\n" not in said
+    said, _ = ask(tool(lines), *made[1:], 1 if "sleep" in lines else 60)
+    assert isinstance(said, str) and why in said and "\n" not in said
 
 
 @pytest.mark.parametrize("name", TOOLS)
