@@ -160,14 +160,16 @@ def _read(path: Path) -> list[Finding]:
 
 
 def _finding(tree: Mapping[str, Any]) -> Finding:
-    """A finding of an answer; a parameter is a number or {"value": number}."""
-    sizes = {k: x["value"] if isinstance(x, Mapping) else x for k, x in tree.get("parameters", {}).items()}
+    """A finding of an answer, with the main parameters of its effect; each is a number, a vector or {"value": …}."""
+    given = tree.get("parameters", {})
+    sizes = {x: given[x] for x in MAIN.get(tree["effect"], ()) if x in given}
+    sizes = {k: x["value"] if isinstance(x, Mapping) else x for k, x in sizes.items()}
     return Finding(
         effect=str(tree["effect"]),
         joint=None if tree["joint"] is None else str(tree["joint"]),
         status=str(tree.get("status", "named")),
         alternatives=tuple(tuple(map(str, x)) for x in tree.get("alternatives", ())),
-        parameters={str(k): Quantity(x, "") for k, x in sizes.items()},
+        parameters={k: Quantity(np.asarray(x, float), "") for k, x in sizes.items() if x is not None},
         window=tuple(map(float, tree["window"])) if tree.get("window") else None,
     )
 
@@ -209,8 +211,8 @@ def size_errors(hidden: Hidden, beside: Sequence[Hidden], finding: Finding) -> t
     names = MAIN[hidden.effect]
     if any(one.joint == hidden.joint and set(names) & set(one.parameters) for one in beside):
         return ()
-    got = {x: finding.parameters[x].value for x in names if x in finding.parameters}
-    return tuple(relative_error(x, y, hidden.parameters[x]) for x, y in got.items() if y is not None)
+    sizes = [(x, finding.parameters[x].value, hidden.parameters[x]) for x in names if x in finding.parameters]
+    return tuple(relative_error(x, y, true) for x, y, true in sizes if np.shape(y) == np.shape(true))
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,9 @@ WEAR = [
     for effect, name in (("coulomb_friction", "coulomb"), ("viscous_friction", "damping"))
 ]
 
+WRITE = "import sys\nopen(sys.argv[3], 'w').write({!r})"
+"""A tool that answers some text."""
+
 
 def said(effect, joint, *alternatives, **sizes):
     """A finding, ambiguous if it has alternatives."""
@@ -131,9 +134,10 @@ def test_a_tool_sees_the_log_and_the_urdf_alone(made, tool):
     [
         ("print('starts')\nraise ValueError('no such joint')", "exit code 1: ValueError: no such joint"),
         ("pass", "No such file"),
-        ("open('answer.json', 'w').write('friction!')", "is no list of findings: Expecting value"),
-        ("open('answer.json', 'w').write('[{\"joint\": \"a\"}]')", "objects that have effect and joint"),
-        ("open('answer.json', 'w').write('{\"verdict\": 1}')", "objects that have effect and joint"),
+        (WRITE.format("friction!"), "is no list of findings: Expecting value"),
+        (WRITE.format('[{"joint": "a"}]'), "objects that have effect and joint"),
+        (WRITE.format('{"verdict": 1}'), "objects that have effect and joint"),
+        (WRITE.format('[{"effect": "payload", "joint": null, "parameters": {"mass": "big"}}]'), "to float: 'big'"),
         ("import time\ntime.sleep(60)", "no answer within 1 s"),
     ],
 )
