@@ -164,13 +164,14 @@ def _finding(tree: Mapping[str, Any]) -> Finding:
     given = tree.get("parameters", {})
     sizes = {x: given[x] for x in MAIN.get(tree["effect"], ()) if x in given}
     sizes = {k: x["value"] if isinstance(x, Mapping) else x for k, x in sizes.items()}
+    start, end = map(float, tree.get("window") or (0.0, 0.0))
     return Finding(
         effect=str(tree["effect"]),
         joint=None if tree["joint"] is None else str(tree["joint"]),
         status=str(tree.get("status", "named")),
         alternatives=tuple(tuple(map(str, x)) for x in tree.get("alternatives", ())),
         parameters={k: Quantity(np.asarray(x, float), "") for k, x in sizes.items() if x is not None},
-        window=tuple(map(float, tree["window"])) if tree.get("window") else None,
+        window=(start, end) if tree.get("window") else None,
     )
 
 
@@ -247,8 +248,9 @@ class Causes(AbstractExperiment):
         answers = []
         for tool in tools:
             found, seconds = ask(command_of(tool), place / "log.h5", urdf, self.limit)
-            note = found if isinstance(found, str) else ""
-            scored = Score("failed", (), (), ()) if note else score(made.hidden, made.beside, found)
+            failed = isinstance(found, str)
+            scored = Score("failed", (), (), ()) if failed else score(made.hidden, made.beside, found)
+            note = found if failed else ""
             answers.append(Answered(tool, number, kind, hidden, made.times, *scored, seconds, note))
         truth = {"hidden": made.hidden and asdict(made.hidden), "beside": list(map(asdict, made.beside))}
         write_file(folder / "truth" / f"{number:03d}.json", json.dumps(plain(truth), indent=1))

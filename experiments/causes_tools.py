@@ -3,13 +3,16 @@
 `ours` names causes. The others estimate the parameters of a structure that somebody chose. Of theirs a term counts as
 named if its 95 % interval, as that tool computes it, excludes zero, and if it makes over SHARE of its joint's torque.
 """
+# pyright: reportAttributeAccessIssue=false
 
 import json
 import sys
 from collections.abc import Callable, Iterable
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
@@ -139,9 +142,7 @@ def pest(log: Log, urdf: Path) -> list[dict[str, Any]]:
 def mujoco_sysid(log: Log, urdf: Path) -> list[dict[str, Any]]:
     """MuJoCo's system identification: Coulomb and viscous friction and armature of every joint, so that the simulation
     of WINDOWS short windows, driven by the logged torques, moves as the log does. Intervals are its own."""
-    import mujoco
-    from mujoco import sysid
-
+    sysid: Any = import_module("mujoco.sysid")
     rows, raw = rows_of(log), log.trajectories[0]
     spec: Any = mujoco.MjSpec.from_file(str(urdf))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -194,8 +195,9 @@ def mujoco_sysid(log: Log, urdf: Path) -> list[dict[str, Any]]:
     residual = sysid.build_residual_fn(models_sequences=[windows], **options)
     best, result = sysid.optimize(params, residual, verbose=False, max_iters=30)
     _, halves = sysid.calculate_intervals(residual(result.x, best)[0], result.jac)
-    found = zip(best.keys(), result.x, halves, strict=True)
-    return named(rows, log.joints, [(*x.split("@", 1), float(y), float(half)) for x, y, half in found])
+    columns = [(effect, joint) for joint in log.joints for effect in fields]
+    found = zip(columns, result.x, halves, strict=True)
+    return named(rows, log.joints, [(*column, float(x), float(half)) for column, x, half in found])
 
 
 def figaroh(log: Log, urdf: Path) -> list[dict[str, Any]]:

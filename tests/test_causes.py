@@ -124,7 +124,8 @@ def test_a_tool_sees_the_log_and_the_urdf_alone(made, tool):
     """It gets the names of three files, in a folder that holds two of them and nothing else."""
     lines = "import json, os, sys\nseen = [*sys.argv[1:], *sorted(os.listdir('.'))]\n"
     lines += "json.dump([{'effect': x, 'joint': None} for x in seen], open(sys.argv[3], 'w'))"
-    found, seconds = ask(tool(lines), *made[1:], 60)
+    found, seconds = ask(tool(lines), made[1], made[2], 60)
+    assert not isinstance(found, str), found
     assert [f.effect for f in found] == ["log.h5", "robot.urdf", "answer.json", "log.h5", "robot.urdf"]
     assert seconds > 0
 
@@ -143,7 +144,7 @@ def test_a_tool_sees_the_log_and_the_urdf_alone(made, tool):
 )
 def test_a_tool_that_gives_no_answer_has_failed(made, tool, lines, why):
     """A crash, no file, rubbish and endless work are one line each, and no traceback."""
-    said, _ = ask(tool(lines), *made[1:], 1 if "sleep" in lines else 60)
+    said, _ = ask(tool(lines), made[1], made[2], 1 if "sleep" in lines else 60)
     assert isinstance(said, str) and why in said and "\n" not in said
 
 
@@ -153,7 +154,7 @@ def test_every_adapter_names_dry_friction(name, made):
     filters round its edges)."""
     if missing := lacks(name):
         pytest.skip(missing)
-    found, _ = ask(command_of(name), *made[1:], 300)
+    found, _ = ask(command_of(name), made[1], made[2], 300)
     assert not isinstance(found, str), found
     scored = score(FRICTION, (), found)
     assert scored.result == "named" and max(scored.errors) < 0.15
