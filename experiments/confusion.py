@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -191,13 +191,18 @@ def _sizes(hidden: Hidden, finding: Finding) -> list[tuple[float, bool]]:
         quantity, true = finding.parameters[name], np.atleast_1d(np.asarray(hidden.parameters[name], float))
         if quantity.value is None or quantity.interval95 is None:
             continue
-        scale = np.linalg.norm(true - 1 if name == "gain" else true)
-        off = np.linalg.norm(np.atleast_1d(quantity.value) - true) / scale
+        off = relative_error(name, quantity.value, true)
         low, high = (np.atleast_1d(x) for x in quantity.interval95)
         inside = (low <= true) & (true <= high)
         rough = ROUGH.get(hidden.effect, 0.1)
-        out += [(float(off) / rough, bool(x)) for x in inside]
+        out += [(off / rough, bool(x)) for x in inside]
     return out
+
+
+def relative_error(name: str, value: Any, true: Any) -> float:
+    """Of a parameter, a number or a vector; of a gain, relative to its distance from one."""
+    value, true = (np.atleast_1d(np.asarray(x, float)) for x in (value, true))
+    return float(np.linalg.norm(value - true) / np.linalg.norm(true - 1 if name == "gain" else true))
 
 
 def wilson(right: int, total: int) -> tuple[float, float]:
