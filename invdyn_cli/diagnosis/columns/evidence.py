@@ -249,7 +249,7 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
     return np.concatenate(each, axis=-1)
 
 
-def slow(evidence: Evidence, x: Array, joint: int) -> np.ndarray:
+def slow(evidence: Evidence, x: np.ndarray, joint: int) -> np.ndarray:
     """(R,) of x (R,) the lowest part of a joint's band, piece by piece: the arm moves there, and the noise of
     differentiated positions is small. 0 on pieces that are shorter than the filter's memory."""
     filter, out = evidence.recording.filter, np.zeros(len(x))

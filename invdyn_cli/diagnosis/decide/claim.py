@@ -89,7 +89,7 @@ class Claim:
         noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
         evidence, joints = self.inquiry.evidence, np.flatnonzero(self._own)
         after, change = (
-            np.stack([slow(evidence, (x * evidence.valid)[:, j], j) for j in joints], axis=1)
+            np.stack([slow(evidence, (x * evidence.valid)[:, j], int(j)) for j in joints], axis=1)
             for x in (self.after, self.before - self.after)
         )
         weights = self.inquiry.noise.weights[joints]
