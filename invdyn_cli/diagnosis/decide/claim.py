@@ -22,9 +22,8 @@ FELT = 0.1
 RARE = 0.1
 """Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
 
-
-FARTHEST = 3.0
-"""Standard deviations, between blocks, by which a gain may be larger than it seems."""
+DEVIATIONS = 3.0
+"""How many standard deviations, between blocks, a gain may be larger than it seems."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Claim:
         weights = self.inquiry.noise.weights[joints]
         saved, made = (2 * after + change) * change @ weights, change**2 @ weights
         each = np.bincount(evidence.block, saved)
-        return float((saved.sum() + FARTHEST * np.sqrt(len(each)) * np.std(each)) / max(made.sum(), 1e-300))
+        return float((saved.sum() + DEVIATIONS * np.sqrt(len(each)) * np.std(each)) / max(made.sum(), 1e-300))
 
     @cached_property
     def rivals(self) -> list[naming.Rival]:
@@ -105,8 +104,8 @@ class Claim:
 
     @cached_property
     def beaten(self) -> float:
-        """Held-out loss of the best effect in its place whose size cannot be, beyond its own: what that explains better
-        has no name here."""
+        """Held-out loss, beyond its own, of the best effect of an impossible size in its place: what that explains
+        better has no name here."""
         return min((r.excess for r in self.rivals if r.impossible), default=np.inf)
 
     @cached_property

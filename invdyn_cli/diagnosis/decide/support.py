@@ -25,7 +25,6 @@ MIN_SHARE_OF_RESIDUAL = 0.5
 """Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise
 of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
 
-
 ONE_SIZE = 0.75
 """Least share of what an effect makes where the arm moves that may be saved there: 1 for a true one; columns are
 approximations."""
@@ -94,10 +93,10 @@ REFUSALS = (
         ),
     ),
     Refusal(
-        "loss of what cannot be in its place",
+        "loss with an impossible effect in its place",
         lambda x: x.beaten,
         -naming.LEAST_DIFFERENCE,
-        lambda _: "another effect, of a size that cannot be, would explain the data better",
+        lambda _: "another effect, of an impossible size, would explain the data better",
     ),
 )
 """What a claim must reach, in this order."""

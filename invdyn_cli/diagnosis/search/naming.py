@@ -48,7 +48,7 @@ show in a single one."""
 @dataclass(frozen=True)
 class Rival:
     """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, the
-    parameters that it then has, and whether these cannot be though it is no more general effect."""
+    parameters that it then has, and whether these are impossible; that of a more general effect does not count."""
 
     candidate: Candidate
     excess: float

@@ -7,6 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.decide import claim, support
 from invdyn_cli.diagnosis.search.inquiry import inquire
+from invdyn_cli.diagnosis.search.naming import Rival
 from invdyn_cli.effects.catalogue import EFFECTS
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 
@@ -30,6 +31,26 @@ def test_a_delay_that_was_never_refined_is_judged():
     assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)
 
 
+def of_coulomb(inquiry):
+    """The claim of Coulomb friction on the first joint."""
+    (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
+    return claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.chosen, claim.left(inquiry, inquiry.hypothesis))
+
+
+@pytest.mark.parametrize(("excess", "refused"), [(-20.0, True), (-5.0, False), (300.0, False)])
+def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
+    """A true friction is claimed, unless an effect of an impossible size in its place lowers the loss by more than ten
+    noise variances; one of a possible size, however good, is another row's matter."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
+    inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
+    one = of_coulomb(inquiry)
+    other = Rival(one.candidate, excess, 1.0, False, "", {}, impossible=True)
+    one.__dict__["rivals"] = [other, replace(other, excess=-500.0, impossible=False)]  # cached: made up here
+    row = support.refusal(one)
+    assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
+
+
 @pytest.mark.parametrize(("true", "expected"), [(1.0, 1.0), (0.0, -1.0), (0.5, 0.0)])
 def test_an_effect_has_one_size_where_the_arm_moves(true, expected):
     """An effect whose torque is slow and fast, of which the residual has the fast part whole and of the slow part a
@@ -38,8 +59,7 @@ def test_an_effect_has_one_size_where_the_arm_moves(true, expected):
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(40.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
     inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
-    (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
-    one = claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.chosen, claim.left(inquiry, inquiry.hypothesis))
+    one = of_coulomb(inquiry)
     t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
     slow, fast = (np.sin(2 * np.pi * share * cutoff * t) for share in (0.05, 0.8))
     noise = 0.01 * np.random.default_rng(0).normal(size=evidence.valid.shape)
