@@ -46,6 +46,11 @@ class Claim:
     def candidate(self) -> Candidate:
         return self.hypothesis[self.place]
 
+    @property
+    def key(self) -> tuple:
+        """The candidate's."""
+        return self.candidate.key
+
     @cached_property
     def before(self) -> np.ndarray:
         """(R, n) what the hypothesis leaves without it."""

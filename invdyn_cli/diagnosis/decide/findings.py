@@ -82,7 +82,8 @@ def report(
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
     evidence, judge = inquiry.evidence, inquiry.judge
-    hypothesis, chosen, dropped = supported(inquiry, refusals)
+    supporting, chosen, dropped = supported(inquiry, refusals)
+    hypothesis = tuple(x.candidate for x in supporting)
     whole = inquiry.whole
     if len(hypothesis) < len(inquiry.hypothesis):
         whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
@@ -101,7 +102,7 @@ def report(
     claims, places, shown = [], [], []
     parts = {k: (place, one) for one in sums.standing(effects, hypothesis, ends) for place, k in enumerate(one.places)}
     for i, candidate in enumerate(hypothesis):
-        rivals = naming.rivals(judge, inquiry.always, hypothesis, i, inquiry.pool)
+        rivals = supporting[i].rivals
         if candidate.key in inquiry.close:
             rivals = [_late(r, candidate, inquiry.close[candidate.key]) for r in rivals]
         effect, joint = whole.acting[i].effect, whole.acting[i].joint

@@ -11,7 +11,6 @@ from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
-from invdyn_cli.diagnosis.search.judge import Hypothesis
 
 OUTWEIGHED = 1.0
 """Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
@@ -102,11 +101,12 @@ REFUSALS = (
 """What a claim must reach, in this order."""
 
 
-def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[Hypothesis, Refined, tuple[str, ...]]:
-    """The candidates that no row refuses; their exact parameters, refined again after each refusal; and a sentence on
+def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[list[Claim], Refined, tuple[str, ...]]:
+    """The claims that no row refuses; their exact parameters, refined again after each refusal; and a sentence on
     each refused candidate for which held-out data speak. A candidate in whose place another effect does equally well
     gets no sentence, because it is chance which of them was tried."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
+    claims: list[Claim] = []
     if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
         chosen = exactly(inquiry, hypothesis, chosen)
     while hypothesis:
@@ -129,7 +129,7 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
         chosen = exactly(inquiry, hypothesis, chosen)
-    return hypothesis, chosen, tuple(said)
+    return (claims if hypothesis else []), chosen, tuple(said)
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:
