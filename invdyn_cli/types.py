@@ -291,8 +291,8 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Gain:
-    """Held-out error of one joint without and with one effect [N m; N], and the 95 % interval of rmse_before -
-    rmse_after."""
+    """Held-out error of one joint, where it moves, without and with one effect [N m; N], and the 95 % interval of
+    rmse_before - rmse_after."""
 
     rmse_before: float
     rmse_after: float

@@ -1,7 +1,7 @@
 """The figures that decide whether a candidate of a hypothesis may be claimed: what it explains of held-out data, and
 what the other candidates leave without it."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +21,9 @@ FELT = 0.1
 
 RARE = 0.1
 """Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
+
+SLOWEST = 0.1
+"""Share of a joint's moving rows, the slowest, that hold the errors of the friction's formula around standstill."""
 
 DEVIATIONS = 3.0
 """How many standard deviations, between blocks, a gain may be larger than it seems."""
@@ -91,9 +94,26 @@ class Claim:
         """Of what it makes where the arm moves (`slow`), the share that may be saved there, at most: an effect has one
         size at all frequencies. Above, a controller answers to the noise of encoders, and the logged motion has that
         noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
+        evidence = self.inquiry.evidence
+        return self._one_size(lambda x, j: slow(evidence, x, j))
+
+    @cached_property
+    def fast_gain(self) -> float:
+        """The same of what it makes beyond the SLOWEST rows: around standstill, the formulas of friction have the
+        largest errors, and what fits these there and nothing elsewhere looks like a ripple (docs/decisions/046)."""
+        evidence = self.inquiry.evidence
+        speed = np.abs(evidence.on_rows("qd"))
+        least = [
+            np.quantile(speed[v, j], SLOWEST) if (v := evidence.valid[:, j]).any() else 0.0
+            for j in range(evidence.dofs)
+        ]
+        return self._one_size(lambda x, j: x * (speed[:, j] > least[j]))
+
+    def _one_size(self, part: Callable[[np.ndarray, int], np.ndarray]) -> float:
+        """Of the part of a joint's torque (R,) that this candidate makes, the share that may be saved, at most."""
         evidence, joints = self.inquiry.evidence, np.flatnonzero(self._own)
         after, change = (
-            np.stack([slow(evidence, (x * evidence.valid)[:, j], int(j)) for j in joints], axis=1)
+            np.stack([part((x * evidence.valid)[:, j], int(j)) for j in joints], axis=1)
             for x in (self.after, self.before - self.after)
         )
         weights = self.inquiry.noise.weights[joints]

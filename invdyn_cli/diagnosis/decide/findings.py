@@ -180,9 +180,10 @@ def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], aft
 
 
 def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -> Gain | None:
-    """Held-out error of a joint from the residuals (R, n) before and after; None where it is the same. The interval
-    comes from blocks drawn with replacement."""
+    """Held-out error of a joint, where it moves, from the residuals (R, n) before and after; None where it is the same.
+    What friction holds at rest is no gain and no loss. The interval comes from blocks drawn with replacement."""
     rows = judged(evidence)
+    rows = own if np.any(own := rows & evidence.valid[:, j]) else rows
     numbers, of = np.unique(evidence.block[rows], return_inverse=True)
     draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
     b, a, tau = (x[rows, j] for x in (before, after, evidence.tau))

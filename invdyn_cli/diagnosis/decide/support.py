@@ -25,8 +25,8 @@ MIN_SHARE_OF_RESIDUAL = 0.5
 of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
 
 ONE_SIZE = 0.75
-"""Least share of what an effect makes where the arm moves that may be saved there: 1 for a true one; columns are
-approximations."""
+"""Least share of what an effect makes where the arm moves, slowly or beyond standstill, that may be saved there: 1 for
+a true one; columns are approximations."""
 
 EVIDENCE = 400.0
 """Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted
@@ -71,6 +71,12 @@ REFUSALS = (
         lambda x: x.slow_gain,
         ONE_SIZE,
         lambda _: "it has another size where the arm moves than at higher frequencies, where encoders make noise",
+    ),
+    Refusal(
+        "share of what it makes beyond standstill",
+        lambda x: x.fast_gain,
+        ONE_SIZE,
+        lambda _: "it has another size beyond standstill than around it, where friction has no simple formula",
     ),
     Refusal("evidence beside the standard model", lambda x: x.evidence if x.inquiry.wear else np.inf, EVIDENCE),
     Refusal(

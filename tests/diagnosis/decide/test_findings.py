@@ -1,10 +1,14 @@
 """What a learner still predicts casts doubt on names."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.findings import LATE_UNKNOWN, MOSTLY_UNKNOWN, UNKNOWN, UNKNOWN_FIRST, in_doubt
+from invdyn_cli.diagnosis.decide.findings import LATE_UNKNOWN, MOSTLY_UNKNOWN, UNKNOWN, UNKNOWN_FIRST, gain_of, in_doubt
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Finding, Gain
+from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 
 def claimed(effect: str, left: float) -> Finding:
@@ -36,3 +40,13 @@ def test_noise_alone_casts_no_doubt():
     """Where a learner finds nothing, the least gain keeps its name."""
     (found,) = in_doubt([claimed("actuator_lag", 0.999)], EFFECTS, {"axis1": 0.0})
     assert found.status == "named"
+
+
+def test_rest_is_no_gain_and_no_loss():
+    """Residuals of 2 and 1 N m while a joint moves: its gain is that, whatever they are while it rests."""
+    evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), ())
+    resting = np.arange(len(evidence.role)) % 3 == 0
+    evidence = replace(evidence, valid=evidence.valid & ~resting[:, None])
+    before, after = (np.where(evidence.valid, x, y) for x, y in ((2.0, 5.0), (1.0, 50.0)))
+    gain = gain_of(evidence, 0, before, after)
+    assert gain is not None and (gain.rmse_before, gain.rmse_after) == pytest.approx((2.0, 1.0))

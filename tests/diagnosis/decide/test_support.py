@@ -51,22 +51,28 @@ def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
     assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
 
 
+@pytest.mark.parametrize("figure", ["slow_gain", "fast_gain"])
 @pytest.mark.parametrize(("true", "expected"), [(1.0, 1.0), (0.0, -1.0), (0.5, 0.0)])
-def test_an_effect_has_one_size_where_the_arm_moves(true, expected):
-    """An effect whose torque is slow and fast, of which the residual has the fast part whole and of the slow part a
-    share: the share that is saved where the arm moves tells, whatever is saved above. Theory: of a column x of which
-    the residual has a x, it saves (2 a - 1) of x's squares."""
+def test_an_effect_has_one_size(true, expected, figure):
+    """Of an effect's torque the residual has one part whole, what is fast, or at the slowest rows, and of the rest a
+    share. What is saved of the rest tells, whatever is saved of that part. Theory: of a column x of which the residual
+    has a x, it saves (2 a - 1) of x's squares."""
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(40.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
     inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
     one = of_coulomb(inquiry)
     t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
-    slow, fast = (np.sin(2 * np.pi * share * cutoff * t) for share in (0.05, 0.8))
+    wave, fast = (np.sin(2 * np.pi * share * cutoff * t) for share in (0.05, 0.8))
+    speed = np.abs(evidence.on_rows("qd")[:, 0])
+    still = speed <= np.quantile(speed[evidence.valid[:, 0]], 0.1)
+    rest, part = (wave, 3 * fast) if figure == "slow_gain" else (wave * ~still, 3 * still)
     noise = 0.01 * np.random.default_rng(0).normal(size=evidence.valid.shape)
     before, after = noise.copy(), noise.copy()
-    before[:, 0] += true * slow + 3 * fast
-    after[:, 0] += (true - 1) * slow
+    before[:, 0] += true * rest + part
+    after[:, 0] += (true - 1) * rest
     one = replace(one, after=after)
     one.__dict__["before"] = before  # cached: what the search left is replaced by what is made up here
-    assert one.slow_gain == pytest.approx(expected, abs=0.35)  # three standard deviations of the blocks are added
-    assert (one.slow_gain < support.ONE_SIZE) == (true < 1)
+    assert getattr(one, figure) == pytest.approx(
+        expected, abs=0.35
+    )  # three standard deviations of the blocks are added
+    assert (getattr(one, figure) < support.ONE_SIZE) == (true < 1)
