@@ -103,11 +103,12 @@ class Claim:
         largest errors, and what fits these there and nothing elsewhere looks like a ripple (docs/decisions/046)."""
         evidence = self.inquiry.evidence
         speed = np.abs(evidence.on_rows("qd"))
-        least = [
-            np.quantile(speed[v, j], SLOWEST) if (v := evidence.valid[:, j]).any() else 0.0
-            for j in range(evidence.dofs)
-        ]
-        return self._one_size(lambda x, j: x * (speed[:, j] > least[j]))
+
+        def beyond(x: np.ndarray, j: int) -> np.ndarray:
+            moving = speed[evidence.valid[:, j], j]
+            return x * (speed[:, j] > np.quantile(moving, SLOWEST)) if len(moving) else x
+
+        return self._one_size(beyond)
 
     def _one_size(self, part: Callable[[np.ndarray, int], np.ndarray]) -> float:
         """Of the part of a joint's torque (R,) that this candidate makes, the share that may be saved, at most."""
