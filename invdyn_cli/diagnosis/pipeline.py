@@ -109,7 +109,7 @@ def decided(
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
     structured_joints = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
-    made = replace(made, findings=findings.in_doubt(made.findings, effects, shares))
+    made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
     progress(0.9, "model")
     model = _written(case, more)
     again, why = _replay(model, case, progress) if options.replay else (None, ())

@@ -153,7 +153,7 @@ class Claim:
     def delay(self) -> float:
         """The least that its own delay [s] may be, by its interval; infinite where it has none."""
         late_by = self.candidate.effect.late_by
-        place = next((k for k, a in enumerate(self.chosen.acting) if a.key == self.candidate.key), None)
+        place = next((k for k, a in enumerate(self.chosen.acting) if a.key == self.key), None)
         if not late_by or place is None:
             return np.inf
         return float(intervals(self.inquiry.evidence, self.chosen)[place][late_by][1])
@@ -165,7 +165,7 @@ class Claim:
         on draws of blocks of all rows by more than the effect costs for having been chosen on some of them.
         Columns of a channel effect act on the measured torque, and calm its noise; the formula does not."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
-        others = [a for a in self.chosen.acting if a.key != self.candidate.key]
+        others = [a for a in self.chosen.acting if a.key != self.key]
         after = self.chosen.residual * evidence.valid
         change = (self.inquiry.model.without(self.chosen, others) - self.chosen.residual) * evidence.valid
         rows = _judging(evidence, change**2 @ weights)

@@ -28,13 +28,6 @@ from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
 
-UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
-"""Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
-effect on one joint where the learner predicts more than this share of what is left: something there has no name yet."""
-
-LATE_UNKNOWN = 1e4
-"""The same of a delay or a lag there, which is like the other, like a spring and like a filter to some percent."""
-
 VAGUE = 0.1
 """Of a ripple's cycles, by which they may be unknown."""
 
@@ -336,31 +329,6 @@ def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) ->
     unseen = (x for x in made.findings[count:] if (x.effect, x.joint) not in claimed)
     together = (*made.findings[:count], *found, *unseen)
     return replace(made, findings=together, terms=(*made.terms, *terms))
-
-
-def in_doubt(
-    found: Sequence[Finding], effects: Mapping[str, AbstractEffect], learned: Mapping[str, float]
-) -> tuple[Finding, ...]:
-    """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
-    by what is left there: something else is at work, and may be all of it.
-
-    Args:
-        learned: {joint: share of the residual's variance that the learner predicts}.
-    """
-    out = []
-    for one in found:
-        saved = sum((g.rmse_before / max(g.rmse_after, 1e-300)) ** 2 - 1 for g in one.gain.values())
-        shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
-        unknown = sum(shares.values())
-        effect = effects[one.effect]
-        near = [x for j, x in shares.items() if j == one.joint or not effect.yields]
-        mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
-        least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
-        if one.status == "named" and saved < least * unknown:
-            advice = "look for another effect on this joint: most of what the model misses there is still unknown"
-            one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
-        out.append(one)
-    return tuple(out)
 
 
 def unseen(

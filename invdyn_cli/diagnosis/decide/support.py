@@ -112,10 +112,9 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
     each refused candidate for which held-out data speak. A candidate in whose place another effect does equally well
     gets no sentence, because it is chance which of them was tried."""
     hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
-    claims: list[Claim] = []
     if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
         chosen = exactly(inquiry, hypothesis, chosen)
-    while hypothesis:
+    while True:
         after = left(inquiry, hypothesis)
         claims = [Claim(inquiry, hypothesis, i, chosen, after) for i in range(len(hypothesis))]
         refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
@@ -135,7 +134,7 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
         chosen = exactly(inquiry, hypothesis, chosen)
-    return (claims if hypothesis else []), chosen, tuple(said)
+    return claims, chosen, tuple(said)
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:

@@ -1,8 +1,12 @@
-"""The unexplained part: how much of the residual a learner predicts on data that it has not seen.
+"""The unexplained part: how much of the residual a learner predicts on data that it has not seen, and which findings it
+casts doubt on.
 
 Training and test stretches alternate in time, so that both contain the same postures; a cause that the catalogue lacks
 then shows, and noise does not.
 """
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -11,8 +15,8 @@ from invdyn_cli import training
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.diagnosis.search.naming import structure
-from invdyn_cli.interfaces import AbstractModel
-from invdyn_cli.types import Dataset, Motion, Trajectory
+from invdyn_cli.interfaces import AbstractEffect, AbstractModel
+from invdyn_cli.types import Dataset, Finding, Motion, Trajectory
 
 ROWS = 4096
 """Number of rows from which the built-in networks learn: one shape for all logs (one compilation)."""
@@ -25,6 +29,13 @@ STRETCH = 0.5
 
 LOUDER = 5.0
 """Multiple of the RMS that noise and clocks usually leave, above which a recurring residual is more than noise."""
+
+UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
+"""Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
+effect on one joint where the learner predicts more than this share of what is left: something there has no name yet."""
+
+LATE_UNKNOWN = 1e4
+"""The same of a delay or a lag there, which is like the other, like a spring and like a filter to some percent."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 
@@ -73,6 +84,31 @@ def beyond_noise(evidence: Evidence, residual: np.ndarray, rows: np.ndarray) -> 
     usual = np.hypot(white, RELEVANT * np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0)))
     found = structure(evidence, residual, evidence.valid & rows[:, None])
     return np.sqrt(found) > LOUDER * usual
+
+
+def in_doubt(
+    found: Sequence[Finding], effects: Mapping[str, AbstractEffect], learned: Mapping[str, float]
+) -> tuple[Finding, ...]:
+    """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
+    by what is left there: something else is at work, and may be all of it.
+
+    Args:
+        learned: {joint: share of the residual's variance that the learner predicts}.
+    """
+    out = []
+    for one in found:
+        saved = sum((g.rmse_before / max(g.rmse_after, 1e-300)) ** 2 - 1 for g in one.gain.values())
+        shares = {j: float(np.nan_to_num(learned[j])) for j in one.gain}
+        unknown = sum(shares.values())
+        effect = effects[one.effect]
+        near = [x for j, x in shares.items() if j == one.joint or not effect.yields]
+        mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
+        least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
+        if one.status == "named" and saved < least * unknown:
+            advice = "look for another effect on this joint: most of what the model misses there is still unknown"
+            one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
+        out.append(one)
+    return tuple(out)
 
 
 def _nets(motion, residual: np.ndarray, learn: np.ndarray, judge: np.ndarray, key: jax.Array) -> np.ndarray:

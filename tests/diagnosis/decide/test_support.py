@@ -72,7 +72,6 @@ def test_an_effect_has_one_size(true, expected, figure):
     after[:, 0] += (true - 1) * rest
     one = replace(one, after=after)
     one.__dict__["before"] = before  # cached: what the search left is replaced by what is made up here
-    assert getattr(one, figure) == pytest.approx(
-        expected, abs=0.35
-    )  # three standard deviations of the blocks are added
-    assert (getattr(one, figure) < support.ONE_SIZE) == (true < 1)
+    share = getattr(one, figure)
+    assert share == pytest.approx(expected, abs=0.35)  # three standard deviations of the blocks are added
+    assert (share < support.ONE_SIZE) == (true < 1)
