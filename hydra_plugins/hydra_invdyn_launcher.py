@@ -1,6 +1,7 @@
-"""hydra/launcher=vmapped, the default of `invdyn run -m`: jobs that can be are fitted in one program.
+"""hydra/launcher=vmapped and hydra/sweeper=grid, the defaults of `invdyn run -m`: jobs that can be are fitted in one
+program, and their files are written on all cores.
 
-It stands here because Hydra takes launchers of the package `hydra_plugins` alone. Hydra imports this file at the start
+They stand here because Hydra takes plugins of the package `hydra_plugins` alone. Hydra imports this file at the start
 of every command, so that it imports nothing heavy.
 """
 
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydra._internal.core_plugins.basic_launcher import BasicLauncher
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, configure_log, run_job, setup_globals
 from omegaconf import DictConfig, open_dict
@@ -32,10 +34,10 @@ class Vmapped(BasicLauncher):
         Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         numbered = enumerate(job_overrides, initial_job_idx)
         configs = {number: self._config(number, overrides) for number, overrides in numbered}
-        prepared = together.fitted([self._job(number, config) for number, config in configs.items()])
-        gc.freeze()  # what is there now stays to the end: no need to go through it again in every job
+        jobs = [self._job(number, config) for number, config in configs.items()]
         done = []
-        with sweep.prepared(prepared):
+        with sweep.writers() as writers, sweep.made(together.made(jobs, writers)):
+            gc.freeze()  # what is there now stays to the end: no need to go through it again in every job
             for config in configs.values():
                 done.append(
                     run_job(
@@ -70,4 +72,14 @@ class Vmapped(BasicLauncher):
             HydraConfig.instance().cfg = before
         with open_dict(own):
             del own["hydra"]
-        return Job(number, own, folder)
+        return Job(number, own, config.hydra, folder)
+
+
+class Grid(BasicSweeper):
+    """Hydra's own sweeper, which composes the config of every job to see whether it can be; `Vmapped` composes all of
+    them before the first one runs, and is left to it."""
+
+    def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
+        """Compose the configs, if jobs run elsewhere."""
+        if not isinstance(self.launcher, Vmapped):
+            super().validate_batch_is_legal(batch)

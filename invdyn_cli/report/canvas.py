@@ -70,7 +70,7 @@ def save(figure: Figure, path: Path) -> Path:
     drawn = io.BytesIO()
     if path.suffix == ".png":  # savefig would draw all of it twice
         figure.set_dpi(110)
-        FigureCanvasAgg(figure).print_png(drawn, pil_kwargs={"compress_level": 4})
+        FigureCanvasAgg(figure).print_png(drawn, pil_kwargs={"compress_level": 2})
     else:
         figure.savefig(drawn, dpi=110, format=path.suffix[1:])
     return write_file(path, drawn.getvalue())

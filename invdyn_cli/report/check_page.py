@@ -45,11 +45,9 @@ FOLD_FROM = 12
 """Number of advices or corrections above which the rest is folded."""
 
 STYLE = """
-.verdict { font-weight: 600; font-size: 1.1rem; } table.words td, table.words th { text-align: left;
-  white-space: normal; vertical-align: top; } table.words td.whole { white-space: nowrap; } ul { padding-left: 1.3rem; }
+.verdict { font-weight: 600; font-size: 1.1rem; } ul { padding-left: 1.3rem; }
 .bar { display: inline-block; height: .6em; background: #56b4e9; margin-right: .5em; border-radius: 1px; }
 h3 { font-size: 1rem; margin: 1.4rem 0 0; } h3 + figure { margin-top: .3rem; }
-@media (max-width: 46rem) { table.words { min-width: 34rem; } }
 """
 
 

@@ -70,10 +70,9 @@ FOLD_FROM = 4
 STYLE = """
 .verdict { font-weight: 600; } .lead { margin-top: .6rem; }
 .note-line { border-left: 4px solid var(--line); padding: .2rem .8rem; margin: .4rem 0; color: var(--soft); }
-table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
 table.tests th { white-space: normal; vertical-align: bottom; } table.tests td, table.tests th { padding: .2rem .4rem; }
-table.causes { min-width: 58rem; } table.causes td:nth-child(4) { min-width: 13.5rem; }
-table.words td.whole { white-space: nowrap; } td small.name, .name { font-family: ui-monospace, monospace;
+@media (min-width: 46rem) { table.causes { min-width: 58rem; } table.causes td:nth-child(4) { min-width: 13.5rem; } }
+td small.name, .name { font-family: ui-monospace, monospace;
   font-size: .78rem; color: var(--soft); } td a { color: inherit; }
 .law { font-size: 1.08rem; border-left: 4px solid #d55e00; padding: .25rem .9rem; margin: .7rem 0; }
 .law i { font-family: Georgia, serif; } h3 { font-size: 1.05rem; margin: 2.4rem 0 .3rem; }

@@ -234,7 +234,6 @@ def page(logs: Sequence[Diagnosed]) -> str:
 
 
 STYLE = """
-table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
 @media (min-width: 40rem) { table.words td:first-child { white-space: nowrap; } } """
 
 

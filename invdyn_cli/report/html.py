@@ -30,11 +30,16 @@ h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin: 2.2
 .sub, figcaption, caption, .note { color: var(--soft); font-size: .9rem; } .sub { margin-top: .2rem; }
 .lead { font-size: 1.1rem; max-width: 52rem; } .warning { background: var(--mark); border-left: 4px solid #d55e00;
   padding: .4rem .8rem; margin: .4rem 0; }
-.wide { overflow-x: auto; } .wide + .wide { margin-top: 1.2rem; }
+.wide { overflow-x: auto; background: linear-gradient(to left, var(--ground) 40%, transparent) right / 3rem 100%
+  no-repeat local, linear-gradient(to left, var(--line), transparent) right / 1.2rem 100% no-repeat scroll; }
+.wide + .wide { margin-top: 1.2rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
 th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
 thead th { white-space: normal; vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid var(--soft); }
+th:first-child, td:first-child { text-align: left; }
+.wide td:first-child, .wide tr:first-child th:first-child { position: sticky; left: 0; background: var(--ground); }
+table.words td, table.words th { text-align: left; white-space: normal; vertical-align: top; }
+table.words td.whole { white-space: nowrap; } thead th { border-bottom: 2px solid var(--soft); }
 thead tr:first-child th[colspan] { text-align: center; border-bottom: 0; }
 tr.mean td { font-weight: 600; border-top: 2px solid var(--soft); } b.worst { color: var(--worst); }
 .scores td:nth-child(even), thead th[colspan], thead tr + tr th:nth-child(odd) { padding-left: 1.8rem; }
@@ -47,8 +52,15 @@ td small { display: block; white-space: normal; max-width: 40rem; color: var(--s
 pre { overflow-x: auto; border: 1px solid var(--line); padding: .7rem; font-size: .85rem; } details { margin: .8rem 0; }
 summary { cursor: pointer; margin-bottom: .4rem; }
 @media (max-width: 46rem) { figure:not(.live) { overflow-x: auto; } figure img { width: 46rem; }
-  figcaption { position: sticky; left: 0; } }
-@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; } .wide { overflow: visible; }
+  figcaption { position: sticky; left: 0; }
+  th, td { padding: .2rem .45rem; }
+  table.words, table.words tbody, table.words tr, table.words td { display: block; }
+  table.words thead { display: none; }
+  table.words tr { border-bottom: 1px solid var(--line); padding: .5rem 0; } table.words td { border: 0;
+    padding: .1rem 0; } table.words td:empty { display: none; }
+  table.words td[data-head]::before { content: attr(data-head) ": "; color: var(--soft); } }
+@media print { html { font-size: 9pt; } body { max-width: none; margin: 0; padding: 0; }
+  .wide { overflow: visible; background: none; }
   th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
   details::details-content { content-visibility: visible; } }
 """
@@ -95,9 +107,19 @@ def lively(plots: str, caption: str) -> str:
 
 
 def table(heads: Sequence[str], body: str, style: str = "words") -> str:
-    """A table that scrolls if it is too wide; heads are plain text, the body is HTML."""
+    """A table that scrolls if it is too wide, its first column in view; one of `words` is a list on a phone. Heads are
+    plain text, the body is HTML."""
     head = "".join(f"<th>{escape(x)}</th>" for x in heads)
+    if "words" in style.split():
+        body = "<tr".join(_named(row, heads) for row in body.split("<tr"))
     return f'<div class="wide"><table class="{style}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _named(row: str, heads: Sequence[str]) -> str:
+    """A row of a table (HTML) whose cells but the first know the head of their column."""
+    start, *cells = row.split("<td")
+    names = ["", *(f' data-head="{escape(x, quote=True)}"' if x else "" for x in heads[1:])]
+    return start + "".join(f"<td{name}{cell}" for name, cell in zip(names, cells, strict=False))
 
 
 def folded(label: str, content: str, *, shown: bool = False) -> str:

@@ -36,6 +36,7 @@ from invdyn_cli.fields import in_words, suits
 from invdyn_cli.files import write_file
 from invdyn_cli.interruption import closed_pipe
 from invdyn_cli.verbs import folders as named
+from invdyn_cli.verbs import meant
 
 TRACEBACK = "traceback.txt"
 
@@ -332,14 +333,17 @@ def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
     text = str(error)
     if isinstance(error, MissingConfigException) and error.options:
         group, wanted = error.missing_cfg_file.rsplit("/", 1) if error.missing_cfg_file else ("", "")
-        if group == "robot" and wanted.endswith((".urdf", ".xacro")):
-            return f"{group}={wanted} names a file. Try: robot=urdf robot.path={wanted}"
+        if likely := meant.choice(group, wanted, error.options):
+            return f"{group}={wanted} is no choice. Try: {likely}"
         return f"{group}={wanted}; allowed: {listed(sorted(error.options))}{closest(wanted, error.options)}"
     if isinstance(error, ConfigCompositionException) and "Could not override" in text:
         key = getattr(_cause(error), "full_key", None) or text.split("'")[1]
-        allowed = _siblings(verb, key, argv)
         if key == "data.path":
             return "data.path belongs to measured logs. Try: data=real_log data.path=…"
+        config = _composed(verb, argv)
+        if likely := meant.option(key, argv, _names(config)):
+            return f"there is no option {key}. Try: {likely}"
+        allowed = _siblings(config, key)
         offer = f"; allowed: {listed(allowed, most=30)}{closest(key, allowed)}" if allowed else ""
         return f"there is no option {key}{offer}"
     if isinstance(error, OverrideParseException):
@@ -356,18 +360,35 @@ def _file_option(name: str) -> str:
     return "robot.path=" if name.endswith((".urdf", ".xacro")) else "data.path="
 
 
-def _siblings(verb: str, key: str, argv: Sequence[str]) -> list[str]:
-    """The options beside `key` in the config that the other overrides give."""
+def _composed(verb: str, argv: Sequence[str]) -> DictConfig:
+    """The verb's config with the choices of groups in argv; empty if it cannot be composed."""
     groups = [p.name for p in config_folder().iterdir() if p.is_dir()]
     chosen = [a for a in argv if a.split("=")[0] in (*groups, "hydra.searchpath")]
-    parent = key.rsplit(".", 1)[0] if "." in key else ""
     try:
         GlobalHydra.instance().clear()
         with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-            config = hydra.compose(verb, chosen)
+            return hydra.compose(verb, chosen)
+    except (HydraException, OmegaConfBaseException):
+        return OmegaConf.create({})
+
+
+def _names(node: DictConfig, above: str = "") -> Iterator[str]:
+    """The full names of all options in a config."""
+    for name in node:
+        inside = None if OmegaConf.is_missing(node, name) else node._get_node(name)
+        if isinstance(inside, DictConfig) and not inside._is_none():
+            yield from _names(inside, f"{above}{name}.")
+        elif not str(name).startswith("_"):
+            yield f"{above}{name}"
+
+
+def _siblings(config: DictConfig, key: str) -> list[str]:
+    """The options beside `key`."""
+    parent = key.rsplit(".", 1)[0] if "." in key else ""
+    try:
         node = OmegaConf.select(config, parent) if parent else config
         names = [str(name) for name in node if not str(name).startswith("_")]
-    except (HydraException, OmegaConfBaseException, TypeError):
+    except (OmegaConfBaseException, TypeError):
         return []
     full = [f"{parent}.{name}" if parent else name for name in names]
     return sorted(full, key=lambda name: -difflib.SequenceMatcher(None, name, key).ratio())

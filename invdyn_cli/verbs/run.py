@@ -40,11 +40,12 @@ def task(config: DictConfig) -> float | None:
         execute(config, folder, Screen())
         return None
     number, asked = job().job.num, job().overrides.task
-    status, message = "kept" if sweep.is_complete(config, folder) else "ran", ""
+    made = sweep.made_for(number)
+    status, message = "kept" if made is None and sweep.is_complete(config, folder) else "ran", ""
     if status == "ran":
         sweep.keep_status(folder, number, asked, "started")
         try:
-            execute(config, folder, prepared=sweep.prepared_for(number))
+            execute(config, folder, made=made)
         except Exception as error:
             status, message = "failed", sweep.reason("run", error, folder, asked)
     sweep.keep_status(folder, number, asked, status, message)
@@ -57,12 +58,12 @@ def execute(
     folder: Path,
     console: Screen | None = None,
     view: Any = None,
-    prepared: experiment.Prepared | None = None,
+    made: sweep.Made | None = None,
 ) -> RunRecord:
     """Config -> objects -> experiment -> files in `folder`; prints the result on `console` if there is one.
 
-    `view` is Hydra's view of the job (choices, overrides) if it is not the running one; `prepared` are data and fit if
-    they exist already.
+    `view` is Hydra's view of the job (choices, overrides) if it is not the running one; `made` is the run if it exists
+    already.
     """
     console = console or Screen(quiet=True)
     screen.use_compilation_cache()
@@ -78,10 +79,14 @@ def execute(
     for note in robot.notes if robot else ():
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet) as stage:
-        made = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage, prepared=prepared)
-        record = _with_origin(made, config, started, view or job())
+        if made is None:
+            plain = experiment.run(source, model, adaptation, robot, seed=config.seed, stage=stage)
+            record = with_origin(plain, config, started, view or job())
+        else:
+            record = made.record
         result = FitResult(record)
-        result.save(folder, tuple(config.figures.formats), stage("write"))
+        if made is None or not made.is_written():
+            result.save(folder, tuple(config.figures.formats), stage("write"))
         untracked = track(tracker, record, config, folder, stage("track"))
     imports.keep(maps, folder, console)
     console.print(result)
@@ -205,8 +210,9 @@ def make_object(config: DictConfig, group: str, kind: type) -> Any:
     return made
 
 
-def _with_origin(record: RunRecord, config: DictConfig, started: datetime.datetime, view: Any) -> RunRecord:
-    """The record with its provenance: choices, config, overrides, versions, machine, times."""
+def with_origin(record: RunRecord, config: DictConfig, started: datetime.datetime, view: Any) -> RunRecord:
+    """The record with its provenance: choices, config, overrides (of Hydra's `view` of the job), versions, machine,
+    times."""
     choices = {group: view.runtime.choices.get(group) for group in ("model", "data", "adaptation", "robot")}
     return replace(
         record,

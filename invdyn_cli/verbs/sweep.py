@@ -1,12 +1,16 @@
 """Sweeps: a folder that the same command finds again, complete jobs that are kept, and a table of all at the end."""
 
 import json
+import multiprocessing
 import os
+import threading
 import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -15,11 +19,11 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-from invdyn_cli import store, untrusted
+from invdyn_cli import interruption, store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
-from invdyn_cli.experiment import Prepared
 from invdyn_cli.files import write_file
 from invdyn_cli.report import compared, tables
+from invdyn_cli.types import RunRecord
 from invdyn_cli.verbs import folders, origin
 from invdyn_cli.verbs.finished import finished
 from invdyn_cli.verbs.launch import TRACEBACK, config_folder, told
@@ -32,6 +36,9 @@ SIDE_BY_SIDE = ("joblib", "submitit_local")
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
 """Environment variables that limit a process to one thread; processes that start later inherit them."""
+
+SILENT = "ignore:resource_tracker"
+"""Of Python's warnings the one about semaphores of a process that Ctrl-C stopped."""
 
 
 def with_folder(verb: str, argv: Sequence[str]) -> list[str]:
@@ -91,22 +98,65 @@ def objective(folder: Path) -> float:
     return float((found.get("validation") or found["test"])["nmse"]["mean"])
 
 
+@dataclass(frozen=True)
+class Made:
+    """A job's run that exists before the job runs, and what another process is doing to write its files; None: nobody
+    writes them."""
+
+    record: RunRecord
+    writing: Future | None
+
+    def is_written(self) -> bool:
+        """Whether its files are there, as soon as the other process has ended; if that failed, this one tries, too."""
+        return self.writing is not None and self.writing.exception() is None
+
+
 @contextmanager
-def prepared(found: Mapping[int, Prepared]) -> Iterator[None]:
-    """Within it, `prepared_for` returns the prepared data and fits for jobs with these numbers."""
-    token = _prepared.set(found)
+def writers() -> Iterator[Executor]:
+    """Processes that write files, one per core, started when there is something to write; they end with this one."""
+    os.environ["PYTHONWARNINGS"] = ",".join(x for x in (os.environ.get("PYTHONWARNINGS"), SILENT) if x)
+    pool = ProcessPoolExecutor(_cores(), multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def started(writers: Executor) -> Executor:
+    """The same processes, which begin with their imports."""
+    for _ in range(_cores()):
+        writers.submit(int)
+    return writers
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _end_with_parent() -> None:
+    """Leave Ctrl-C to the process that started this one, and end when it does."""
+    interruption.ignore()
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+@contextmanager
+def made(found: Mapping[int, Made]) -> Iterator[None]:
+    """Within it, `made_for` returns the runs of jobs with these numbers."""
+    token = _made.set(found)
     try:
         yield
     finally:
-        _prepared.reset(token)
+        _made.reset(token)
 
 
-def prepared_for(number: int) -> Prepared | None:
-    """Data and fit of a job, where these are there already."""
-    return _prepared.get().get(number)
+def made_for(number: int) -> Made | None:
+    """The run of a job, where it is there already."""
+    return _made.get().get(number)
 
 
-_prepared: ContextVar[Mapping[int, Prepared]] = ContextVar("prepared", default=MappingProxyType({}))
+_made: ContextVar[Mapping[int, Made]] = ContextVar("made", default=MappingProxyType({}))
 
 
 class Summary(Callback):

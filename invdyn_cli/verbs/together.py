@@ -1,11 +1,14 @@
-"""Jobs of a sweep that differ by their seeds and learning rates alone are fitted in one program.
+"""Jobs of a sweep that differ by their seeds and learning rates alone are fitted in one program, and other processes
+write their files.
 
-Each of them then runs as if it were alone, with the data and the fit that are there already.
+Each of them then runs as if it were alone, with the run that is there already.
 """
 
+import datetime
 import json
 import time
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,24 +16,30 @@ from typing import Any
 import jax
 from omegaconf import DictConfig, OmegaConf
 
-from invdyn_cli import interruption
+from invdyn_cli import experiment, interruption
 from invdyn_cli.experiment import Prepared
+from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
 from invdyn_cli.tracking.contract import flat
 from invdyn_cli.types import Robot
 from invdyn_cli.verbs import run, screen, sweep
 from invdyn_cli.verbs.screen import Screen
+from invdyn_cli.verbs.sweep import Made
 
 OWN = ("seed", "figures", "tracker")
 """What a job may have for itself beside the model, whose `alike` says what it must share."""
 
+WORTH = 6
+"""Jobs in one program from which on other processes write their files: to start those takes about 2 s."""
+
 
 @dataclass(frozen=True)
 class Job:
-    """A job of a sweep: its number, its config and the folder that it will write into."""
+    """A job of a sweep: its number, its config, Hydra's view of it and the folder that it will write into."""
 
     number: int
     config: DictConfig
+    view: DictConfig
     folder: Path
 
 
@@ -41,12 +50,25 @@ class _Asked:
     job: Job
     source: AbstractSource
     model: AbstractModel
+    adaptation: AbstractAdapter
     robot: Robot | None
     common: Hashable
 
+    def fitted(self) -> AbstractModel:
+        """The model that is fitted, with the parts that the adaptation adds."""
+        return self.adaptation.extended(self.model)
 
-def fitted(jobs: Sequence[Job]) -> dict[int, Prepared]:
-    """Data and fit by job number, of all jobs that can be fitted in one program with others; says on stderr which."""
+    def made(self, prepared: Prepared, started: datetime.datetime, writers: Executor | None) -> Made:
+        """Its run, with data and fit that are there already."""
+        config, objects = self.job.config, (self.source, self.model, self.adaptation, self.robot)
+        record = experiment.run(*objects, seed=config.seed, prepared=prepared)
+        record = run.with_origin(record, config, started, self.job.view)
+        save, formats = FitResult(record).save, tuple(config.figures.formats)
+        return Made(record, writers.submit(save, self.job.folder, formats) if writers else None)
+
+
+def made(jobs: Sequence[Job], writers: Executor) -> dict[int, Made]:
+    """The runs, by job number, of all jobs that can be fitted in one program with others; says on stderr which."""
     waiting = [job for job in jobs if not sweep.is_complete(job.config, job.folder)]
     if len(waiting) < 2:
         return {}
@@ -55,10 +77,10 @@ def fitted(jobs: Sequence[Job]) -> dict[int, Prepared]:
     groups: dict[Hashable, list[_Asked]] = {}
     for one in asked:
         groups.setdefault(one.common if one.common is not None else ("alone", one.job.number), []).append(one)
-    found: dict[int, Prepared] = {}
+    found: dict[int, Made] = {}
     for group in groups.values():
         if len(group) > 1:
-            found |= _fit(group)
+            found |= _fit(group, writers)
     for line in _why_alone([one for one in asked if one.job.number not in found]):
         screen.tell(line)
     return found
@@ -70,45 +92,49 @@ def _asked(job: Job) -> _Asked | None:
         run.refuse_options(job.config)
         source = run.make_object(job.config, "data", AbstractSource)
         adaptation = run.make_object(job.config, "adaptation", AbstractAdapter)
-        model = adaptation.extended(run.make_object(job.config, "model", AbstractModel))
-        alike = model.alike()
+        model = run.make_object(job.config, "model", AbstractModel)
+        fitted = adaptation.extended(model)
+        alike = fitted.alike()
         if alike is None:
-            return _Asked(job, source, model, None, None)
+            return _Asked(job, source, model, adaptation, None, None)
         plain: Any = OmegaConf.to_container(job.config, resolve=True)
         shared = {name: value for name, value in plain.items() if name not in (*OWN, "model")}
-        optional = not (source.needs_robot or model.needs_robot)
+        optional = not (source.needs_robot or fitted.needs_robot)
         robot = run.make_robot(job.config, source.header(), optional=optional, console=Screen(quiet=True))
-        return _Asked(job, source, model, robot, (json.dumps(shared, sort_keys=True, default=str), alike))
+        return _Asked(job, source, model, adaptation, robot, (json.dumps(shared, sort_keys=True, default=str), alike))
     except Exception:
         if interruption.was_asked():
             raise
         return None
 
 
-def _fit(group: Sequence[_Asked]) -> dict[int, Prepared]:
-    """The group's data, read once, and its fits; {} where that fails, and each job says what is wrong with it."""
+def _fit(group: Sequence[_Asked], writers: Executor) -> dict[int, Made]:
+    """The runs of a group, whose data are read once, as far as that works; what is wrong the other jobs will say."""
     first, numbers = group[0], [one.job.number for one in group]
     screen.tell(f"{_jobs(numbers)}: fitted in one program (they differ in {', '.join(_differing(group))})")
-    started = time.perf_counter()
+    found: dict[int, Made] = {}
+    began, started = datetime.datetime.now(datetime.UTC), time.perf_counter()
+    writers = sweep.started(writers) if len(group) >= WORTH else None
     try:
         with screen.stages() as stage:
             splits = first.source.load(first.robot, stage("data"))
             read = time.perf_counter()
-            fits = first.model.fit_together(
-                [one.model for one in group],
+            fits = first.fitted().fit_together(
+                [one.fitted() for one in group],
                 splits.train,
                 [jax.random.key(one.job.config.seed) for one in group],
                 validation=splits.validation,
                 progress=stage("learn"),
             )
+            seconds = (read - started) / len(group), (time.perf_counter() - read) / len(group)
+            for one, fit in zip(group, fits, strict=True):
+                found[one.job.number] = one.made(Prepared(splits, fit, *seconds), began, writers)
     except Exception as error:
         if interruption.was_asked():
             raise
-        screen.tell(f"{_jobs(numbers)}: fitted one by one, because the program failed: {error}")
-        return {}
-    share = len(group)
-    seconds = (read - started) / share, (time.perf_counter() - read) / share
-    return {number: Prepared(splits, fit, *seconds) for number, fit in zip(numbers, fits, strict=True)}
+        rest = [number for number in numbers if number not in found]
+        screen.tell(f"{_jobs(rest)}: fitted one by one, because the program failed: {error}")
+    return found
 
 
 def _why_alone(asked: Sequence[_Asked]) -> Iterator[str]:

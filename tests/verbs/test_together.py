@@ -1,6 +1,12 @@
 """Sweeps whose jobs are fitted in one program give what the jobs give alone."""
 
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import jax
 import numpy as np
@@ -8,6 +14,7 @@ import pytest
 
 from invdyn_cli import load_run
 from invdyn_cli.models.ffnn import Ffnn, JointNet
+from invdyn_cli.verbs import sweep
 from tests.commands import TINY
 from tests.verbs.test_sweep import folder_of, rows_of
 
@@ -67,6 +74,63 @@ def test_a_refused_job_leaves_the_others_together(command):
     assert said.code == 2
     assert said.err[0] == "jobs 0, 2: fitted in one program (they differ in model.learning_rate)"
     assert [row["status"] for row in rows_of(folder_of(said))] == ["ran", "failed", "ran"]
+
+
+def test_other_processes_write_the_files(command):
+    """From six jobs on: each has run and left all of its files; the same command then finds them complete."""
+    many = ("run", "-m", "model=ffnn", "model.epochs=1", *TINY, "seed=range(6)")
+    said = command(*many)
+    folder = folder_of(said)
+    assert said.code == 0, said.err
+    assert [row["status"] for row in rows_of(folder)] == ["ran"] * 6
+    for row in rows_of(folder):
+        names = _names(folder / row["folder"])
+        assert {"run.h5", "metrics.json", "report.html", "status.json", "figures/torques.png"} <= names
+        assert load_run(folder / row["folder"] / "run.h5").overrides[-1] == f"seed={row['job']}"
+    assert [row["status"] for row in rows_of(folder_of(command(*many)))] == ["kept"] * 6
+
+
+def test_a_process_that_cannot_write_leaves_it_to_this_one(command, monkeypatch):
+    """What the other process raises does not fail the job: this one writes the files."""
+
+    @contextmanager
+    def broken():
+        executor = Mock()
+        executor.submit.return_value.exception.return_value = OSError("no space left")
+        yield executor
+
+    monkeypatch.setattr(sweep, "writers", broken)
+    said = command("run", "-m", "model=ffnn", "model.epochs=1", *TINY, "seed=range(6)")
+    folder = folder_of(said)
+    assert [row["status"] for row in rows_of(folder)] == ["ran"] * 6
+    assert all("run.h5" in _names(folder / row["folder"]) for row in rows_of(folder))
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")
+def test_processes_that_write_end_with_the_sweep(tmp_path):
+    """Killed in the middle of its writing, a sweep leaves no process behind."""
+    code = "from invdyn_cli.cli import entry; entry()"
+    argv = ("run", "-m", "model=ffnn", "model.epochs=1", *TINY, "seed=range(40)", f"hydra.sweep.dir={tmp_path / 'out'}")
+    process = subprocess.Popen([sys.executable, "-c", code, *argv], cwd=tmp_path, stderr=subprocess.DEVNULL)
+    wait(lambda: any(tmp_path.glob("out/*/metrics.json")), 120)
+    own = _children(process.pid)
+    assert len(own) > 1
+    process.kill()
+    process.wait()
+    wait(lambda: not any(Path(f"/proc/{pid}").is_dir() for pid in own), 20)
+
+
+def wait(until: Callable[[], bool], seconds: float) -> None:
+    """Wait until that is so; AssertionError if it takes longer."""
+    deadline = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def _children(pid: int) -> list[int]:
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(child) for child in children.split()]
 
 
 def test_adaptation_starts_from_the_shared_fit(command):
