@@ -70,7 +70,7 @@ FOLD_FROM = 4
 STYLE = """
 .verdict { font-weight: 600; } .lead { margin-top: .6rem; }
 .note-line { border-left: 4px solid var(--line); padding: .2rem .8rem; margin: .4rem 0; color: var(--soft); }
-table.tests th { white-space: normal; vertical-align: bottom; } table.tests td, table.tests th { padding: .2rem .4rem; }
+table.dense th { white-space: normal; vertical-align: bottom; } table.dense td, table.dense th { padding: .2rem .4rem; }
 @media (min-width: 46rem) { table.causes { min-width: 58rem; } table.causes td:nth-child(4) { min-width: 13.5rem; } }
 td small.name, .name { font-family: ui-monospace, monospace;
   font-size: .78rem; color: var(--soft); } td a { color: inherit; }
@@ -321,7 +321,7 @@ def _standard(diagnosis: Diagnosis) -> str:
         "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
         + about
     )
-    return table(("joint", *heads, "links"), body, "") + f'<p class="note">{escape(note)}</p>'
+    return table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
 
 
 def _term(term: Mapping[str, Any], number: int | None) -> str:

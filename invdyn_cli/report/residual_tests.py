@@ -42,7 +42,7 @@ def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
         own = {x.against: x for x in diagnosis.tests if x.joint == joint}
         cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in heads)
         body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
-    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *map(test_words, heads)), body, "tests")
+    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *map(test_words, heads)), body, "dense")
     out += f'<p class="note">{escape(NOTE)}</p>'
     rows = "".join(
         f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(test_words(x.against))}</td>'
