@@ -145,10 +145,10 @@ def test_no_clock():
 
 def test_a_clock_in_another_language():
     """A first column of an unknown name that grows as a clock does is the clock of named channels; an index is not."""
-    columns = {"Zeit": 1000 * DATA["t"]} | {k: x for k, x in named(DATA, q="q_{}", tau="tau_{}").items() if k != "t"}
+    columns = {"Aika": 1000 * DATA["t"]} | {k: x for k, x in named(DATA, q="q_{}", tau="tau_{}").items() if k != "t"}
     found = guessed(columns)
-    assert (found.channel("t").columns, found.channel("t").unit) == (("Zeit",), ("ms",))
-    assert "rate=HZ" in refused(columns | {"Zeit": np.arange(len(DATA["t"]))})
+    assert (found.channel("t").columns, found.channel("t").unit) == (("Aika",), ("ms",))
+    assert "rate=HZ" in refused(columns | {"Aika": np.arange(len(DATA["t"]))})
 
 
 def test_no_torques():

@@ -42,6 +42,8 @@ NAMES = {
     "field.header.stamp": ("t", "", False, ""),
     "J2 Torque (Nm)": ("tau", "2", False, "N m"),
     "A2_Winkel_ist": ("q", "2", False, ""),
+    "Winkel_A2_grad": ("q", "2", False, "deg"),
+    "Zeit_ms": ("t", "", False, "ms"),
     "Achse3_Winkel_soll": ("q", "3", True, ""),
     "A1_Strom_mA": ("current", "1", False, "mA"),
     "axe_2_couple": ("tau", "2", False, ""),
