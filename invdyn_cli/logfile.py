@@ -173,7 +173,10 @@ def _opened(path: Path) -> tuple[Group, dict[str, Group]]:
     if path.is_dir():
         raise LogError(f"{path} is a folder, not an invdyn log; logs in it: {listed(logs)}", advice=CONVERT)
     if not path.exists():
-        raise LogError(f"no log {path}{closest(path.name, logs)}; logs in that folder: {listed(logs)}")
+        near = [p.name for p in folder.glob("*") if p.suffix.lower() == path.suffix.lower()]
+        raise LogError(f"no log {path}{closest(path.name, near)}; there: {listed(sorted({*near, *logs}))}")
+    if path.suffix.lower() in (".urdf", ".xacro"):
+        raise LogError(f"{path} describes a robot, it is no log", advice=f"robot.path={path} data.path=…")
     if not path.is_file() or not _is_hdf5(path):
         raise LogError(f"{path} is not an HDF5 file", advice=CONVERT)
     root = hdf5.outline(path, LogError)

@@ -18,8 +18,9 @@ CURRENTS = ("A", "mA", "percent")
 """Units of `tau` that only a drive gain turns into N m; a log keeps them as "A"."""
 
 _SPELLINGS = {
-    "rad": "rad radian radians", "deg": "deg degree degrees grad grados gradi °", "rev": "rev revs turn turns", "m": "m metre meter",
-    "mm": "mm", "rad/s": "rad/s rads rad/sec radps", "deg/s": "deg/s degs deg/sec dps degps °/s", "rpm": "rpm rev/min",
+    "rad": "rad radian radians", "deg": "deg degree degrees grad grados gradi °", "rev": "rev revs turn turns",
+    "m": "m metre meter", "mm": "mm", "rad/s": "rad/s rads rad/sec radps",
+    "deg/s": "deg/s degs deg/sec dps degps °/s", "rpm": "rpm rev/min",
     "m/s": "m/s", "mm/s": "mm/s", "rad/s^2": "rad/s^2 rad/s2 rad/s² rad/ss", "deg/s^2": "deg/s^2 deg/s2 deg/s² °/s²",
     "m/s^2": "m/s^2 m/s2 m/s²", "mm/s^2": "mm/s^2 mm/s2", "N m": "nm n*m n.m n·m newtonmetre newtonmeter",
     "N mm": "nmm n*mm", "N": "n", "A": "a amp amps ampere", "mA": "ma", "percent": "percent pct %",

@@ -24,7 +24,8 @@ _FLAGS = {
     "other": "tcp pose cartesian ee wrench force ext external error err temp temperature temperatures temperatur "
     "voltage volt ft spannung",
     "filler": "joint joints j a axis achse axe motor robot value values data sensor states field header",
-    "unit": "deg degs degree degrees grad grados gradi rad rads radian radians ms us ns nm nmm ma rpm percent pct dps msec usec nsec",
+    "unit": "deg degs degree degrees grad grados gradi rad rads radian radians ms us ns nm nmm ma rpm "
+    "percent pct dps msec usec nsec",
 }
 COMMANDED, MEASURED, OTHER, FILLERS, UNITS = (frozenset(words.split()) for words in _FLAGS.values())
 """Words of targets, of measurements, of what a log has no channel for, beside "joint", of units anywhere in a name."""

@@ -77,7 +77,9 @@ class Extended(AbstractModel):
         joints = self.model.robot.joints
         if dataset.joints != joints:
             got = f"{self.path or 'the model'} has joints {listed(joints)}, the data have {listed(dataset.joints)}"
-            raise UsageError(f"{got}; allowed: the same, in one order", advice="the robot=… that diagnose was given")
+            raise UsageError(
+                f"{got}; allowed: the same, in one order", advice="robot.path=…, the URDF that diagnose was given"
+            )
         params = self.init(dataset, key)
         count = sum(np.size(x) for x in jax.tree.leaves(params))
         return Fit(params=params, robot=self.model.robot, joints=joints, parameters=int(count))

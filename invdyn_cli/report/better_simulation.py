@@ -47,10 +47,15 @@ def replay_line(diagnosis: Diagnosis) -> str:
     replay = diagnosis.replay
     unit = "; ".join(dict.fromkeys(angle_unit(diagnosis).values()))
     after, before = (significant(float(x.mean())) for x in (replay.after, replay.before))
-    change = f"{abs(100 * replay.gain):.0f} % {'less' if replay.gain >= 0 else 'more'}"
+    change = f"{_percent(abs(100 * replay.gain))} % {'less' if replay.gain >= 0 else 'more'}"
     free = f"Unconstrained replay in MuJoCo, {replay.length:g} s under the logged torques"
     off = f"the extended arm deviates by {after} {unit}, the nominal arm by {before} {unit}: {change}"
     return f"{free}: {off} (RMS, mean of the joints)."
+
+
+def _percent(share: float) -> str:
+    """Whole percent; from 99 on so many nines as there are."""
+    return f"{share:.0f}" if share < 99 or share >= 100 else f"{100 - float(f'{100 - share:.1g}'):.10g}"
 
 
 def _held(diagnosis: Diagnosis) -> str:

@@ -2,6 +2,7 @@
 not have shown, and how to use the better model."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -23,6 +24,7 @@ from invdyn_cli.report.wording import (
     NO_BREAK,
     STATUS_WORDS,
     VERDICT_WORDS,
+    advised,
     capital,
     cause,
     causes,
@@ -53,10 +55,10 @@ OVERVIEW_CAPTION = (
     "What a learner still predicts of the residual has a cause that is not named here."
 )
 COMMAND = """\
-invdyn run data=real_log data.path=log.h5 model=extended model.path=extended_model.json"""
+invdyn run data=real_log data.path=log.h5 robot.path=arm.urdf model=extended model.path=extended_model.json"""
 COMMAND_NOTE = """\
-Run this in the folder of this report, with the path of a log of this robot. The model file contains the robot. Set \
-robot=… as in the diagnosis only if the log has other joint names."""
+Run this in the folder of this report, with the paths of a log of this robot and of its URDF. A log that has the \
+joint names of the URDF needs no robot.path: the model file contains the robot."""
 CHECK = """\
 invdyn check data=real_log data.path=log.h5 robot=urdf robot.path=arm.urdf"""
 PYTHON = """\
@@ -151,11 +153,13 @@ def _title(diagnosis: Diagnosis, robot_name: str) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    """A sentence such as 'Partly explained: 4 causes named, 1 ambiguous'."""
+    """A sentence such as 'Partly explained: 4 causes named, 1 ambiguous, 2 standard terms named'."""
     word = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
-    named = sum(x.status == "named" for x in diagnosis.findings)
-    open_ones = sum(x.status == "ambiguous" for x in diagnosis.findings)
-    counts = [f"{named} cause{'s' * (named != 1)} named"] * (named > 0) + [f"{open_ones} ambiguous"] * (open_ones > 0)
+    status = Counter(x.status for _, x in causes(diagnosis))
+    named, open_ones, usual = status["named"], status["ambiguous"], len(in_table(diagnosis))
+    counts = [f"{named} cause{'s' * (named != 1)} named"] * (named > 0)
+    counts += [f"{open_ones} {'' if named else 'cause' + 's' * (open_ones != 1) + ' '}ambiguous"] * (open_ones > 0)
+    counts += [f"{usual} standard term{'s' * (usual != 1)} named"] * (usual > 0)
     return ": ".join([word, *([", ".join(counts)] if counts else [])])
 
 
@@ -165,9 +169,7 @@ def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
     if record_next:
         link = f'<a href="{escape(record_next)}">{escape(record_next)}</a>'
         items.append(f"Play {link}, log it, and diagnose both logs together: <code>data.path=[log.h5,next.h5]</code>.")
-    for x in claims(diagnosis):
-        if x.status == "ambiguous" and x.advice:
-            items.append(f"{escape(place(x))}, {escape(cause(x))}: {escape(x.advice.rstrip('.'))}.")
+    items += map(escape, advised(diagnosis))
     left: dict[str, dict[str, None]] = {}
     for x in failing(diagnosis):
         left.setdefault(x.joint, {}).update(dict.fromkeys(map(words, x.points_at)))

@@ -7,6 +7,7 @@ from typing import Any
 
 from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.log import CHANNELS
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis, EffectText, Finding
@@ -55,8 +56,8 @@ def law(text: EffectText) -> str:
 
 
 def capital(text: str) -> str:
-    """The text with a capital first letter, the others as they are."""
-    return text[:1].upper() + text[1:]
+    """The text with a capital first letter, the others as they are; a symbol that begins it stays."""
+    return text if text.partition(" ")[0] in CHANNELS else text[:1].upper() + text[1:]
 
 
 def set_words(effects: Sequence[str]) -> str:
@@ -79,6 +80,12 @@ def cause(finding: Finding) -> str:
     """The effect in words; an ambiguous one with its alternatives: 'payload or base tilt'."""
     rivals = rivals_of(finding) if finding.status == "ambiguous" else []
     return " or ".join([words(finding.effect), *shortened(rivals)])
+
+
+def advised(diagnosis: Diagnosis) -> list[str]:
+    """What would decide each ambiguous claim, a sentence each."""
+    open_ones = (x for x in claims(diagnosis) if x.status == "ambiguous" and x.advice)
+    return [f"{place(x)}, {cause(x)}: {x.advice.rstrip('.')}." for x in open_ones]
 
 
 def place(finding: Finding) -> str:

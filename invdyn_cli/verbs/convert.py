@@ -6,12 +6,13 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from invdyn_cli.errors import UsageError
+from invdyn_cli.errors import LogError, RobotError, UsageError
 from invdyn_cli.files import write_file
 from invdyn_cli.formats import map_file
 from invdyn_cli.formats.columns import ColumnMap
 from invdyn_cli.formats.map_file import ENTRIES
 from invdyn_cli.formats.reading import imported
+from invdyn_cli.functions.inputs import robot_of
 from invdyn_cli.logfile import write_log
 from invdyn_cli.verbs import imports
 from invdyn_cli.verbs.launch import launch
@@ -39,6 +40,11 @@ def task(config: DictConfig) -> None:
     sources = list(config.source) if isinstance(config.source, ListConfig) else [config.source]
     made = imported([str(x) for x in sources], _given(config), size_limit(config))
     imports.show(made.log, made.columns, console)
+    if Path(made.log.urdf).suffix == ".urdf" and Path(made.log.urdf).is_file():
+        try:
+            robot_of(None, made.log)
+        except RobotError as error:
+            raise LogError(str(error).replace("robot.joints=", "joints=")) from None
     write_log(made.log, output)
     kept = output.with_suffix(".columns.yaml")
     write_file(kept, map_file.to_yaml(made.columns, Path(str(sources[0])).name, kept.parent))

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from invdyn_cli.diagnosis import Options
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
-from invdyn_cli.functions.diagnosing import explain
+from invdyn_cli.functions.diagnosing import REPORT, explain
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -113,6 +113,7 @@ def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = 
         result.save(folder, stage("write"))
     imports.keep(maps, folder, console)
     console.print(result)
+    console.whole(f"page: {check.relative(folder) / REPORT}")
     console.whole(check.relative(folder))
     return result.diagnosis
 

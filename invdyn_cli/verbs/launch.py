@@ -5,6 +5,7 @@ import contextlib
 import difflib
 import functools
 import importlib.util
+import itertools
 import logging
 import os
 import sys
@@ -39,6 +40,13 @@ from invdyn_cli.verbs import folders as named
 from invdyn_cli.verbs import meant
 
 TRACEBACK = "traceback.txt"
+
+MISSING = {("convert", "output"): "invdyn convert SOURCE OUT.h5", ("convert", "source"): "invdyn convert SOURCE OUT.h5"}
+"""What to type where an option that a verb needs is not set, by verb and option."""
+
+FLAGS = ("--help --hydra-help --version --cfg --resolve --package --run --multirun --shell-completion --config-path "
+         "--config-name --config-dir --experimental-rerun --info")  # fmt: skip
+"""Hydra's own; argparse takes beginnings of them, too."""
 
 
 def config_folder() -> Path:
@@ -84,6 +92,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
 
     try:
         _refuse_no_choice(overrides)
+        _refuse_flags(verb, argv)
         hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=verb)(guarded)()
         if failures:
             raise failures[0]
@@ -229,6 +238,18 @@ def _refuse_no_options(config: Any, usual: Any, place: str = "") -> None:
         _refuse_no_options(got, options, f"{here}.")
 
 
+def _refuse_flags(verb: str, argv: Sequence[str]) -> None:
+    """Refuse --name value and --name=value, as other programs have their options."""
+    for flag, behind in itertools.zip_longest(argv, argv[1:], fillvalue=""):
+        name, equals, value = flag.partition("=")
+        if not name.startswith("--") or name == "--" or any(known.startswith(name) for known in FLAGS.split()):
+            continue
+        key, value = name[2:].replace("-", "_"), value if equals or behind[:1] == "-" or "=" in behind else behind
+        likely = meant.option(key, [f"{key}={value}"], _names(_composed(verb, argv)))
+        got = f"{name} is no option: options have no dashes, and a = before their value"
+        raise UsageError(got, advice=likely or f"{key}={value or '…'}")
+
+
 def complain(line: str, code: int = 2) -> int:
     """Say on stderr what was wrong, in one line; the exit code, that of wrong use unless another is given."""
     with contextlib.suppress(OSError):
@@ -352,7 +373,7 @@ def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
         return f"{got!r} is no option; allowed: group=choice, option=value{advice}"
     if "Missing mandatory value" in text:
         key = getattr(error, "full_key", None) or text.split(":")[-1].strip()
-        return f"{key} is not set. Try: {key}=…"
+        return f"{key} is not set. Try: {MISSING.get((verb, key), f'{key}=…')}"
     return text.split("\nfull_key")[0].split("\nSee https")[0].split("\nSet the environment")[0]
 
 

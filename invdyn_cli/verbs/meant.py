@@ -1,5 +1,6 @@
 """What somebody meant who called an option, or a choice, by the name that it has elsewhere."""
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
@@ -35,6 +36,9 @@ CHOICES = {
 ALWAYS = ("data.path", "hydra.run.dir")
 """Options of every command, the first with another choice of data."""
 
+CHANNEL = re.compile(r"(?:data\.)?(?:columns\.)?(time|q|qd|qdd|tau|q_ref|q_link)\.(columns?|unit|sign)")
+"""An entry of the column map, as `invdyn convert` takes it."""
+
 LOGS = (".h5", ".hdf5", ".csv", ".tsv", ".txt", ".npz", ".mat", ".parquet", ".bag", ".mcap", ".db3")
 URDFS = (".urdf", ".xacro")
 
@@ -50,6 +54,11 @@ def option(key: str, argv: Sequence[str], every: Iterable[str]) -> str:
     group, _, last = key.rpartition(".")
     every = list(every)
     value = next((a.partition("=")[2] for a in argv if a.lstrip("+").startswith(f"{key}=")), "") or "…"
+    for typed in argv:
+        name, _, entry = typed.lstrip("+").partition("=")
+        if name.startswith(key) and (of_channel := CHANNEL.fullmatch(name)):
+            channel, field = of_channel.groups()
+            return f"'data.columns={{{channel}: {{{field}: {entry}}}}}'"
     fitting = [name for name, words in OPTIONS.items() if last in words]
     if not group and not get_close_matches(last, [name for name in every if "." not in name]):
         alike = [name for name in every if name.rpartition(".")[2] == last]

@@ -111,7 +111,14 @@ def test_report_says_everything(written):
     be seen, errors, shares, checks that were not in order, excitation and details are on the page."""
     diagnosis, path = written
     text = Reader(path.read_text("utf-8")).text
-    said = [diagnosis.summary, *diagnosis.notes, "4 causes named, 1 ambiguous", "all joints", "71 %", "joint spring"]
+    said = [
+        diagnosis.summary,
+        *diagnosis.notes,
+        "3 causes named, 1 ambiguous, 1 standard term named",
+        "all joints",
+        "71 %",
+        "joint spring",
+    ]
     for x in diagnosis.findings:
         said += [x.effect, x.advice, words(x.effect)[1:], *(why for _, why in x.rejected)]
         said += [quantity_text(q) for q in x.parameters.values()] + [gain_text(g) for g in x.gain.values()]

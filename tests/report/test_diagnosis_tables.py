@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from invdyn_cli.diagnosis.decide.wording import summary
+from invdyn_cli.diagnosis.decide.wording import in_table, summary
 from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
 from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, verdict_line
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
@@ -182,9 +182,13 @@ def test_best_gain_passes_over_nan():
 
 
 def test_the_summary_names_every_cause_that_is_a_row():
-    """What stands in the table by joint is summed up; a link that is wrong by itself is no term of it, and is told."""
+    """What stands in the table by joint is summed up where it is more than two; a link that is wrong by itself is no
+    term of it, and is told."""
     diagnosis = make_diagnosis()
     link = Finding("link_inertia_error", "joint3", "named", group="standard")
     titles = {name: effect.title for name, effect in CATALOGUE.items()}
     said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), titles)
-    assert "link inertia error on joint3" in said and "standard terms (friction and the like) on 1 joint" in said
+    assert "link inertia error on joint3" in said and "Coulomb friction on " in said and "standard terms" not in said
+    (friction,) = in_table(diagnosis)
+    said = summary(replace(diagnosis, findings=(friction,) * 3), titles)
+    assert "lacks standard terms (friction and the like) on 1 joint." in said

@@ -23,6 +23,14 @@ MISTAKES = {
     "run random_state=1": "seed=1",
     "check data.sample_rate=100": "data.rate=100",
     "run output=here": "hydra.run.dir=here",
+    "diagnose --log log.csv --urdf arm.urdf": "data.path=log.csv",
+    "run --epochs=3": "model.epochs=3",
+    "run --random-state 1": "seed=1",
+    "run --nonsense": "nonsense=…",
+    "check data.columns.q.unit=deg": "'data.columns={q: {unit: deg}}'",
+    "check time.unit=ms": "'data.columns={time: {unit: ms}}'",
+    "convert log.csv": "invdyn convert SOURCE OUT.h5",
+    "check data.path=arm.urdf": "robot.path=arm.urdf data.path=…",
 }
 """What somebody types who knows other programs, and what is meant."""
 
@@ -31,10 +39,11 @@ MISTAKES = {
 def test_a_name_from_elsewhere_is_answered_with_ours(typed, capsys, tmp_path, monkeypatch):
     """Exit code 2, one line, which ends in the option as it is typed here; nothing is written."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.urdf").touch()
     assert main(typed.split()) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and line.endswith(f"Try: {MISTAKES[typed]}\n")
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.urdf"]
 
 
 def test_a_misspelt_option_is_answered_with_the_nearest(capsys, tmp_path, monkeypatch):

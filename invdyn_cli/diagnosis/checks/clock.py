@@ -262,7 +262,8 @@ class TooShort(AbstractCheck):
                     threshold=self.log,
                     seen=f"{total:.3g} s of motion in the whole log",
                     meaning="too little to compute with",
-                    advice="a recording of a minute or more in which all joints move back and forth",
+                    advice="a recording of a minute or more in which all joints move back and forth"
+                    + ("; or another unit of its clock, such as time: {unit: ms}" if short else ""),
                     source="own choice: less than one slow movement of an arm",
                 )
             )

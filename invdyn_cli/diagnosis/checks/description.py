@@ -44,7 +44,7 @@ class Description(AbstractCheck):
     gone: float = 0.3
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """Of the file first, then of what the log says of it."""
+        """What the log says of the file, then what its numbers say."""
         if robot is None:
             return [self.skipped("no robot")]
         found = list(self._written(robot))
@@ -58,7 +58,7 @@ class Description(AbstractCheck):
             return [*found, self.skipped(why)]
         gravity = self._gravity(samples, robot, judged)
         gone = any(NOT_COMPARED in one.seen for one in gravity)
-        return [*found, *gravity, *([] if gone else self._tool(samples, robot, judged))]
+        return [*gravity, *([] if gone else self._tool(samples, robot, judged)), *found]
 
     def _written(self, robot: Robot) -> Iterator[Check]:
         """What the file's numbers say without a log."""

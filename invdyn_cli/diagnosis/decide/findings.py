@@ -21,6 +21,7 @@ from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import Refined, refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.diagnosis.search.likely import is_plain
 from invdyn_cli.diagnosis.search.realisable import realisable
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import driver_name
@@ -127,6 +128,7 @@ def report(
         others = sums.hidden(effects, hypothesis, i)
         if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
             others.append(StribeckFriction.name)
+        others += _special_cases(evidence, effects, whole.acting[i], ends[i])
         finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
         finding = bodies.told(finding, whole.acting[i], evidence.robot, wanted[i])
         if effect is not candidate.effect and bodies.may_be_payload(wanted[i]):
@@ -189,6 +191,19 @@ def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -
     variance = max(float(np.var(tau)), 1e-300)
     low, high = np.quantile(step, [0.025, 0.975])
     return Gain(rms[0], rms[1], rms[0] ** 2 / variance, rms[1] ** 2 / variance, (float(low), float(high)))
+
+
+def _special_cases(
+    evidence: Evidence, effects: Mapping[str, AbstractEffect], one: EffectInstance, ends: Mapping[str, tuple]
+) -> list[str]:
+    """The effects that one contains and that cannot be told from it where its own parameters, which they have not, are
+    as small as their intervals allow."""
+    special = [effects[name] for name in one.effect.contains if name in effects]
+    shared = {name for effect in special for name in effect.parameters}
+    least = {name: low for name, (_, low, _) in ends.items() if name in one.effect.parameters and name not in shared}
+    if one.joint is None or not special or is_plain(evidence, replace(one, parameters={**one.parameters, **least})):
+        return []
+    return [effect.name for effect in special]
 
 
 def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:

@@ -12,6 +12,9 @@ PREDICTABLE, SMALL = 0.15, 0.15
 share of the nominal model's error, in N m."""
 
 
+FEW = 2
+"""Largest number of named standard terms that are listed one by one."""
+
 TEST_WORDS = {
     "level": "constant offset",
     "ripple": "periodic in the angle",
@@ -82,7 +85,9 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     said += [f"{len(shown) - 4} more"] if len(shown) > 4 else []
     if usual:
         joints = len({f.joint for f in usual})
-        said.append(f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}")
+        several = f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}"
+        few = [f"{titles[f.effect]} on {f.joint}" for f in usual]
+        said += few if len(few) <= FEW else [several]
     first = f"The simulation lacks {_listed(said)}. With these effects, its held-out RMS error falls from "
     first += f"{before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:

@@ -6,7 +6,7 @@ from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import noise, realisable
 from invdyn_cli.diagnosis.search.events import EDGE
 from invdyn_cli.diagnosis.search.exact import Model, Refined
-from invdyn_cli.effects.composition import TimeWindow
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.joints import JointState
 
 CLIPPED, SELDOM, BEYOND, PLAIN = 0.1, 0.5, 3.0, 30.0
@@ -36,10 +36,16 @@ def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined:
     if one.joint is not None:
         if one.effect.travel(one.parameters) < SEEN * evidence.recording.position_noise[one.joint]:
             return False
-        q, qd, qdd = (evidence.on_rows(x)[:, one.joint] for x in ("q", "qd", "qdd"))
-        state = JointState(evidence.on_rows("t"), q, qd, qdd, np.sign(qd), evidence.nominal[:, one.joint])
-        return one.effect.is_plain(one.parameters, state)
+        return is_plain(evidence, one)
     return True
+
+
+def is_plain(evidence: Evidence, one: EffectInstance) -> bool:
+    """Whether an effect on a joint can be distinguished, on this motion, from effects that look similar."""
+    assert one.joint is not None
+    q, qd, qdd = (evidence.on_rows(x)[:, one.joint] for x in ("q", "qd", "qdd"))
+    state = JointState(evidence.on_rows("t"), q, qd, qdd, np.sign(qd), evidence.nominal[:, one.joint])
+    return one.effect.is_plain(one.parameters, state)
 
 
 def _lasts(evidence: Evidence, when: TimeWindow) -> bool:

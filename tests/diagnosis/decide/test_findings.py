@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.findings import gain_of
+from invdyn_cli.diagnosis.decide.findings import _special_cases, gain_of
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import EffectInstance
 from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 
@@ -17,3 +19,13 @@ def test_rest_is_no_gain_and_no_loss():
     before, after = (np.where(evidence.valid, x, y) for x, y in ((2.0, 5.0), (1.0, 50.0)))
     gain = gain_of(evidence, 0, before, after)
     assert gain is not None and (gain.rmse_before, gain.rmse_after) == pytest.approx((2.0, 1.0))
+
+
+@pytest.mark.parametrize(("lowest", "others"), [(0.03, []), (0.001, ["coulomb_friction"])])
+def test_stribeck_friction_that_may_be_coulombs(lowest, others):
+    """A Stribeck velocity whose interval reaches speeds at which the joint sticks (5 ms of its acceleration, here about
+    5 mm/s) does not exclude Coulomb friction."""
+    evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), ())
+    one = EffectInstance(EFFECTS["stribeck_friction"], 0, {"coulomb": 1.0, "static": 1.5, "velocity": 0.05})
+    ends = {"coulomb": (1.0, 0.9, 1.1), "static": (1.5, 1.4, 1.6), "velocity": (0.05, lowest, 0.1)}
+    assert _special_cases(evidence, EFFECTS, one, ends) == others
