@@ -114,7 +114,7 @@ def _fit(group: Sequence[_Asked], writers: Executor) -> dict[int, Made]:
     screen.tell(f"{_jobs(numbers)}: fitted in one program (they differ in {', '.join(_differing(group))})")
     found: dict[int, Made] = {}
     began, started = datetime.datetime.now(datetime.UTC), time.perf_counter()
-    writers = sweep.started(writers) if len(group) >= WORTH else None
+    beside = sweep.started(writers) if len(group) >= WORTH else None
     try:
         with screen.stages() as stage:
             splits = first.source.load(first.robot, stage("data"))
@@ -128,7 +128,7 @@ def _fit(group: Sequence[_Asked], writers: Executor) -> dict[int, Made]:
             )
             seconds = (read - started) / len(group), (time.perf_counter() - read) / len(group)
             for one, fit in zip(group, fits, strict=True):
-                found[one.job.number] = one.made(Prepared(splits, fit, *seconds), began, writers)
+                found[one.job.number] = one.made(Prepared(splits, fit, *seconds), began, beside)
     except Exception as error:
         if interruption.was_asked():
             raise
