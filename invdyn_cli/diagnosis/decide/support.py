@@ -28,7 +28,7 @@ ONE_SIZE = 0.75
 """Least share of what an effect makes where the arm moves, slowly or beyond standstill, that may be saved there: 1 for
 a true one; columns are approximations."""
 
-EVIDENCE = 200.0
+EVIDENCE = 250.0
 """Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted
 (docs/decisions/045)."""
 
