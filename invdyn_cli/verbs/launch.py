@@ -5,7 +5,6 @@ import contextlib
 import difflib
 import functools
 import importlib.util
-import itertools
 import logging
 import os
 import sys
@@ -40,13 +39,6 @@ from invdyn_cli.verbs import folders as named
 from invdyn_cli.verbs import meant
 
 TRACEBACK = "traceback.txt"
-
-MISSING = {("convert", "output"): "invdyn convert SOURCE OUT.h5", ("convert", "source"): "invdyn convert SOURCE OUT.h5"}
-"""What to type where an option that a verb needs is not set, by verb and option."""
-
-FLAGS = ("--help --hydra-help --version --cfg --resolve --package --run --multirun --shell-completion --config-path "
-         "--config-name --config-dir --experimental-rerun --info")  # fmt: skip
-"""Hydra's own; argparse takes beginnings of them, too."""
 
 
 def config_folder() -> Path:
@@ -240,14 +232,9 @@ def _refuse_no_options(config: Any, usual: Any, place: str = "") -> None:
 
 def _refuse_flags(verb: str, argv: Sequence[str]) -> None:
     """Refuse --name value and --name=value, as other programs have their options."""
-    for flag, behind in itertools.zip_longest(argv, argv[1:], fillvalue=""):
-        name, equals, value = flag.partition("=")
-        if not name.startswith("--") or name == "--" or any(known.startswith(name) for known in FLAGS.split()):
-            continue
-        key, value = name[2:].replace("-", "_"), value if equals or behind[:1] == "-" or "=" in behind else behind
-        likely = meant.option(key, [f"{key}={value}"], _names(_composed(verb, argv)))
-        got = f"{name} is no option: options have no dashes, and a = before their value"
-        raise UsageError(got, advice=likely or f"{key}={value or '…'}")
+    for name, key, value in meant.flags(argv):
+        likely = meant.option(key, [f"{key}={value}"], _names(_composed(verb, argv))) or f"{key}={value or '…'}"
+        raise UsageError(f"{name} is no option: options have no dashes, and a = before their value", advice=likely)
 
 
 def complain(line: str, code: int = 2) -> int:
@@ -369,16 +356,12 @@ def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
         return f"there is no option {key}{offer}"
     if isinstance(error, OverrideParseException):
         got = error.override or ""
-        advice = f". Try: {_file_option(got)}{got}" if Path(got).is_file() else ""
+        advice = f". Try: {meant.of_file(got)}{got}" if Path(got).is_file() else ""
         return f"{got!r} is no option; allowed: group=choice, option=value{advice}"
     if "Missing mandatory value" in text:
         key = getattr(error, "full_key", None) or text.split(":")[-1].strip()
-        return f"{key} is not set. Try: {MISSING.get((verb, key), f'{key}=…')}"
+        return f"{key} is not set. Try: {meant.MISSING.get((verb, key), f'{key}=…')}"
     return text.split("\nfull_key")[0].split("\nSee https")[0].split("\nSet the environment")[0]
-
-
-def _file_option(name: str) -> str:
-    return "robot.path=" if name.endswith((".urdf", ".xacro")) else "data.path="
 
 
 def _composed(verb: str, argv: Sequence[str]) -> DictConfig:

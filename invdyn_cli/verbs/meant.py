@@ -1,7 +1,8 @@
 """What somebody meant who called an option, or a choice, by the name that it has elsewhere."""
 
+import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 
 OPTIONS = {
@@ -35,6 +36,13 @@ CHOICES = {
 
 ALWAYS = ("data.path", "hydra.run.dir")
 """Options of every command, the first with another choice of data."""
+
+MISSING = {("convert", "output"): "invdyn convert SOURCE OUT.h5", ("convert", "source"): "invdyn convert SOURCE OUT.h5"}
+"""What to type where an option that a verb needs is not set, by verb and option."""
+
+FLAGS = ("--help --hydra-help --version --cfg --resolve --package --run --multirun --shell-completion --config-path "
+         "--config-name --config-dir --experimental-rerun --info")  # fmt: skip
+"""Hydra's own; argparse takes beginnings of them, too."""
 
 CHANNEL = re.compile(r"(?:data\.)?(?:columns\.)?(time|q|qd|qdd|tau|q_ref|q_link)\.(columns?|unit|sign)")
 """An entry of the column map, as `invdyn convert` takes it."""
@@ -70,12 +78,26 @@ def option(key: str, argv: Sequence[str], every: Iterable[str]) -> str:
     return ""
 
 
+def flags(argv: Sequence[str]) -> Iterator[tuple[str, str, str]]:
+    """What has dashes in front and is none of Hydra's own: as typed, as the name of an option, and its value or ""."""
+    for flag, behind in itertools.zip_longest(argv, argv[1:], fillvalue=""):
+        name, equals, value = flag.partition("=")
+        if not name.startswith("--") or name == "--" or any(known.startswith(name) for known in FLAGS.split()):
+            continue
+        yield name, name[2:].replace("-", "_"), value if equals or behind[:1] == "-" or "=" in behind else behind
+
+
 def choice(group: str, wanted: str, choices: Iterable[str]) -> str:
     """What to type instead of group=wanted, which is no choice; "" if nothing is likely."""
     if wanted.lower().endswith(URDFS if group == "robot" else LOGS if group == "data" else ()):
         return f"{'robot=urdf robot' if group == 'robot' else 'data=real_log data'}.path={wanted}"
     named = CHOICES.get(group, {})
     return next((f"{group}={name}" for name, words in named.items() if wanted in words and name in choices), "")
+
+
+def of_file(name: str) -> str:
+    """The option that a bare path belongs to, with its =."""
+    return "robot.path=" if name.endswith(URDFS) else "data.path="
 
 
 def _typed(name: str, value: str, argv: Sequence[str], every: Sequence[str]) -> str:

@@ -32,7 +32,7 @@ LOUDER = 5.0
 
 UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
 """Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
-effect on one joint where the learner predicts more than this share of what is left: something there has no name yet."""
+effect on one joint where the learner predicts more than this share of what is left: the catalogue lacks its cause."""
 
 LATE_UNKNOWN = 1e4
 """The same of a delay or a lag there, which is like the other, like a spring and like a filter to some percent."""
@@ -90,7 +90,7 @@ def in_doubt(
     found: Sequence[Finding], effects: Mapping[str, AbstractEffect], learned: Mapping[str, float]
 ) -> tuple[Finding, ...]:
     """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
-    by what is left there: something else is at work, and may be all of it.
+    by what is left there: another effect acts on them, and may make all of the torque.
 
     Args:
         learned: {joint: share of the residual's variance that the learner predicts}.

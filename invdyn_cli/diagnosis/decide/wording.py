@@ -11,7 +11,6 @@ PREDICTABLE, SMALL = 0.15, 0.15
 """The residual counts as explained if the learner predicts less than this share of its variance, or less than this
 share of the nominal model's error, in N m."""
 
-
 FEW = 2
 """Largest number of named standard terms that are listed one by one."""
 

@@ -62,7 +62,7 @@ def claimed(effect: str, left: float) -> Finding:
 )
 def test_a_name_must_outweigh_what_has_none(effect, learned, times):
     """Of an effect that saves so many times what is still predicted, a tenth more is enough and a tenth less is not;
-    more is asked for where most of what is left is no noise, and most of what is like many others."""
+    it must save more where most of what is left is no noise, and most if its torque resembles that of many others."""
     for factor, status in ((1.1, "named"), (0.9, "ambiguous")):
         left = (1 + factor * times * learned) ** -0.5
         (found,) = in_doubt([claimed(effect, left)], EFFECTS, {"axis1": learned})
