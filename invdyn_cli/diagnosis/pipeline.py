@@ -136,7 +136,7 @@ def decided(
         model=model,
         signals=_signals(evidence, made, more),
         replay=again,
-        notes=(*case.notes, *made.notes, *why),
+        notes=(*case.notes, *made.notes, *repeats.note_of(evidence.recording), *why),
         details={
             **evidence.recording.details,
             "time_taken_out_s": case.lead,
