@@ -6,24 +6,13 @@ Sizes are given or estimated; otherwise those of `sizes`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.bodies import body_columns, gravity_columns
-from invdyn_cli.effects.composition import (
-    LEAST_INERTIA,
-    EffectInstance,
-    changed,
-    chunked,
-    inertia_column,
-    kinematics_of,
-    rigid_torque,
-    sign_of,
-)
+from invdyn_cli.effects.composition import LEAST_INERTIA, EffectInstance, changed, inertia_column, sign_of
 from invdyn_cli.effects.friction import STICK_TIME, about_reversals
+from invdyn_cli.effects.rigid import body_columns, gravity_columns, rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -178,13 +167,11 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
 
 def body(robot: Robot, directions, flat: Motion, shape: tuple[int, int, int]) -> list[Column]:
     """Columns of directions in which inertials or gravity move."""
-    kinematics, inertial = kinematics_of(robot), jnp.asarray(robot.inertial)
     moves = np.stack([np.asarray(m).reshape(-1) for m, _, _ in directions])
     if moves.any():
-        function = partial(body_columns, kinematics, jnp.asarray(robot.gravity), jnp.asarray(moves))
+        made = body_columns(robot, moves, flat)
     else:
-        function = partial(gravity_columns, kinematics, inertial, jnp.asarray(np.stack([g for _, g, _ in directions])))
-    made = chunked(function, *(np.asarray(x) for x in (flat.q, flat.qd, flat.qdd)))
+        made = gravity_columns(robot, np.stack([g for _, g, _ in directions]), flat.q)
     return [dict(enumerate(x.reshape(shape))) for x in made]
 
 

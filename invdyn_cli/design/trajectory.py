@@ -25,7 +25,7 @@ from invdyn_cli.design.gestures import (
     seconds_between,
     varied,
 )
-from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.simulation.references import room

@@ -11,7 +11,8 @@ from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.effects.actuator import TorqueGainError
-from invdyn_cli.effects.composition import EffectInstance, rigid_torque
+from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractEffect, Progress, silent
 from invdyn_cli.log import Log, Window

@@ -20,10 +20,10 @@ from invdyn_cli.effects.composition import (
     in_chain,
     joint_terms,
     link_torque,
-    rigid_torque,
     sign_of,
 )
 from invdyn_cli.effects.friction import STICK_TIME
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.interfaces import AbstractEffect, JointState
 from invdyn_cli.recording.pieces import Recording

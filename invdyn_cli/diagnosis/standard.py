@@ -7,21 +7,20 @@ the extended model with them.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.bodies import body_columns
 from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
 from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
 from invdyn_cli.diagnosis.decide.intervals import reach
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import CoulombFriction, ViscousFriction
 from invdyn_cli.effects.load import LinkInertiaError
+from invdyn_cli.effects.rigid import regressor
 from invdyn_cli.maths import standard, statistics
 from invdyn_cli.maths.links import bodies
 from invdyn_cli.maths.standard import Standard, Sums
@@ -238,9 +237,7 @@ def columns_of(evidence: Evidence, side: str) -> Columns:
             made = {"offset": np.ones_like(s.qd), "coulomb": s.sign, "viscous": s.qd, "armature": s.qdd}
             parts.append(np.stack([np.asarray(made[t]) for t in terms]))
         own[:, j] = filtered(recording, parts, j)
-    robot = evidence.robot
-    moves = partial(body_columns, kinematics_of(robot), np.asarray(robot.gravity), np.eye(10 * n))
-    links = filtered(recording, [chunked(moves, p.q, p.qd, p.qdd) for p in recording.pieces])
+    links = filtered(recording, [regressor(evidence.robot, p.motion) for p in recording.pieces])
     return Columns(evidence, terms, links, own)
 
 

@@ -6,13 +6,11 @@ in a time window has the weight of its window, 0 to 1.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -232,69 +230,3 @@ def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: S
 def sign_of(qd: Array, width: Array | float) -> Array:
     """sign(qd), but linear within `width` [rad/s] of zero."""
     return qd.__array_namespace__().clip(qd / width, -1, 1)
-
-
-PART = 1024
-"""Samples of a part: the pieces of a log have some thousand samples, and the last part is padded."""
-
-
-def chunked(function, *arrays: np.ndarray) -> np.ndarray:
-    """A jitted function of (n, T) arrays, applied to parts of one length (one compilation) and joined along the last
-    axis."""
-    total = arrays[0].shape[-1]
-    out = []
-    for start in range(0, total, PART):
-        part = [x[..., start : start + PART] for x in arrays]
-        missing = PART - part[0].shape[-1]
-        if missing:
-            part = [np.pad(x, ((0, 0), (0, missing)), mode="edge") for x in part]
-        out.append(np.asarray(function(*part))[..., : PART - missing])
-    return np.concatenate(out, axis=-1)
-
-
-@jax.jit
-def _dynamics(kinematics: tuple, inertial, gravity, q, qd, qdd):
-    robot = rebuilt(kinematics, inertial, gravity)
-    return rigid_body.inverse_dynamics(robot, inertial, q, qd, qdd)
-
-
-def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
-    """Inverse dynamics (n, T) of a long motion (n, T), numpy in and out."""
-    inertial, gravity = jnp.asarray(robot.inertial), jnp.asarray(robot.gravity)
-    function = partial(_dynamics, kinematics_of(robot), inertial, gravity)
-    return chunked(function, *(np.asarray(x) for x in (motion.q, motion.qd, motion.qdd)))
-
-
-class _Static:
-    """The fields of a robot that are not arrays, compared by value: robots that differ only in arrays share a compiled
-    program."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        self.key = (robot.parents, robot.prismatic)
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other) -> bool:
-        return isinstance(other, _Static) and self.key == other.key
-
-
-jax.tree_util.register_static(_Static)
-
-
-def kinematics_of(robot: Robot) -> tuple:
-    """Arrays and structure of a robot's kinematics, as jitted functions take them."""
-    arrays = tuple(jnp.asarray(x) for x in (robot.rotation, robot.translation, robot.axis))
-    return _Static(robot), *arrays
-
-
-def rebuilt(kinematics: tuple, inertial: Array, gravity: Array) -> Robot:
-    """The robot of `kinematics_of` with these inertials and gravity."""
-    static, rotation, translation, axis = kinematics
-    n = len(static.robot.parents)
-    blank = jnp.zeros(n)
-    return Robot(
-        "", tuple(map(str, range(n))), static.key[0], static.key[1], rotation, translation, axis, inertial, gravity,
-        blank, blank, blank, blank, blank, blank,
-    )  # fmt: skip

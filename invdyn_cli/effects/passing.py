@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.effects.actuator import TorqueGainError
-from invdyn_cli.effects.composition import rigid_torque
 from invdyn_cli.effects.load import Payload
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,

@@ -11,7 +11,8 @@ from invdyn_cli.design.gestures import drawn, motion_of
 from invdyn_cli.design.sizes import refused, typical, unplayable
 from invdyn_cli.design.trajectory import APART, _room_and_usual, design
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import EffectInstance, Span, link_torque, rigid_torque
+from invdyn_cli.effects.composition import EffectInstance, Span, link_torque
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.references import Multisine

@@ -14,7 +14,7 @@ from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis import diagnose, standard, wear
 from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden

@@ -14,8 +14,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import SIZES, draw_effect, draw_scene, inverse_dynamics
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import EffectInstance, TimeWindow, rigid_torque
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.description import ExtendedModel
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import simulate
 from invdyn_cli.simulation.references import Multisine

@@ -9,7 +9,7 @@ import pytest
 from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.interfaces import AbstractBodyEffect
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Motion

@@ -8,15 +8,8 @@ import pytest
 
 from experiments.arms import random_arm
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import (
-    EffectInstance,
-    Span,
-    TimeWindow,
-    channel,
-    link_torque,
-    rigid_torque,
-    weight,
-)
+from invdyn_cli.effects.composition import EffectInstance, Span, TimeWindow, channel, link_torque, weight
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.types import Motion
 from tests.effects.drawn import parameters

@@ -1,10 +1,10 @@
 """The data of the expensive checks: a few thousand rows of a log's stretches, and the nominal model's torque."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax
 import numpy as np
 
+from invdyn_cli.effects.rigid import PART, regressor, rigid_torque
 from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.recording.stretches import Stretch, stretches
@@ -14,8 +14,8 @@ ROWS = 4096
 """Number of rows that regressions use, one shape to compile: 17 a second of a four-minute log, fewer for a longer
 one."""
 
-SIZE = 1024
-"""Number of rows that a compiled program takes at once: always the same, so that each program is compiled once."""
+SIZE = PART
+"""Number of rows of a regressor: what a compiled program takes at once."""
 
 SLOW = 0.02
 """[rad/s; m/s] below which the sign of a velocity is noise: sign(qd) is a ramp there, as in `maths.regression`."""
@@ -75,13 +75,7 @@ def nominal_torque(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray
 
 def torque_of(robot: Robot, motion: Motion) -> np.ndarray:
     """The URDF's torque (T, n) [N m; N] for a motion (T, n)."""
-    robot, made = _nameless(robot), [np.zeros((0, robot.dofs))]
-    for at in range(0, len(motion), SIZE):
-        part = motion[slice(at, at + SIZE)]
-        padding = ((0, SIZE - len(part)), (0, 0))
-        q, qd, qdd = (np.pad(np.asarray(x), padding, mode="edge").T for x in (part.q, part.qd, part.qdd))
-        made.append(np.asarray(_torque(robot, q, qd, qdd))[: len(part)])
-    return np.concatenate(made)
+    return rigid_torque(robot, _joints_first(motion)).T
 
 
 def reach(robot: Robot, states: int = 256) -> np.ndarray:
@@ -94,20 +88,9 @@ def regressor_rows(robot: Robot, motion: Motion, thin: int = 1) -> tuple[np.ndar
     """Which rows (R,) of a motion were taken, evenly, SIZE or every `thin`-th of these; and their joint-torque
     regressor (n, R, 10 n): all inertial parameters of all links. Rows of a short motion repeat."""
     rows = np.linspace(0, len(motion) - 1, SIZE).astype(int)[::thin]
-    x = np.asarray(_regressor(_nameless(robot), *(np.asarray(x)[rows].T for x in (motion.q, motion.qd, motion.qdd))))
-    return rows, x.reshape(-1, *x.shape[2:]).transpose(1, 2, 0)
+    return rows, regressor(robot, _joints_first(motion[rows])).transpose(1, 2, 0)
 
 
-def _nameless(robot: Robot) -> Robot:
-    """The robot without its texts: programs compiled for one chain then serve all of its length."""
-    return replace(robot, name="", urdf="", notes=(), joints=tuple(map(str, range(robot.dofs))))
-
-
-@jax.jit
-def _regressor(robot: Robot, q, qd, qdd):
-    return rigid_body.regressor(robot, q, qd, qdd)
-
-
-@jax.jit
-def _torque(robot: Robot, q, qd, qdd):
-    return rigid_body.inverse_dynamics(robot, robot.inertial, q, qd, qdd).T
+def _joints_first(motion: Motion) -> Motion:
+    """A motion (T, n) as (n, T)."""
+    return Motion(*(np.asarray(x).T for x in (motion.q, motion.qd, motion.qdd)))

@@ -2,15 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, change, known
-from invdyn_cli.effects.composition import EffectInstance, chunked, kinematics_of, rebuilt, rigid_torque
+from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.effects.rigid import body_columns, gravity_columns, rigid_torque
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractEffect,
@@ -18,7 +16,6 @@ from invdyn_cli.interfaces import (
     AbstractMotionEffect,
     Parameters,
 )
-from invdyn_cli.maths import rigid_body
 
 ZEROS = (-0.04, 0.04)
 """[rad] Encoder offsets at which the torque is computed anew: far from zero it is not linear in the offset."""
@@ -42,15 +39,11 @@ class Bodies(AbstractKind[AbstractBodyEffect]):
         moves = np.stack([inertial.reshape(-1) for d in directions for inertial, _, _ in d])
         falls = np.stack([gravity for d in directions for _, gravity, _ in d])
         own = moves.any(axis=1)
-        kinematics, inertial = kinematics_of(robot), jnp.asarray(robot.inertial)
-        linear = partial(body_columns, kinematics, jnp.asarray(robot.gravity), jnp.asarray(moves[own]))
-        gravity = partial(gravity_columns, kinematics, inertial, jnp.asarray(falls[~own]))
         parts: list[np.ndarray] = []
         for piece in recording.pieces:
-            motion = piece.q, piece.qd, piece.qdd
             columns = np.empty((len(moves), n, len(piece.t)))
-            columns[own] = chunked(linear, *motion)
-            columns[~own] = chunked(gravity, *motion)
+            columns[own] = body_columns(robot, moves[own], piece.motion)
+            columns[~own] = gravity_columns(robot, falls[~own], piece.q)
             parts.append(columns)
         columns = filtered(recording, parts)  # (directions, n, rows)
         made, k = [], 0
@@ -67,10 +60,8 @@ class Bodies(AbstractKind[AbstractBodyEffect]):
         return _linearised(evidence, effect, joint, trial)
 
     def basis(self, evidence: Evidence, effect: AbstractBodyEffect, joint: int | None, piece: int) -> np.ndarray:
-        robot, motion = evidence.robot, evidence.recording.pieces[piece]
-        moves = np.stack([inertial.reshape(-1) for inertial, *_ in effect.directions(robot, joint)])
-        linear = partial(body_columns, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
-        return chunked(linear, motion.q, motion.qd, motion.qdd)
+        moves = np.stack([inertial.reshape(-1) for inertial, *_ in effect.directions(evidence.robot, joint)])
+        return body_columns(evidence.robot, moves, evidence.recording.pieces[piece].motion)
 
 
 class Motions(AbstractKind[AbstractMotionEffect]):
@@ -138,20 +129,3 @@ def _linearised(
     base, made = about or known(evidence, effect, joint), change(evidence, EffectInstance(effect, joint, at))
     columns = {j: (evidence.append(j, [made[j]]), free) for j, (_, free) in base.columns.items()}
     return replace(base, shape=at, columns=columns)
-
-
-@jax.jit
-def body_columns(kinematics, gravity, moves, q, qd, qdd):
-    """Torque (k, n, T) of unit changes (k, 10 n) of the inertials."""
-    robot = rebuilt(kinematics, jnp.zeros((q.shape[0], 10)), gravity)
-    rows = rigid_body.regressor(robot, q, qd, qdd)
-    return jnp.tensordot(moves, rows.reshape(-1, *rows.shape[2:]), 1)
-
-
-@jax.jit
-def gravity_columns(kinematics, inertial, falls, q, qd, qdd):
-    """Torque (k, n, T) at rest of unit changes (k, 3) of gravity."""
-    still = jnp.zeros_like(q)
-    return jax.vmap(lambda g: rigid_body.inverse_dynamics(rebuilt(kinematics, inertial, g), inertial, q, still, still))(
-        falls
-    )

@@ -12,16 +12,8 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from invdyn_cli.effects.composition import (
-    EffectInstance,
-    Span,
-    TimeWindow,
-    channel,
-    channels,
-    in_chain,
-    rigid_torque,
-    sign_of,
-)
+from invdyn_cli.effects.composition import EffectInstance, Span, TimeWindow, channel, channels, in_chain, sign_of
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.interfaces import (
     AbstractEffect,
     JointState,

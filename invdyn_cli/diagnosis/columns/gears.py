@@ -7,14 +7,8 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, change, nominal
-from invdyn_cli.effects.composition import (
-    LEAST_INERTIA,
-    EffectInstance,
-    identity,
-    inertia_column,
-    link_torque,
-    rigid_torque,
-)
+from invdyn_cli.effects.composition import LEAST_INERTIA, EffectInstance, identity, inertia_column, link_torque
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect, Parameters
 from invdyn_cli.types import Array
 

@@ -6,16 +6,14 @@ named; only a joint's remaining time can then be called a delay.
 """
 
 from dataclasses import replace
-from functools import partial
 
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from invdyn_cli.diagnosis.columns.bodies import STEP, body_columns, gravity_columns
+from invdyn_cli.diagnosis.columns.bodies import STEP
 from invdyn_cli.diagnosis.columns.evidence import filtered, joint_states
 from invdyn_cli.effects.actuator import shifted
-from invdyn_cli.effects.composition import chunked, kinematics_of, rigid_torque
+from invdyn_cli.effects.rigid import gravity_columns, regressor, rigid_torque
 from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Robot
 
@@ -28,18 +26,15 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
     """Time (n,) [s] by which each joint's logged torque leads its motion, and its standard error: the factor of the
     nominal torque's slope beside all inertials, gravity, encoder offsets, friction and offset."""
     n = robot.dofs
-    moves = np.eye(10 * n)
-    linear = partial(body_columns, kinematics_of(robot), jnp.asarray(robot.gravity), jnp.asarray(moves))
-    falling = partial(gravity_columns, kinematics_of(robot), jnp.asarray(robot.inertial), jnp.eye(3))
     bodies, slopes, extras = [], [], []
     for piece in recording.pieces:
         torque = rigid_torque(robot, piece.motion)
         states = joint_states(piece, torque, recording, robot.parents)
-        motion = piece.q, piece.qd, piece.qdd
         zeros = [
             rigid_torque(robot, replace(piece.motion, q=piece.q + STEP * row[:, None])) - torque for row in np.eye(n)
         ]
-        bodies.append(np.concatenate([chunked(linear, *motion), chunked(falling, *motion), zeros]))
+        links = regressor(robot, piece.motion)
+        bodies.append(np.concatenate([links, gravity_columns(robot, np.eye(3), piece.q), zeros]))
         slopes.append(np.gradient(torque, 1 / recording.filter.rate, axis=-1))
         extras.append(np.stack([[s.sign, s.qd, np.ones_like(s.qd), s.qd * abs(s.qd)] for s in states], axis=1))
     bodies, slopes, extras = (filtered(recording, x) for x in (bodies, slopes, extras))

@@ -8,7 +8,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.columns.kind import nominal
-from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.effects.rigid import rigid_torque
 
 
 def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:

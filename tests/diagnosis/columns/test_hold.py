@@ -6,7 +6,7 @@ import pytest
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.evidence import filtered
-from invdyn_cli.effects.composition import rigid_torque
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.log import RawTrajectory
 from invdyn_cli.types import Motion
 from tests.diagnosis.analytic import arm, log_of, moved, recording_of

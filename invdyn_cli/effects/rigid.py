@@ -1,0 +1,101 @@
+"""Rigid-body torques of long motions, numpy in and out: two compiled programs for each number of joints, which take
+parts of one length. Compiling a program takes a second, and a log's diagnosis calls them some hundred times."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from invdyn_cli.maths import rigid_body
+from invdyn_cli.types import Array, Motion, Robot
+
+PART = 1024
+"""Samples of a part: the pieces of a log have some thousand samples, and the last part is padded."""
+
+
+def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
+    """Inverse dynamics (n, T) [N m; N] of a motion (n, T)."""
+    gravity = np.asarray(robot.gravity, float)
+    return _in_parts(partial(_dynamics, _kinematics(robot), np.asarray(robot.inertial, float), gravity), motion)
+
+
+def regressor(robot: Robot, motion: Motion) -> np.ndarray:
+    """Torque (10 n, n, T) of each inertial parameter of each link, for a motion (n, T)."""
+    return body_columns(robot, np.eye(10 * robot.dofs), motion)
+
+
+def body_columns(robot: Robot, moves: np.ndarray, motion: Motion) -> np.ndarray:
+    """Torque (k, n, T) of unit changes (k, 10 n) of the inertials, for a motion (n, T)."""
+    program = partial(_regressor, _kinematics(robot), np.asarray(robot.gravity, float))
+
+    def moved(*part: np.ndarray) -> np.ndarray:
+        rows = np.asarray(program(*part))
+        return np.tensordot(moves, rows.reshape(-1, *rows.shape[2:]), 1)
+
+    return _in_parts(moved, motion)
+
+
+def gravity_columns(robot: Robot, falls: np.ndarray, q: Array) -> np.ndarray:
+    """Torque (k, n, T) at rest of unit changes (k, 3) of gravity, in postures q (n, T)."""
+    held = Motion(q, np.zeros_like(q), np.zeros_like(q))
+    return np.array([rigid_torque(replace(robot, gravity=g), held) for g in falls]).reshape(-1, *np.shape(q))
+
+
+def _in_parts(function: Callable[..., Array], motion: Motion) -> np.ndarray:
+    """A function of q, qd and qdd (n, PART), applied to parts of a motion (n, T) and joined along the last axis."""
+    rows = [np.asarray(x, float) for x in (motion.q, motion.qd, motion.qdd)]
+    total, out = rows[0].shape[-1], []
+    for start in range(0, total, PART):
+        part = [x[..., start : start + PART] for x in rows]
+        missing = PART - part[0].shape[-1]
+        if missing:
+            part = [np.pad(x, ((0, 0), (0, missing)), mode="edge") for x in part]
+        out.append(np.asarray(function(*part))[..., : PART - missing])
+    return np.concatenate(out, axis=-1)
+
+
+@jax.jit
+def _dynamics(kinematics: tuple, inertial, gravity, q, qd, qdd):
+    return rigid_body.inverse_dynamics(_robot(kinematics, inertial, gravity), inertial, q, qd, qdd)
+
+
+@jax.jit
+def _regressor(kinematics: tuple, gravity, q, qd, qdd):
+    return rigid_body.regressor(_robot(kinematics, jnp.zeros((len(q), 10)), gravity), q, qd, qdd)
+
+
+class _Static:
+    """The fields of a robot that are not arrays, compared by value: robots that differ only in arrays share a compiled
+    program."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.key = (robot.parents, robot.prismatic)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other) -> bool:
+        return isinstance(other, _Static) and self.key == other.key
+
+
+jax.tree_util.register_static(_Static)
+
+
+def _kinematics(robot: Robot) -> tuple:
+    """Structure and arrays of a robot's kinematics, as jitted functions take them."""
+    return _Static(robot), *(np.asarray(x, float) for x in (robot.rotation, robot.translation, robot.axis))
+
+
+def _robot(kinematics: tuple, inertial: Array, gravity: Array) -> Robot:
+    """The robot of `_kinematics` with these inertials and gravity."""
+    static, rotation, translation, axis = kinematics
+    parents, prismatic = static.key
+    n = len(parents)
+    blank = jnp.zeros(n)
+    return Robot(
+        "", tuple(map(str, range(n))), parents, prismatic, rotation, translation, axis, inertial, gravity,
+        blank, blank, blank, blank, blank, blank,
+    )  # fmt: skip
