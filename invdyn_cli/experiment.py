@@ -142,14 +142,18 @@ def follow(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Torques (samples, n), each sample predicted before it is learned from, one trajectory after the other; and the
     adaptation's trace, (samples, …) by name, after each sample (after each block, where blocks are learned from)."""
-    size = adaptation.block
-    whole = data.samples // size * size  # may be 0: then all samples are taken one by one
-    samples = data.motion, data.tau
-    blocks = jax.tree.map(lambda x: x[:whole].reshape(whole // size, size, x.shape[1]), samples)
-    state, (first, traced) = follow_blocks(adaptation, model, adaptation.init(model, fit), blocks)
-    last, rest = _samples(adaptation, model, state, jax.tree.map(lambda x: x[whole:], samples))
-    trace = {name: np.concatenate([np.repeat(traced[name], size, axis=0), rest[name]]) for name in traced}
-    return np.concatenate([np.asarray(first).reshape(whole, len(data.joints)), np.asarray(last)]), trace
+    size, samples = adaptation.block, (data.motion, data.tau)
+    whole = data.samples // size * size
+    state, parts = adaptation.init(model, fit), []
+    if whole:
+        blocks = jax.tree.map(lambda x: x[:whole].reshape(whole // size, size, x.shape[1]), samples)
+        state, (said, traced) = follow_blocks(adaptation, model, state, blocks)
+        traced = {name: np.repeat(x, size, axis=0) for name, x in traced.items()}
+        parts.append((np.asarray(said).reshape(whole, len(data.joints)), traced))
+    if whole < data.samples:  # what fills no block is taken one by one
+        parts.append(_samples(adaptation, model, state, jax.tree.map(lambda x: x[whole:], samples)))
+    said, traces = zip(*parts, strict=True)
+    return np.concatenate(said), {name: np.concatenate([x[name] for x in traces]) for name in traces[0]}
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -12,12 +12,12 @@ interpretations.
 from dataclasses import dataclass
 from typing import Literal
 
-import jax
 import numpy as np
 
+from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
-from invdyn_cli.maths import rigid_body, signals
+from invdyn_cli.maths import signals
 from invdyn_cli.types import Dataset, Motion, Robot, Splits, Trajectory
 
 TASKS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -169,18 +169,15 @@ class SineTasks(AbstractSource):
     def _trajectory(self, robot: Robot, task: float, q: np.ndarray, q_of_torque: np.ndarray) -> Trajectory:
         motion = self._motion(q)
         true = motion if q_of_torque is q else self._motion(q_of_torque)
-        tau = _torques(robot, robot.inertial, true.q.T, true.qd.T, true.qdd.T)
+        tau = rigid_torque(robot, Motion(true.q.T, true.qd.T, true.qdd.T))
         t = np.arange(self.trim, self.trim + len(motion)) / self.rate
-        return Trajectory(f"sine_{task:.1f}_Hz", t, motion, np.asarray(tau).T)
+        return Trajectory(f"sine_{task:.1f}_Hz", t, motion, tau.T)
 
     def _motion(self, q: np.ndarray) -> Motion:
         window, order = (self.savgol_window, self.savgol_order) if self._filter == "savgol" else (3, 2)
         qd = signals.differentiate(q, self.rate, method=self._filter, window=window, order=order)
         qdd = signals.differentiate(qd, self.rate, method=self._filter, window=window, order=order)
         return Motion(q, qd, qdd)[slice(self.trim, len(q) - self.trim)]
-
-
-_torques = jax.jit(rigid_body.inverse_dynamics)
 
 
 def _parted(x: Trajectory, share: float) -> tuple[Trajectory, Trajectory, Trajectory]:

@@ -164,17 +164,15 @@ def _followed(change: np.ndarray, drift: np.ndarray, start: np.ndarray) -> np.nd
     all stretches are first computed in parallel from zero and from unit states, then joined one after the other."""
     m, samples = drift.shape
     count = -(-samples // STRETCH)
-    step = np.zeros((m, m + 1, count * STRETCH))
-    step[:, :m, :samples], step[:, m, :samples] = change, drift
-    step = step.reshape(m, m + 1, count, STRETCH)
-    state = np.zeros((m, m + 1, count, STRETCH + 1))  # of the units and, last, of zero
-    state[:, :m, :, 0] = np.eye(m)[:, :, None]
+    step = np.zeros((m + 1, m + 1, count * STRETCH))
+    step[:m, :m, :samples], step[:m, m, :samples], step[m, m] = change, drift, 1.0
+    step = np.ascontiguousarray(step.reshape(m + 1, m + 1, count, STRETCH).transpose(3, 2, 0, 1))
+    state = np.empty((STRETCH + 1, count, m + 1, m + 1))  # of the units and, last, of zero
+    state[0] = np.eye(m + 1)
     for t in range(STRETCH):
-        for row in range(m):
-            state[row, :, :, t + 1] = np.sum(step[row, :m, None, :, t] * state[:, :, :, t], axis=0)
-        state[:, m, :, t + 1] += step[:, m, :, t]
-    first = np.empty((m + 1, count))
-    first[:m, 0], first[m] = start, 1.0
+        np.matmul(step[t], state[t], out=state[t + 1])
+    first = np.empty((count, m + 1))
+    first[0] = [*start, 1.0]
     for k in range(count - 1):
-        first[:m, k + 1] = state[:, :, k, -1] @ first[:, k]
-    return np.einsum("xyct,yc->xct", state[..., :-1], first).reshape(m, -1)[:, :samples]
+        first[k + 1] = state[-1, k] @ first[k]
+    return np.einsum("tcxy,cy->xct", state[:-1, :, :m], first).reshape(m, -1)[:, :samples]

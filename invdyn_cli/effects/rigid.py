@@ -23,19 +23,14 @@ def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
 
 
 def regressor(robot: Robot, motion: Motion) -> np.ndarray:
-    """Torque (10 n, n, T) of each inertial parameter of each link, for a motion (n, T)."""
-    return body_columns(robot, np.eye(10 * robot.dofs), motion)
+    """Torque (10 n, n, T) of unit inertial parameters of all links, for a motion (n, T)."""
+    return _in_parts(_columns(robot), motion)
 
 
 def body_columns(robot: Robot, moves: np.ndarray, motion: Motion) -> np.ndarray:
     """Torque (k, n, T) of unit changes (k, 10 n) of the inertials, for a motion (n, T)."""
-    program = partial(_regressor, _kinematics(robot), np.asarray(robot.gravity, float))
-
-    def moved(*part: np.ndarray) -> np.ndarray:
-        rows = np.asarray(program(*part))
-        return np.tensordot(moves, rows.reshape(-1, *rows.shape[2:]), 1)
-
-    return _in_parts(moved, motion)
+    columns = _columns(robot)
+    return _in_parts(lambda *part: np.tensordot(moves, columns(*part), 1), motion)
 
 
 def gravity_columns(robot: Robot, falls: np.ndarray, q: Array) -> np.ndarray:
@@ -57,6 +52,11 @@ def _in_parts(function: Callable[..., Array], motion: Motion) -> np.ndarray:
     return np.concatenate(out, axis=-1)
 
 
+def _columns(robot: Robot) -> Callable[..., np.ndarray]:
+    program = partial(_regressor, _kinematics(robot), np.asarray(robot.gravity, float))
+    return lambda *part: np.asarray(program(*part))
+
+
 @jax.jit
 def _dynamics(kinematics: tuple, inertial, gravity, q, qd, qdd):
     return rigid_body.inverse_dynamics(_robot(kinematics, inertial, gravity), inertial, q, qd, qdd)
@@ -64,7 +64,8 @@ def _dynamics(kinematics: tuple, inertial, gravity, q, qd, qdd):
 
 @jax.jit
 def _regressor(kinematics: tuple, gravity, q, qd, qdd):
-    return rigid_body.regressor(_robot(kinematics, jnp.zeros((len(q), 10)), gravity), q, qd, qdd)
+    rows = rigid_body.regressor(_robot(kinematics, jnp.zeros((len(q), 10)), gravity), q, qd, qdd)
+    return rows.reshape(-1, *q.shape)
 
 
 class _Static:

@@ -296,16 +296,16 @@ def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[A
         moved = sum(a != b for a, b in zip(chosen, order, strict=True))
         extra = FLAW + (moved - 1) * np.log(max(n * (n - 1) / 2, 1)) if moved else 0.0
         flips = both[:, 1] - both[:, 0] > FLAW + np.log(n)
-        patterns = [np.zeros(n, bool), flips, np.ones(n, bool)]
+        patterns = np.array([np.zeros(n, bool), flips, np.ones(n, bool)])
         if chosen in bases:
-            patterns += [flips ^ (every == j) for j in range(n)]
-        for pattern in patterns:
-            likelihood = float(np.where(pattern, both[:, 1], both[:, 0]).sum())
-            turns = FLAW if pattern.all() and n > 1 else pattern.sum() * (FLAW + np.log(n))
-            turned = tuple(-1.0 if x else 1.0 for x in pattern)
-            spent = float(cost + extra + turns)
-            as_is = float(np.where(pattern, plain[:, 1], plain[:, 0]).sum())
-            yield Arrangement(tuple(order), tuple(signs), chosen, turned, likelihood, likelihood - alone, as_is, spent)
+            patterns = np.concatenate([patterns, flips ^ np.eye(n, dtype=bool)])
+        turned, turns = np.where(patterns, -1.0, 1.0).tolist(), patterns.sum(1) * (FLAW + np.log(n))
+        if n > 1:
+            turns[patterns.all(1)] = FLAW
+        likelihood, as_is = (np.where(patterns, x[:, 1], x[:, 0]).sum(1) for x in (both, plain))
+        numbers = np.stack([likelihood, likelihood - alone, as_is, cost + extra + turns], axis=1).tolist()
+        for signs_of_torques, row in zip(map(tuple, turned), numbers, strict=True):
+            yield Arrangement(tuple(order), tuple(signs), chosen, signs_of_torques, *row)
 
 
 def _differ(one: tuple[int, ...], other: tuple[int, ...]) -> list[int]:
