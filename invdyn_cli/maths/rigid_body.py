@@ -39,6 +39,7 @@ class LinkMotion(NamedTuple):
     twist: tuple[Vector, Vector]
 
 
+@jax.jit
 def inverse_dynamics(robot: Robot, inertial: Array, q: Array, qd: Array, qdd: Array) -> Array:
     """Torques tau (n, *batch) [N m; N] of the motion q, qd, qdd (n, *batch) with the inertials (n, 10).
 
@@ -60,6 +61,7 @@ def inverse_dynamics(robot: Robot, inertial: Array, q: Array, qd: Array, qdd: Ar
     return _dot(w, moment) + _dot(u, force)
 
 
+@jax.jit
 def regressor(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
     """The joint-torque regressor transposed, (n links, 10 parameters, n joints, *batch) for a motion (n, *batch).
 
