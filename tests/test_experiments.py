@@ -284,6 +284,7 @@ def test_a_standard_term_is_no_anomaly():
     assert spoken(None, [right]) == ("none", [right])
 
 
+@pytest.mark.benchmark
 def test_every_part_of_the_benchmark_runs(tmp_path):
     """With few samples: a part prints a ratio, or what has to be installed for it."""
     done = invdyn("experiment", "bench", "tiny=true", "folder=out", cwd=tmp_path)

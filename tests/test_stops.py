@@ -59,8 +59,6 @@ COMMANDS = {
     "compare": ("compare", "ran", "again", "hydra.run.dir=out"),
 }
 WRITING = ("run", "sweep", "diagnose", "simulate", "tables")
-LONG = ("run", "diagnose")
-"""The verbs that write most, each by a way of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +137,7 @@ def wait_until(process: subprocess.Popen, moment: float) -> None:
         return
 
 
-@pytest.mark.parametrize("verb", usually(LONG, WRITING))
+@pytest.mark.parametrize("verb", usually(["run"], WRITING))
 def test_kills(verb, folder):
     """A process that is killed leaves whole files; the same command, called again, ends well and leaves no part."""
     for moment in moments(1, 12):
@@ -180,7 +178,7 @@ def refused(process: subprocess.Popen) -> None:
     assert len(lines) <= (process.returncode == 2) and bool(errors) == (process.returncode == 2), errors
 
 
-@pytest.mark.parametrize("verb", usually(LONG, WRITING))
+@pytest.mark.parametrize("verb", usually(["run"], WRITING))
 def test_files_that_cannot_grow(verb, folder, tmp_path):
     """Where a file may not grow as needed (quota, full disk): one line, exit code 2, nothing half written."""
     for _ in moments(1, 1):
@@ -204,7 +202,7 @@ def full_disk(tmp_path) -> Iterator[Path]:
         subprocess.run(["umount", str(place)], check=True)
 
 
-@pytest.mark.parametrize("verb", usually(LONG, WRITING))
+@pytest.mark.parametrize("verb", usually(["run"], WRITING))
 def test_a_full_disk(verb, folder, full_disk):
     """The same on a disk that is as good as full."""
     for _ in moments(1, 1):
@@ -241,7 +239,7 @@ def test_a_terminal_that_knows_ascii(verb, folder):
     assert process.returncode == 0 and not errors and out.isascii() and "arm_joint_1" in out
 
 
-@pytest.mark.parametrize("verb", usually(["run"], LONG))
+@pytest.mark.parametrize("verb", usually(["run"], ["run", "diagnose"]))
 def test_a_lost_folder(verb, folder):
     """The working directory is removed while a command works: it is made again, or one line says that it is gone."""
     for moment in moments(1, 6):

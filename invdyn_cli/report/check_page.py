@@ -41,6 +41,13 @@ CORRECTED = ("duplicates", "outliers", "time_offset", "too_short", ("unit_error"
              ("derivative_consistency", "q"))  # fmt: skip
 """Checks, or checks of a channel, whose warnings the doctor corrects; of the others it corrects failures alone."""
 
+UNITS = (
+    ("rad", "rad/s", "rad/s²", "N m"),
+    ("rad; m", "rad/s; m/s", "rad/s²; m/s²", "N m; N"),
+    ("m", "m/s", "m/s²", "N"),
+)
+"""Of position, speed, acceleration and torque, where no joint slides, some do, and all do."""
+
 FOLD_FROM = 12
 """Number of advices or corrections above which the rest is folded."""
 
@@ -201,10 +208,12 @@ def _excitation(examination: Examination, robot: Robot | None) -> str:
         body += f"<td>{x['rest_share']:.0%}</td><td>{x['slow_share']:.0%}</td></tr>"
     if not body:
         return ""
-    heads = ("joint", "least q", "largest q", "max |qd|", "max |qdd|", "least tau", "largest tau", "of its range",
-             "reversals", "at rest", "slow")  # fmt: skip
+    slides = (False,) if robot is None else robot.prismatic
+    q, qd, qdd, tau = UNITS[any(slides) + all(slides)]
+    heads = ("joint", f"least q [{q}]", f"largest q [{q}]", f"max |qd| [{qd}]", f"max |qdd| [{qdd}]",
+             f"least tau [{tau}]", f"largest tau [{tau}]", "of its range", "reversals", "at rest", "slow")  # fmt: skip
     condition = next(iter(examination.excitation.values())).get("condition")
-    note = "q in rad (m where a joint slides), torque in N m (N), after a low-pass filter of 6 Hz. "
+    note = "After a low-pass filter of 6 Hz. "
     if condition is not None:
         note += f"The condition number of the whole arm's regressor is {significant(condition)}: below 100 inertial "
         note += "parameters come out well, above 1000 many do not (Gautier, Khalil 1992)."

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, number_bars, plain, thinned
 from invdyn_cli.report.exhibits import as_numpy, telling_window
+from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import joints_of, units_of
 from invdyn_cli.types import Diagnosis
 
@@ -28,8 +29,10 @@ def overview(diagnosis: Diagnosis) -> Figure:
     share = 100 * np.array([diagnosis.unexplained.get(x, np.nan) for x in joints], float)
     shares.barh(where, np.nan_to_num(share), 0.62, color=ORANGE)
     for x, value in zip(where, share, strict=True):
+        rms = diagnosis.extended.get(joints[x], {}).get("rmse", np.nan) * np.sqrt(max(value, 0) / 100)
+        said = f"{value:.0f} %: {significant(rms)} {units_of(diagnosis)[joints[x]]}"
         shares.annotate(
-            f"{value:.0f} %" if np.isfinite(value) else "not assessed",
+            said if np.isfinite(value) else "not assessed",
             (np.nan_to_num(value), x),
             xytext=(4, 0),
             textcoords="offset points",
@@ -37,11 +40,11 @@ def overview(diagnosis: Diagnosis) -> Figure:
         )
     shares.set_yticks(where, map(plain, joints))
     shares.invert_yaxis()
-    shares.set_xlim(0, 112)
+    shares.set_xlim(0, 160)
     shares.set_xticks([0, 25, 50, 75, 100])
     shares.grid(False, axis="y")
-    shares.set_xlabel("share of the residual's variance [%]")
-    shares.set_title("unexplained: share that a learner predicts")
+    shares.set_xlabel("share of the residual's variance [%], and its RMS")
+    shares.set_title("unexplained: what a learner predicts")
     bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
     unit = units_of(diagnosis)[joints[worst]]
