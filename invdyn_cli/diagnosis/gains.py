@@ -62,7 +62,8 @@ class Gains:
         units = "; ".join(dict.fromkeys(self.units))
         said = "The log has currents without drive gains."
         if told:
-            said += f" These gains are estimated from the masses in the URDF [{units}]: {told}."
+            said += " These gains are estimated from the masses in the URDF, and too small if it lacks a tool "
+            said += f"[{units}]: {told}."
         if others:
             said += f" Gravity and inertia hardly act on {others}: only ratios are known there, and sizes are in A."
         return said
