@@ -16,6 +16,13 @@ ALIASES := $(sort $(EXPERIMENTS) $(subst _,-,$(EXPERIMENTS)))
 said = $(filter-out PYTHON=% VENV=% BIN=% INSTALLED=% NAME=%,$(MAKEOVERRIDES))
 ONE_THREAD = OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false# each, where two processes share two cores
 
+# Tests compile some thousand programs that run once: without these passes that takes a third of the time. A version of
+# XLA that lacks one of the options would end at it, so they are tried first.
+QUICK = --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true \
+  --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
+TESTED = OMP_NUM_THREADS=1 XLA_FLAGS="$$(XLA_FLAGS="$(QUICK)" $(BIN)/python -c 'import jax; jax.devices()' 2>/dev/null \
+  && echo $(QUICK) || echo --xla_cpu_multi_thread_eigen=false)"
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help venv run test benchmarks lint format tables figures real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
@@ -29,7 +36,7 @@ run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs
 	$(BIN)/invdyn run model=ffnn data=sim_noisy
 
 test: lint  ## everything that must hold: lint, then all tests
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal
+	$(TESTED) $(BIN)/python -m pytest -n 2 --dist worksteal
 
 benchmarks: $(INSTALLED)  ## tests that are no part of `make test`: the same claims on more effects, seeds and sizes
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m benchmark
