@@ -33,6 +33,9 @@ from invdyn_cli.effects.friction import STICK_TIME
 STEPS = 4
 """Largest number of Newton steps: the columns' estimates are within a few percent."""
 
+ROUNDING = 1e-12
+"""Share of the loss by which rounding may raise it at its minimum, where a step of 1e-6 standard errors still has
+digits."""
 
 FACTORS = (0.6, 0.67, 0.75, 0.82, 0.9, 1.0, 1.1, 1.21, 1.33, 1.5, 1.7)
 """Sizes of a gear's play or stiffness that are tried, relative to the one from which it is refined."""
@@ -224,10 +227,13 @@ def refine(
             after = weighed(*there)
             if after[0] < loss:
                 break
-        if not after[0] < loss:
+        arrived = not after[0] < loss
+        if arrived and after[0] > loss * (1 + ROUNDING):
             break
-        (theta, extra), (loss, left, y) = there, after
+        (theta, extra), (loss, left, y) = there, after  # the last step, too small for the loss, is right in its digits
         acting = with_parameters(evidence, acting, labels, theta)
+        if arrived:
+            break
     model.scanned |= {
         (*acting[n].key, rows.sum()): theta[i] for i, (n, *_) in enumerate(labels) if acting[n].effect.yields
     }
