@@ -92,6 +92,7 @@ def test_friction_beside(form):
     np.testing.assert_allclose(said, other.tau, atol=1e-6 * np.abs(other.tau).max())
 
 
+@pytest.mark.benchmark  # half a minute; experiment seven_joints shows the same
 def test_seven_joints_from_four_hundred_samples():
     """The chain learns the seven-joint arm, kinematics unknown, from 400 samples: every joint, the wrist too, is
     predicted below 1e-10 elsewhere."""

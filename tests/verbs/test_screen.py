@@ -93,7 +93,7 @@ def test_it_can_be_turned_off(capfd, monkeypatch):
 
 def test_a_long_run_says_where_it_is(tmp_path):
     """A piped run of some seconds tells its steps on stderr and nothing of them on stdout."""
-    argv = ("run", "model=ffnn", "model.epochs=800", *TINY)
+    argv = ("run", "model=ffnn", "model.epochs=400", *TINY)
     done = invdyn(*argv, cwd=tmp_path, INVDYN_PROGRESS="auto")
     assert done.returncode == 0
     lines = [line for line in done.stderr.splitlines() if line.startswith("invdyn: learn")]
