@@ -6,6 +6,7 @@ Everything here is a pure function of its arguments; the tables are rich objects
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -52,6 +53,11 @@ def units_said(record: RunRecord) -> str:
     every = units(record)
     sliding = [joint for joint, unit in zip(record.fit.joints, every, strict=True) if unit == "N"]
     return f"N m (N for {', '.join(sliding)})" if 0 < len(sliding) < len(every) else every[0]
+
+
+def shortened(text: str) -> str:
+    """Numbers of more than six decimals in a text with four significant digits, as a search draws them."""
+    return re.sub(r"\d+\.\d{7,}(e[+-]?\d+)?", lambda found: f"{float(found[0]):.4g}", text)
 
 
 def significant(value: float | None) -> str:
@@ -169,7 +175,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         numbers = (significant(row.get(key)) for key in ("test_nmse", "test_rmse", "seconds"))
         status = Text(str(row["status"]), style=STATUS_STYLE.get(row["status"], ""))
         message = (Text(str(row.get("message") or "")),) if told else ()
-        line = (str(row["job"]), Text(str(row["overrides"])), status, *numbers, *message)
+        line = (str(row["job"]), Text(shortened(str(row["overrides"]))), status, *numbers, *message)
         table.add_row(*line, style="bold" if wins else "")
     return table
 

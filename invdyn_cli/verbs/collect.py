@@ -17,7 +17,7 @@ from rich.text import Text
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError, UsageError, listed
 from invdyn_cli.files import write_file
-from invdyn_cli.report.tables import significant
+from invdyn_cli.report.tables import shortened, significant
 from invdyn_cli.tracking.contract import flat
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import launch
@@ -157,7 +157,7 @@ def _shown(rows: Sequence[Row]) -> Table:
         table.add_column(SHOWN[name], justify="right", no_wrap=True)
     finite = [x for x in (row["test_nmse"] for row in rows) if x is not None and math.isfinite(x)]
     for row in rows:
-        texts = [Text("" if row[name] is None else str(row[name])) for name in names]
+        texts = [Text("" if row[name] is None else shortened(str(row[name]))) for name in names]
         best = bool(finite) and row["test_nmse"] == min(finite)
         table.add_row(*texts, *(significant(row[name]) for name in numbers), style="bold" if best else "")
     return table

@@ -136,6 +136,12 @@ def test_sweep_table_shows_every_job():
     assert 'no "x", y' in text and "1.00e-27" in text
 
 
+def test_drawn_numbers_are_shown_short():
+    """What a search draws has four digits on the terminal; what somebody has typed stays as it is."""
+    drawn = {**SWEEP[0], "overrides": "a.b=0.00020305160176882923 c=1.3520123456789e-05 d=0.000123 e=12.5"}
+    assert "a.b=0.0002031 c=1.352e-05 d=0.000123 e=12.5" in printed(sweep_table([drawn]))
+
+
 def test_sweep_table_without_messages():
     """Without a message there is no column for one; an empty sweep is an empty table."""
     assert "message" not in printed(sweep_table(SWEEP[:1]))
