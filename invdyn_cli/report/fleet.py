@@ -3,9 +3,10 @@
 import csv
 import io
 import itertools
+import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 
 from rich import box
@@ -18,6 +19,7 @@ from invdyn_cli.report.tables import STATUS_STYLE
 from invdyn_cli.report.wording import CLAIMS, VERDICT_WORDS, capital, cause, headline_of, words
 from invdyn_cli.types import Finding, Quantity
 
+TORQUE = "rms_of_term_N_m"
 HIDDEN = ("not_excited", "not_observable")
 DATE = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?:[-_T ]?([0-2]\d)[-_:h]?([0-5]\d))?(?!\d)")
 """A date in a file's name, with or without a time: 2026-11-24, 20261124_2103."""
@@ -35,6 +37,8 @@ class Diagnosed:
         verdict: as in diagnosis.json; "failed" where there is no diagnosis.
         message: why it failed.
         findings: as in diagnosis.json.
+        terms: every standard term of the written model by (effect, joint), named or not.
+        errors: held-out RMSE [N m; N] that the extended model leaves on each joint.
     """
 
     number: int
@@ -44,6 +48,8 @@ class Diagnosed:
     verdict: str
     message: str = ""
     findings: tuple[Finding, ...] = ()
+    terms: Mapping[tuple[str, str | None], Quantity] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def date(self) -> str:
@@ -95,13 +101,16 @@ def by_robot(logs: Iterable[Diagnosed]) -> dict[str, list[Diagnosed]]:
 def changes(logs: Sequence[Diagnosed]) -> list[Change]:
     """What has changed from each usable log of one robot to the next, in time.
 
-    A cause that the earlier log could not have shown, or the later one, is no change; neither is a standard term (every
-    arm has friction) that one log proves and the other does not. Sizes differ where their 95 % intervals do not meet.
+    A cause that the earlier log could not have shown, or the later one, is no change. Sizes differ where their 95 %
+    intervals do not meet. A standard term (every arm has friction) that only one log proves is a change if the other
+    log's size of it differs so, or if that log has no such term and leaves less torque than it makes.
     """
     usable = [one for one in logs if one.is_usable]
     found: list[Change] = []
     for before, after in itertools.pairwise(usable):
-        for text in (*_come(before, after), *_gone(before, after), *_resized(before, after)):
+        for text in (
+            *_come(before, after), *_gone(before, after), *_resized(before, after), *_terms(before, after),
+        ):  # fmt: skip
             found.append(Change(after.robot, after, before, text))
     return found
 
@@ -130,6 +139,21 @@ def _resized(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
                 where = f" of {one.joint}" if one.joint else ""
                 sizes = f"{quantity_text(was, interval=False)} to {quantity_text(now, interval=False)}"
                 yield f"{words(one.effect)}{where}: {name.replace('_', ' ')} from {sizes}"
+
+
+def _terms(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
+    """The standard terms that one of both logs proves, and the other one does without or has in another size."""
+    for one, log, other in [(x, after, before) for x in after.findings] + [(x, before, after) for x in before.findings]:
+        if one.status != "named" or one.group != "standard" or _holds(other, one) or _hides(other, one):
+            continue
+        (size,), was = one.parameters.values(), other.terms.get((one.effect, one.joint))
+        if was is not None:
+            if _apart(was, size):
+                first, last = (was, size) if log is after else (size, was)
+                sizes = f"{quantity_text(first, interval=False)} to {quantity_text(last, interval=False)}"
+                yield f"{words(one.effect)} of {one.joint} from {sizes}"
+        elif other.errors.get(one.joint or "", math.inf) < one.evidence.get(TORQUE, {}).get(one.joint, 0.0):
+            yield f"{'new' if log is after else 'no longer found'}: {_told(one)}, {quantity_text(size, interval=False)}"
 
 
 def _apart(one: Quantity, other: Quantity) -> bool:

@@ -59,7 +59,14 @@ def _diagnosed(folder: Path) -> Diagnosed:
             return Diagnosed(number, robot, log, folder.name, "failed", str(left["message"] or "killed"))
         found = untrusted.read_json(folder / DIAGNOSIS, RunFileError)
         findings = tuple(map(_finding, found["findings"]))
-        return Diagnosed(number, robot, log, folder.name, str(found["verdict"]), findings=findings)
+        terms = {
+            (str(x["effect"]), joint): _quantity(x)
+            for joint, row in found["standard"].items()
+            for x in (row.values() if joint != "inertials" else ())
+        }
+        errors = {joint: float(x["rmse"]) for joint, x in found["extended"].items()}
+        verdict = str(found["verdict"])
+        return Diagnosed(number, robot, log, folder.name, verdict, findings=findings, terms=terms, errors=errors)
     except (InvdynError, ValueError, TypeError, KeyError, AttributeError) as error:
         return Diagnosed(number, robot, log, folder.name, "failed", f"{folder.name} holds something else: {error}")
 
@@ -71,11 +78,13 @@ def _finding(tree: Mapping[str, Any]) -> Finding:
         joint=None if tree["joint"] is None else str(tree["joint"]),
         status=str(tree["status"]),
         alternatives=tuple(untrusted.names(x, "alternatives") for x in tree["alternatives"]),
-        parameters={
-            str(name): Quantity(x["value"], str(x["unit"]), x.get("interval95"))
-            for name, x in tree["parameters"].items()
-        },
+        parameters={str(name): _quantity(x) for name, x in tree["parameters"].items()},
+        evidence={fleet.TORQUE: dict(tree["evidence"].get(fleet.TORQUE, {}))},
         trajectory=None if tree.get("trajectory") is None else str(tree["trajectory"]),
         window=tuple(tree["window"]) if tree.get("window") else None,
         group=str(tree.get("group", "anomaly")),
     )
+
+
+def _quantity(tree: Mapping[str, Any]) -> Quantity:
+    return Quantity(tree["value"], str(tree["unit"]), tree.get("interval95"))

@@ -1,5 +1,9 @@
 """The page of a fleet: order in time, what has changed and since when, and what is no change."""
 
+from dataclasses import replace
+
+import pytest
+
 from invdyn_cli.report import fleet
 from invdyn_cli.report.fleet import Diagnosed
 from invdyn_cli.types import Finding, Quantity
@@ -47,8 +51,8 @@ def test_what_has_changed_and_since_when():
 
 
 def test_what_is_no_change():
-    """Friction that only one log proves; intervals that meet; a cause that the later log cannot show; one that was
-    ambiguous with it before."""
+    """Friction that only one log proves, the errors of the other being unknown; intervals that meet; a cause that the
+    later log cannot show; one that was ambiguous with it before."""
     hidden = Finding("backlash", "joint1", "not_excited")
     either = Finding("base_tilt", None, "ambiguous", alternatives=(("payload",),))
     logs = [
@@ -59,6 +63,26 @@ def test_what_is_no_change():
     assert fleet.change_lines(logs) == []
     [told] = fleet.change_lines([logs[2], log(3, "d.h5", Finding("backlash", "joint1", "named"), payload())])
     assert told.endswith("new: backlash on joint1 (the log before, c.h5, could not have shown it)")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "error", "line"),
+    [
+        (None, 0.1, "new: Coulomb friction on joint2, 2.00 N m"),
+        (None, 3.0, None),
+        ((0.3, 0.2, 0.4), 3.0, "Coulomb friction of joint2 from 0.30 N m to 2.00 N m"),
+        ((1.0, -0.5, 2.5), 0.1, None),
+    ],
+)
+def test_friction_that_one_log_proves(sizes, error, line):
+    """It is a change beside a log with another size of it, or with less error than it makes (1.9 N m); no change beside
+    a log that hides it in its noise, or that leaves its size open. Backwards in time as forwards."""
+    value, *ends = sizes or (0.0, 0.0, 0.0)
+    terms = {("coulomb_friction", "joint2"): Quantity(value, "N m", ends)} if sizes else {}
+    without = replace(log(0, "a.h5"), terms=terms, errors={"joint2": error})
+    proved = log(1, "b.h5", replace(friction(2.0), evidence={fleet.TORQUE: {"joint2": 1.9}}))
+    assert [x.text for x in fleet.changes([without, proved])] == ([line] if line else [])
+    assert len(fleet.changes([proved, without])) == bool(line)
 
 
 def test_the_page_links_and_escapes():
