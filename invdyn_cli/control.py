@@ -2,9 +2,9 @@
 
     tau = tau_FF(q_d, qd_d, qdd_d) + Kp e + Kd ed,   e = q_d - q                      (paper, equations 2 to 4)
 
-The arm of data=pick_place does its task with feedback of several gains, without and with the object. The feedforward is
-zero, the model learned without the object, or the adapting model. Velocities are difference quotients of the measured
-angles after a first-order low-pass filter. No files, no config, no printing.
+A simulated arm (data=pick_place) does its task with feedback of several gains, without and with the object. The
+feedforward is zero, the model learned without the object, or the adapting model. Velocities are difference quotients of
+the measured angles after a first-order low-pass filter. No files, no config, no printing.
 """
 
 import itertools
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from invdyn_cli.data.pick_place import DURATION, RATE, PickPlace, Task
+from invdyn_cli.data.tasks import AbstractTaskSource, Task
 from invdyn_cli.errors import UsageError
 from invdyn_cli.experiment import Stage
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, silent
@@ -66,7 +66,7 @@ class Sweep:
             ),
             ("gains", len(set(self.gains)) == len(self.gains), "each gain once"),
             ("damping_time", 0 <= self.damping_time < np.inf, "from 0 s"),
-            ("velocity_cutoff", 0 < self.velocity_cutoff < RATE / 2, f"above 0 and below {RATE / 2:g} Hz"),
+            ("velocity_cutoff", self.velocity_cutoff > 0, "above 0 Hz"),
             ("settle", 0 <= self.settle <= 60, "0 to 60 s"),
             ("largest_error", self.largest_error > 0, "above 0 rad"),
             ("repetitions", isinstance(self.repetitions, int) and self.repetitions >= 1, "a whole number from 1"),
@@ -145,7 +145,7 @@ class ControlRecord:
 
 
 def run(
-    source: PickPlace,
+    source: AbstractTaskSource,
     model: AbstractModel,
     adaptation: AbstractAdapter,
     robot: Robot,
@@ -157,14 +157,18 @@ def run(
     """Learn from the task without the object, then control the arm.
 
     Raises:
-        UsageError: for an arm with sliding joints, or thinned samples.
+        UsageError: for an arm with sliding joints, thinned samples, or a filter beyond what the rate allows.
     """
     if any(robot.prismatic):
         raise UsageError(
             f"control of {robot.name}, which has prismatic joints; allowed: arms with revolute joints only"
         )
     if source.decimate != 1:
-        raise UsageError(f"data.decimate={source.decimate}; allowed here: 1, the loop ticks at {RATE:g} Hz")
+        raise UsageError(f"data.decimate={source.decimate}; allowed here: 1, the loop ticks at {source.rate:g} Hz")
+    if not sweep.velocity_cutoff < source.rate / 2:
+        raise UsageError(
+            f"velocity_cutoff={sweep.velocity_cutoff:g}; allowed: above 0 and below {source.rate / 2:g} Hz"
+        )
     started = time.perf_counter()
     model = adaptation.extended(model)
     splits = source.load(robot, stage("data"))
@@ -173,14 +177,14 @@ def run(
         model, splits.train, jax.random.key(seed), validation=splits.validation, progress=stage("learn")
     )
     learned, spread, cases = time.perf_counter(), torque_spread(splits.train), []
-    ticking = online(adaptation, model, fit, rate=RATE, cutoff=source.filter_cutoff, order=source.filter_order)
+    ticking = online(adaptation, model, fit, rate=source.rate, cutoff=source.filter_cutoff, order=source.filter_order)
     kinds = (ALONE, LEARNED, ADAPTED) if adaptation.adapts else (ALONE, LEARNED)
-    progress, first = stage("control"), source.repetitions + source.watched
+    progress = stage("control")
     wanted = list(itertools.product((False, True), range(sweep.repetitions), sweep.gains, kinds))
     with quiet():
         for loaded, k, gain, kind in wanted:
-            task = source.task(robot, first + k, loaded=loaded)
-            desired = task.motion(robot)
+            task = source.trial(robot, k, loaded=loaded)
+            desired = task.motion(robot, source.rate)
             if kind == ADAPTED:
                 feedforward = Learner(ticking, desired, source.torque_lag)
             else:
@@ -244,13 +248,14 @@ class Learner:
         return np.asarray(said)
 
 
-def _arm(robot: Robot, task: Task, sweep: Sweep, source: PickPlace) -> ClosedLoop:
+def _arm(robot: Robot, task: Task, sweep: Sweep, source: AbstractTaskSource) -> ClosedLoop:
     """The arm of a repetition, held at its first posture by the simulation's own controller."""
-    held = round(USUAL.settle * RATE)
-    before = held + round(sweep.settle * RATE)
-    how = {"noise": task.noise, "rate": RATE, "seed": task.seed, "torque_side": source.torque_side, "name": task.name}
-    loop = ClosedLoop(robot, task.hidden, samples=round(DURATION * RATE), before=before, **how)
-    loop.hold(USUAL, task.motion(robot), held)
+    rate = source.rate
+    held = round(USUAL.settle * rate)
+    before = held + round(sweep.settle * rate)
+    how = {"noise": task.noise, "rate": rate, "seed": task.seed, "torque_side": source.torque_side, "name": task.name}
+    loop = ClosedLoop(robot, task.hidden, samples=round(task.duration * rate), before=before, **how)
+    loop.hold(USUAL, task.motion(robot, rate), held)
     return loop
 
 
@@ -271,7 +276,7 @@ def _measured(
 ) -> Case:
     """The task in closed loop, from the posture in which the arm is held."""
     stiffness = gain * spread
-    damping, follow = stiffness * sweep.damping_time, 1 - np.exp(-2 * np.pi * sweep.velocity_cutoff / RATE)
+    damping, follow = stiffness * sweep.damping_time, 1 - np.exp(-2 * np.pi * sweep.velocity_cutoff / loop.rate)
     goal, goal_qd = np.asarray(desired.q), np.asarray(desired.qd)
     ticks, n = loop.commands.shape
     q, tau, back = np.full((3, ticks, n), np.nan)
@@ -283,7 +288,7 @@ def _measured(
     for tick in range(first, ticks):
         row = max(loop.sample, 0)
         q[tick] = loop.measure()
-        velocity += follow * ((q[tick] - last) * RATE - velocity)
+        velocity += follow * ((q[tick] - last) * loop.rate - velocity)
         last = q[tick]
         if not tick % LOOK_EVERY and (failed := loop.lost(goal[row] - last, sweep.largest_error)):
             break
@@ -292,14 +297,14 @@ def _measured(
         took[tick] = time.perf_counter() - started
         if not np.isfinite(ahead).all():
             joint = loop.robot.joints[int(np.argmin(np.isfinite(ahead)))]
-            failed = f"at {loop.sample / RATE:.2f} s the feedforward of {joint} is not finite: learning diverged"
+            failed = f"at {loop.sample / loop.rate:.2f} s the feedforward of {joint} is not finite: learning diverged"
             break
         back[tick] = stiffness * (goal[row] - last) + damping * (goal_qd[row] - velocity)
         loop.apply(ahead + back[tick])
         tau[tick] = loop.logged(loop.drive.felt if loop.drive.sense else loop.commands[tick])
     counted = slice(loop.before, None)
     error = np.rad2deg(goal - q[counted])
-    stage = task.stages(np.arange(len(goal)) / RATE)
+    stage = task.stages(np.arange(len(goal)) / loop.rate)
     loaded, kind, repetition = what
     return Case(
         gain=gain,

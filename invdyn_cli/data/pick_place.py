@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from invdyn_cli import simulation
+from invdyn_cli.data.tasks import AbstractTaskSource, Task
 from invdyn_cli.errors import UsageError
-from invdyn_cli.interfaces import AbstractSource, Progress, silent
+from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.log import Log, RawTrajectory, Recorded
 from invdyn_cli.logfile import read_log, write_log
 from invdyn_cli.recording.conditioning import Conditioning
@@ -25,7 +26,7 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import SOURCE, simulate
 from invdyn_cli.simulation.references import STAGES, Manipulation
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side
-from invdyn_cli.types import Motion, Robot, Splits
+from invdyn_cli.types import Robot, Splits
 
 DURATION, RATE = 9.6, 1000.0
 """[s] of a recording, [Hz] (the paper: 9 to 10 s, 1 kHz)."""
@@ -45,7 +46,7 @@ STATIC, STRIBECK, CYCLES = 1.3, 0.05, 20.0
 
 
 @dataclass(frozen=True)
-class PickPlace(AbstractSource):
+class PickPlace(AbstractTaskSource):
     """Recordings unloaded_1, … and loaded_1, … of one arm, stages and all.
 
     Attributes:
@@ -88,6 +89,7 @@ class PickPlace(AbstractSource):
     decimate: int = 1
 
     has_log = True
+    rate = RATE
 
     def __post_init__(self) -> None:
         for name in ("com", "ramp"):
@@ -170,9 +172,12 @@ class PickPlace(AbstractSource):
             out += [Hidden("torque_ripple", joint, wave)] * self.ripple
         return tuple(out)
 
-    def task(self, robot: Robot, k: int, *, loaded: bool) -> "Task":
-        """Repetition k, from 0, without the object or with it; from k = repetitions + watched on, repetitions that are
-        not in the log."""
+    def trial(self, robot: Robot, number: int, *, loaded: bool) -> Task:
+        """Repetitions that come after those in the log."""
+        return self.task(robot, self.repetitions + self.watched + number, loaded=loaded)
+
+    def task(self, robot: Robot, k: int, *, loaded: bool) -> Task:
+        """Repetition k of the log, from 0, without the object or with it."""
         draw = np.random.default_rng([self.seed, int(loaded), k])
         own, reference = int(draw.integers(2**31)), Manipulation()
         times = reference.times(own)
@@ -182,10 +187,11 @@ class PickPlace(AbstractSource):
         return Task(
             name=f"{'loaded' if loaded else 'unloaded'}_{k + 1}",
             reference=reference,
+            duration=DURATION,
             seed=own,
             hidden=(*self.hidden(robot), *[Hidden("payload_change", None, load)] * loaded),
             noise=Noise(position=self.position_noise, torque=torque_noise),
-            begins=tuple(times[stage][0] for stage in STAGES),
+            begins={stage: times[stage][0] for stage in STAGES},
         )
 
     def _repetition(self, robot: Robot, k: int, *, loaded: bool) -> RawTrajectory:
@@ -195,7 +201,7 @@ class PickPlace(AbstractSource):
             task.reference,
             task.hidden,
             noise=task.noise,
-            duration=DURATION,
+            duration=task.duration,
             rate=RATE,
             seed=task.seed,
             torque_side=self.torque_side,
@@ -228,32 +234,3 @@ class PickPlace(AbstractSource):
             rate=None,
             max_gap=1.5 / RATE,
         )
-
-
-@dataclass(frozen=True)
-class Task:
-    """One repetition before it is simulated: the reference and everything that is hidden in the arm.
-
-    Attributes:
-        name: the trajectory's.
-        reference: the motion, drawn by `seed`.
-        seed: of the motion and the noise.
-        hidden: in the arm, the object with its window among it.
-        noise: of the sensors.
-        begins: (4,) [s] when each of `STAGES` does.
-    """
-
-    name: str
-    reference: Manipulation
-    seed: int
-    hidden: tuple[Hidden, ...]
-    noise: Noise
-    begins: tuple[float, ...]
-
-    def motion(self, robot: Robot) -> Motion:
-        """The motion (T, n) over `DURATION` at `RATE`."""
-        return self.reference.motion(robot, DURATION, RATE, self.seed)
-
-    def stages(self, t: np.ndarray) -> np.ndarray:
-        """Name of the stage at each t (T,) [s]."""
-        return np.array(STAGES)[np.searchsorted(self.begins, t, side="right") - 1]

@@ -8,10 +8,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import control
 from invdyn_cli.control import ControlRecord, Sweep
-from invdyn_cli.data.pick_place import PickPlace
+from invdyn_cli.data.tasks import AbstractTaskSource
 from invdyn_cli.errors import UsageError
 from invdyn_cli.files import write_file
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
 from invdyn_cli.report import control_page, controlled
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import instantiate, job, launch
@@ -33,13 +33,13 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
     """Config -> objects -> the arm in closed loop -> files in `folder`; prints the result on `console`."""
     screen.use_compilation_cache()
     refuse_options(config)
-    if config.data._target_ != f"{PickPlace.__module__}.{PickPlace.__name__}":
-        raise UsageError(f"data makes a {config.data._target_}; allowed: data=pick_place, the arm with a task to do")
     target = f"{Sweep.__module__}.{Sweep.__name__}"
     sweep: Sweep = instantiate(
         OmegaConf.create({"_target_": target, **{f.name: config[f.name] for f in fields(Sweep)}})
     )
-    source: PickPlace = make_object(config, "data", PickPlace)
+    source = make_object(config, "data", AbstractSource)
+    if not isinstance(source, AbstractTaskSource):
+        raise UsageError(f"data makes a {config.data._target_}; allowed: data=pick_place, the arm with a task to do")
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)
     robot = make_robot(config, None, optional=False, console=console)

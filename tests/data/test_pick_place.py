@@ -71,11 +71,11 @@ def test_a_task_is_what_the_log_has(arm):
     for raw in (unloaded, loaded):
         task = source.task(arm, 0, loaded=raw is loaded)
         assert task.name == raw.name
-        np.testing.assert_array_equal(task.motion(arm).q, raw.q_ref)
+        np.testing.assert_array_equal(task.motion(arm, source.rate).q, raw.q_ref)
         np.testing.assert_array_equal(task.stages(raw.t), raw.stage)
         assert [x.effect for x in task.hidden] == ["payload_change"] * (raw is loaded)
-    later = source.task(arm, 1, loaded=True)
-    assert np.abs(later.motion(arm).q - loaded.q_ref).max() > 1e-3
+    later = source.trial(arm, 0, loaded=True)
+    assert np.abs(later.motion(arm, source.rate).q - loaded.q_ref).max() > 1e-3
 
 
 def test_repetitions_differ_a_little(arm):
