@@ -8,112 +8,14 @@ each joint's own. The kernel spans exactly such polynomials, by multiplicative p
 
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.chunks import in_chunks
-from invdyn_cli.errors import UsageError
-from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths import gaussian_process as gp
-from invdyn_cli.maths.scaling import standardisation
-from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
+from invdyn_cli.models.kernel_model import AbstractKernelModel
+from invdyn_cli.types import Array, Motion, PyTree, Robot
 
 REST = 0.02
 """[rad/s; m/s] Speed below which the sign of a measured velocity is noise."""
-
-
-@dataclass(frozen=True)
-class Gip(AbstractModel):
-    """One process per joint; needs no URDF, but takes from one which joints slide.
-
-    k = (c + sum_i a_i qdd_i qdd_i' + sum_(i<=j) v_ij qd_i qd_j qd_i' qd_j') prod_b k_b + friction, with
-    k_b = prod_(s=1,2) (1 + g_bs cos q_b cos q_b' + h_bs sin q_b sin q_b'); all coefficients are learned by evidence.
-
-    Attributes:
-        friction: whether terms linear in every joint's velocity and its sign are added.
-        exact: [samples] largest number for exact inference; its cost grows with the third power.
-        inducing: number of inducing inputs beyond, evenly from the training samples.
-        hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
-        steps: iterations of L-BFGS on the evidence.
-    """
-
-    needs_robot = False
-
-    friction: bool = True
-    exact: int = 2000
-    inducing: int = 1000
-    hyperparameter_samples: int = 300
-    steps: int = 60
-
-    def __post_init__(self) -> None:
-        for name in ("exact", "inducing", "hyperparameter_samples", "steps"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
-
-    def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
-        """The prior: mean zero in the standardisation of this dataset."""
-        n = len(dataset.joints)
-        scales = standardisation(dataset.motion, dataset.tau)
-        return {**scales, **gp.blank(self._start(n), dataset.samples, 5 * n, n, self._sizes)}
-
-    def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
-        """Torque (n,) of one sample: the posterior mean."""
-        x = _inputs(params, motion, robot)
-        return params["target_mean"] + params["target_scale"] * gp.mean(kernel, params, x)
-
-    def fit(
-        self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
-    ) -> Fit:
-        """Hyperparameters of largest evidence, then the posterior.
-
-        details: noise (n,) [N m; N] of every joint.
-        """
-        scales = standardisation(dataset.motion, dataset.tau)
-        x = np.asarray(_inputs(scales, dataset.motion, dataset.robot))
-        y = (dataset.tau - scales["target_mean"]) / scales["target_scale"]
-        learned = gp.learned(kernel, self._start(y.shape[1]), x, y, self._sizes, progress)
-        finite = bool(np.isfinite(learned["coefficients"]).all())
-        hyper = jax.tree.leaves(learned["hyper"])
-        return Fit(
-            params={**scales, **learned},
-            robot=dataset.robot,
-            joints=dataset.joints,
-            parameters=learned["coefficients"].size + sum(leaf.size for leaf in hyper),
-            details={"noise": np.exp(learned["hyper"]["noise"]) * scales["target_scale"]},
-            warnings=() if finite else ("The kernel matrix is singular: fewer or less similar samples help.",),
-        )
-
-    def variance(self, fit: Fit, motion: Motion) -> np.ndarray:
-        """Variance (T, n) [(N m)²; N²] of the torque without noise, at every sample of a motion."""
-
-        def each(part: Motion) -> Array:
-            x = _inputs(fit.params, part, fit.robot)
-            return gp.variance(kernel, fit.params, x) * fit.params["target_scale"] ** 2
-
-        return in_chunks(each, motion, self.chunk(motion))
-
-    def chunk(self, motion: Motion) -> int:
-        """Fewer samples at a time: each one needs a covariance with every input of every joint."""
-        return 256
-
-    @property
-    def _sizes(self) -> gp.Sizes:
-        return gp.Sizes(self.exact, self.inducing, self.hyperparameter_samples, self.steps)
-
-    def _start(self, n: int) -> PyTree:
-        """Logarithms of the coefficients, all equal at the start; without friction its terms are absent."""
-        zero = np.zeros(n)
-        friction = {"viscous": zero - 4.0, "coulomb": zero - 4.0} if self.friction else {}
-        return {
-            "constant": np.array(0.0),
-            "acceleration": zero - 2.0,
-            "velocity": np.full((n, n), -3.0),
-            "cosine": np.full((2, n), -1.0),
-            "sine": np.full((2, n), -1.0),
-            "noise": np.array(np.log(0.1)),
-            **friction,
-        }
 
 
 def kernel(hyper: PyTree, a: Array, b: Array) -> Array:
@@ -134,12 +36,50 @@ def kernel(hyper: PyTree, a: Array, b: Array) -> Array:
     return k
 
 
-def _inputs(scales: PyTree, motion: Motion, robot: Robot | None) -> Array:
-    """(5 n,) of one sample, or (T, 5 n) of a motion; velocities and accelerations in units of their spread."""
-    n = motion.q.shape[-1]
-    slides = jnp.array(robot.prismatic if robot is not None else (False,) * n)
-    place, speed, push = jnp.split(jnp.asarray(scales["input_scale"]), 3)
-    cosine = jnp.where(slides, motion.q / place, jnp.cos(motion.q))
-    sine = jnp.where(slides, 0.0, jnp.sin(motion.q))
-    sign = jnp.clip(motion.qd / REST, -1, 1)
-    return jnp.concatenate([cosine, sine, motion.qd / speed, motion.qdd / push, sign], axis=-1)
+@dataclass(frozen=True)
+class Gip(AbstractKernelModel):
+    """One process per joint; needs no URDF, but takes from one which joints slide.
+
+    k = (c + sum_i a_i qdd_i qdd_i' + sum_(i<=j) v_ij qd_i qd_j qd_i' qd_j') prod_b k_b + friction, with
+    k_b = prod_(s=1,2) (1 + g_bs cos q_b cos q_b' + h_bs sin q_b sin q_b'); all coefficients are learned by evidence.
+
+    Attributes:
+        friction: whether terms linear in every joint's velocity and its sign are added.
+        exact, inducing, hyperparameter_samples, steps: as in model=gpr.
+    """
+
+    kernel = staticmethod(kernel)
+
+    exact: int = 2000
+    inducing: int = 1000
+    hyperparameter_samples: int = 300
+    steps: int = 60
+    friction: bool = True
+
+    def chunk(self, motion: Motion) -> int:
+        """Fewer samples at a time: each one needs a covariance with every input of every joint."""
+        return 256
+
+    def start(self, n: int) -> PyTree:
+        """Logarithms of the coefficients, all equal at the start; without friction its terms are absent."""
+        zero = np.zeros(n)
+        friction = {"viscous": zero - 4.0, "coulomb": zero - 4.0} if self.friction else {}
+        return {
+            "constant": np.array(0.0),
+            "acceleration": zero - 2.0,
+            "velocity": np.full((n, n), -3.0),
+            "cosine": np.full((2, n), -1.0),
+            "sine": np.full((2, n), -1.0),
+            "noise": np.array(np.log(0.1)),
+            **friction,
+        }
+
+    def inputs(self, scales: PyTree, motion: Motion, robot: Robot | None) -> Array:
+        """(5 n,) of one sample, or (T, 5 n) of a motion; velocities and accelerations in units of their spread."""
+        n = motion.q.shape[-1]
+        slides = jnp.array(robot.prismatic if robot is not None else (False,) * n)
+        place, speed, push = jnp.split(jnp.asarray(scales["input_scale"]), 3)
+        cosine = jnp.where(slides, motion.q / place, jnp.cos(motion.q))
+        sine = jnp.where(slides, 0.0, jnp.sin(motion.q))
+        sign = jnp.clip(motion.qd / REST, -1, 1)
+        return jnp.concatenate([cosine, sine, motion.qd / speed, motion.qdd / push, sign], axis=-1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.models.gip import Gip, _inputs, kernel
+from invdyn_cli.models.gip import Gip, kernel
 from invdyn_cli.models.gpr import Gpr
 from invdyn_cli.testing import check_model
 from invdyn_cli.types import Motion
@@ -50,10 +50,10 @@ def explicit(hyper: dict, motion: Motion) -> np.ndarray:
 def test_kernel_is_the_inner_product_of_its_features():
     """For two joints the kernel equals the inner product of its 6 x 3^4 + 4 explicit monomials, to rounding."""
     rng = np.random.default_rng(0)
-    start = SMALL._start(2)
+    start = SMALL.start(2)
     hyper = jax.tree.map(lambda leaf: rng.normal(size=np.shape(leaf)), start)
     motions = [Motion(*rng.normal(size=(3, size, 2))) for size in (7, 5)]
-    a, b = (np.asarray(_inputs(UNIT, motion, None)) for motion in motions)
+    a, b = (np.asarray(Gip().inputs(UNIT, motion, None)) for motion in motions)
     left, right = (explicit(hyper, motion) for motion in motions)
     assert left.shape[1] == 6 * 3**4 + 4
     np.testing.assert_allclose(kernel(hyper, a, b), left @ right.T, rtol=1e-12)
@@ -63,7 +63,7 @@ def test_kernel_has_no_square_of_a_sliding_joints_sine():
     """A joint that slides enters by its position, of degree two, and without trigonometry."""
     robot = make_robot(("a", "b"), (False, True))
     motion = Motion(jnp.array([0.3, 0.4]), jnp.zeros(2), jnp.zeros(2))
-    inputs = np.asarray(_inputs(UNIT, motion, robot))
+    inputs = np.asarray(Gip().inputs(UNIT, motion, robot))
     np.testing.assert_allclose(inputs[:4], [np.cos(0.3), 0.4, np.sin(0.3), 0.0])
 
 
