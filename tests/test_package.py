@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 
 import pytest
 
@@ -56,3 +57,15 @@ def test_the_docs_use_what_is_offered():
     used = {name for text in pages.values() for name in re.findall(r"\binvdyn\.([A-Za-z]\w*)", text)}
     assert used <= set(invdyn.__all__)
     assert [name for name in invdyn.__all__ if not re.search(rf"\b{name}\b", pages["docs/python.md"])] == []
+
+
+def test_what_make_and_the_docs_install_exists():
+    """Every dependency group that the Makefile asks for, and every extra that code, docs and README name, is one of
+    pyproject.toml; a group that was missing made `make docs` end with an error."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    groups = re.findall(r"--group (\w+)", (ROOT / "Makefile").read_text())
+    assert groups and set(groups) <= set(project["dependency-groups"])
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "invdyn_cli").rglob("*.py")]
+    extras = re.findall(r"invdyn\[(\w+(?:,\w+)*)\]", "".join(page.read_text() for page in pages))
+    assert extras
+    assert {one for some in extras for one in some.split(",")} <= set(project["project"]["optional-dependencies"])
