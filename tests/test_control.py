@@ -130,7 +130,8 @@ def test_learning_that_diverges_is_a_result(arm, source):
 class Lifting(AbstractTaskSource):
     """A task of somebody else's at 500 Hz: a swing in which a weight is in hand for the last second of three."""
 
-    rate, torque_side, filter_cutoff, filter_order, torque_lag, decimate, seed = 500.0, "command", 10.0, 4, 0, 1, 0
+    rate, torque_side, filter_cutoff, filter_order, causal = 500.0, "command", 10.0, 4, True
+    torque_lag, decimate, seed = 0, 1, 0
 
     def trial(self, robot, number, *, loaded):
         weight = Hidden("payload_change", None, {"mass": 2.0, "com": [0.0, 0.0, 0.1], "window": [2.0, 3.0]})

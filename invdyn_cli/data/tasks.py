@@ -50,7 +50,7 @@ class AbstractTaskSource(AbstractSource):
     Attributes:
         rate: [Hz] of the samples, and of a loop that controls the arm.
         torque_side: where the torque is measured.
-        filter_cutoff, filter_order, torque_lag, decimate: as in data=real_log.
+        filter_cutoff, filter_order, causal, torque_lag, decimate: as in data=real_log; control asks for causal ones.
         seed: of all that is drawn.
     """
 
@@ -58,6 +58,7 @@ class AbstractTaskSource(AbstractSource):
     torque_side: Side
     filter_cutoff: float | None
     filter_order: int
+    causal: bool
     torque_lag: int
     decimate: int
     seed: int

@@ -11,10 +11,10 @@ from invdyn_cli.control import ControlRecord, Sweep
 from invdyn_cli.data.tasks import AbstractTaskSource
 from invdyn_cli.errors import UsageError
 from invdyn_cli.files import write_file
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
+from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.report import control_page, controlled
 from invdyn_cli.verbs import screen
-from invdyn_cli.verbs.launch import instantiate, job, launch
+from invdyn_cli.verbs.launch import instantiate, job, launch, target_of
 from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
 from invdyn_cli.verbs.screen import Screen
 
@@ -37,9 +37,10 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
     sweep: Sweep = instantiate(
         OmegaConf.create({"_target_": target, **{f.name: config[f.name] for f in fields(Sweep)}})
     )
-    source = make_object(config, "data", AbstractSource)
-    if not isinstance(source, AbstractTaskSource):
+    kind = target_of(config.data)
+    if isinstance(kind, type) and not issubclass(kind, AbstractTaskSource):
         raise UsageError(f"data makes a {config.data._target_}; allowed: data=pick_place, the arm with a task to do")
+    source = make_object(config, "data", AbstractTaskSource)
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)
     robot = make_robot(config, None, optional=False, console=console)

@@ -278,7 +278,6 @@ def instantiate(node: DictConfig, **more: Any) -> Any:
             imported.
         InvdynError: whatever the object itself refuses.
     """
-    admit_modules(_targets(node))
     _refuse_wrong_types(node)
     try:
         return hydra.utils.instantiate(node, **more, _convert_="all")
@@ -289,12 +288,21 @@ def instantiate(node: DictConfig, **more: Any) -> Any:
         raise UsageError(f"{node.get('_target_', 'a config')}: {type(cause).__name__}: {cause}") from error
 
 
+def target_of(node: DictConfig) -> Any:
+    """The class or function that a config node names; None where it cannot be found, which the instantiation tells."""
+    admit_modules(_targets(node))
+    try:
+        return hydra.utils.get_object(node._target_)
+    except Exception:
+        return None
+
+
 def _refuse_wrong_types(node: DictConfig) -> None:
     """Compare plain values with the annotations of the dataclass that takes them."""
+    target = target_of(node)
     try:
-        target = hydra.utils.get_object(node._target_)
         hints = get_type_hints(target) if is_dataclass(target) else {}
-    except Exception:  # what cannot be found or has unreadable annotations is told by the instantiation itself
+    except Exception:  # unreadable annotations are told by the instantiation itself
         return
     for name, hint in hints.items():
         if name not in node or OmegaConf.is_missing(node, name):
