@@ -11,8 +11,9 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import passing_candidate, passing_columns
 from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
-from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.recording.pieces import ROLES
@@ -98,6 +99,7 @@ def proposed(
     measured: Noise,
     known: Sequence[TimeWindow] = (),
     share: float = SHARE,
+    lasting: Hypothesis = (),
 ) -> Windows:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
     first.
@@ -106,19 +108,21 @@ def proposed(
         residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
         known: windows that need not be proposed.
         share: of a residual's squares that a window must explain.
+        lasting: what is fitted anew beside every window.
     """
     made: list[TimeWindow] = []
     first = 1 + max((when.number for when in known), default=-1)
-    weights = measured.weights
+    used = evidence.valid * measured.weights * (evidence.role != ROLES.index("reference"))[:, None]
+    beside = Lasting.beside(evidence, lasting, used)
     for residual in residuals:
         left = residual.copy()
-        least = max(PRICE, share * float(np.sum(weights * np.sum(evidence.valid * residual**2, axis=0))))
+        least = max(PRICE, share * float(np.sum(used * residual**2)))
         for _ in range(MOST):
-            tries = [_window(evidence, p, left, measured) for p in everywhere]
-            value, when, explained = max(tries, key=lambda x: x[0], default=(0.0, None, left))
+            tries = [_window(evidence, p, left, measured, beside) for p in everywhere]
+            value, when, after = max(tries, key=lambda x: x[0], default=(0.0, None, left))
             if value <= least or when is None:
                 break
-            left = left - explained
+            left = after
             for one in (when, *_other_end(evidence, when)):
                 if not any(_alike(one, other) for other in (*known, *made)):
                     made.append(one._replace(number=first + len(made)))
@@ -172,51 +176,43 @@ def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
 
 
 def _window(
-    evidence: Evidence, place: Place, left: np.ndarray, measured: Noise
+    evidence: Evidence, place: Place, left: np.ndarray, measured: Noise, lasting: Lasting
 ) -> tuple[float, TimeWindow | None, np.ndarray]:
-    """The explained squares of an effect in its best window, minus its price; the window, and its torque (R, n)."""
+    """The explained squares of an effect in its best window, minus its price; the window, and what is then left
+    (R, n)."""
     t, k = evidence.on_rows("t"), len(place.columns)
-    names = evidence.trajectory
-    used = evidence.valid * measured.weights
+    names, used = evidence.trajectory, lasting.used
     best: tuple[float, TimeWindow | None, np.ndarray] = -np.inf, None, left
     for name in dict.fromkeys(names):
         rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
         if len(rows) < 2 * k:
             continue
-        x, w, y, time = place.columns[:, :, rows], used[rows].T, left[rows].T, t[rows]
-        normal = np.concatenate([np.zeros((1, k, k)), np.cumsum(np.einsum("anr,bnr,nr->rab", x, x, w), axis=0)])
-        moment = np.concatenate([np.zeros((1, k)), np.cumsum(np.einsum("anr,nr->ra", x, y * w), axis=0)])
-        prior = np.diag(place.precision) + 1e-9 * np.diag(np.diag(normal[-1]) + 1e-300)
-
-        def gain(a, b, normal=normal, moment=moment, prior=prior):
-            m = moment[b] - moment[a]
-            return np.einsum("wa,wa->w", m, np.linalg.solve(normal[b] - normal[a] + prior, m[..., None])[..., 0])
-
+        windowed, time = Windowed(lasting, place.columns, place.precision, left, rows), t[rows]
+        if not len(windowed.felt):
+            continue
         step = max(CELL, (time[-1] - time[0]) / GRID)
         grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
-        a, b = (grid[i] for i in np.triu_indices(len(grid), 1))
+        first, last = np.triu_indices(len(grid), 1)
+        a, b = grid[first], grid[last]
         long = time[b - 1] - time[a] >= SHORTEST
         long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
-        a, b = a[long], b[long]
-        if not len(a):
+        if not long.any():
             continue
-        at = int(np.argmax(gain(a, b)))
-        a, b = _sharpened(gain, a[at], b[at], time, 2 * step)
-        value = float(gain(np.array([a]), np.array([b]))[0]) - PRICE_OF_COEFFICIENT * k
+        sums = windowed.on(grid)
+        at = np.flatnonzero(long)[np.argmax(windowed.gain((sums[last] - sums[first])[long]))]
+        a, b = _sharpened(windowed, a[at], b[at], time, 2 * step)
+        value = float(windowed.gain(windowed.before(b, b) - windowed.before(a, a))[0]) - PRICE_OF_COEFFICIENT * k
         ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
         if value <= best[0] or ends:
             continue
-        factors = np.linalg.solve(normal[b] - normal[a] + prior, moment[b] - moment[a])
-        explained = np.zeros_like(left)
-        explained[rows[a:b]] = np.tensordot(factors, x[:, :, a:b], 1).T
+        made, after = windowed.fitted(a, b)
         there, own = rows[a:b], used[rows[a:b]]
-        gained = np.sum(own * (left[there] ** 2 - (left - explained)[there] ** 2), axis=1)
-        felt = np.abs(explained).max(axis=0) > 0
-        excess = np.sum((own * (left[there] ** 2 - measured.deviation**2))[:, felt])
-        if value > WITHIN * excess and _spread(gained) > EVEN:
+        gained = np.sum(own * ((after + made)[there] ** 2 - after[there] ** 2), axis=1)
+        excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
+        if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(gained) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
             end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
-            best = value, TimeWindow(str(name), float(start), float(end)), explained
+            best = value, TimeWindow(str(name), float(start), float(end)), after
     return best
 
 
@@ -226,16 +222,18 @@ def _spread(gained: np.ndarray) -> float:
     return float(parts.sum() ** 2 / max(PARTS * np.sum(parts**2), 1e-300))
 
 
-def _sharpened(gain, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:
+def _sharpened(windowed: Windowed, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:
     """Edges of a window moved in turn to the rows that explain most; the window does not become shorter than
     SHORTEST."""
     for _ in range(2):
         near = np.flatnonzero(np.abs(time - time[min(a, len(time) - 1)]) <= reach)
         near = near[time[near] <= time[b - 1] - SHORTEST]
         if len(near):
-            a = int(near[np.argmax(gain(near, np.full(len(near), b)))])
+            edges = windowed.before(near[0], near[-1])
+            a = int(near[np.argmax(windowed.gain(windowed.before(b, b) - edges))])
         near = np.flatnonzero(np.abs(time - time[b - 1]) <= reach) + 1
         near = near[time[near - 1] >= time[a] + SHORTEST]
         if len(near):
-            b = int(near[np.argmax(gain(np.full(len(near), a), near))])
+            edges = windowed.before(near[0], near[-1])
+            b = int(near[np.argmax(windowed.gain(edges - windowed.before(a, a)))])
     return a, b

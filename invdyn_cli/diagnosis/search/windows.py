@@ -44,7 +44,9 @@ def standing_out(
     """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts."""
     rows = evidence.role == ROLES.index("train")
     measured = noise.measure_beside(evidence, rows)
-    found = events.proposed(evidence, everywhere, [left_by_standard(evidence, measured, rows, wear)], measured)
+    left = left_by_standard(evidence, measured, rows, wear)
+    beside = (*terms_of(evidence.candidates, wear), *wear)
+    found = events.proposed(evidence, everywhere, [left], measured, lasting=beside)
     return asked_for(evidence, found, {}, measured, allowed, most, wear, ()) if found else {}
 
 
