@@ -1,0 +1,130 @@
+"""What an effect explains in any window of time, with all that lasts fitted anew beside it (Schur's complement).
+
+A model that was fitted without an event is a compromise: friction and links take up a part of it, and leave its opposite
+at all other times. The best window in such a residual is not that of the event.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.equations import inverted
+from invdyn_cli.diagnosis.search.shared_part import Hypothesis, columns_of, precision_of
+
+
+@dataclass(frozen=True)
+class Lasting:
+    """What lasts, with p coefficients. Its columns (R, p), `of` a joint, are such that their weighted squares together,
+    with the prior's, are the unit matrix.
+
+    Attributes:
+        used: (R, n) weight of every row of every joint.
+        free: for each joint, the numbers of its columns in the joint's table.
+        root: for each joint, (columns, p).
+    """
+
+    evidence: Evidence
+    used: np.ndarray
+    free: tuple[np.ndarray, ...]
+    root: tuple[np.ndarray, ...]
+
+    @classmethod
+    def beside(cls, evidence: Evidence, hypothesis: Hypothesis, used: np.ndarray) -> "Lasting":
+        """That of a hypothesis whose columns are fitted on the rows with these weights (R, n)."""
+        precision = precision_of(hypothesis)
+        normal, own = np.zeros((len(precision),) * 2), [columns_of(hypothesis, j) for j in range(evidence.dofs)]
+        for (_, free, place), table, w in zip(own, evidence.tables, used.T, strict=True):
+            columns = table[:, free]
+            normal[np.ix_(place, place)] += (w * columns.T) @ columns
+        root = np.linalg.cholesky(inverted(normal, precision)) if len(precision) else normal
+        return cls(evidence, used, tuple(free for _, free, _ in own), tuple(root[place] for _, _, place in own))
+
+    def of(self, joint: int, rows: np.ndarray) -> np.ndarray:
+        """(rows, p) on a joint."""
+        return self.evidence.tables[joint][np.ix_(rows, self.free[joint])] @ self.root[joint]
+
+    def moments(self, torque: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(p,) coefficients of what it explains of a torque (rows, n)."""
+        return np.sum([(w * y) @ self.of(j, rows) for j, (w, y) in self._parts(torque, rows)], axis=0)
+
+    def torque(self, theta: np.ndarray) -> np.ndarray:
+        """(R, n) of coefficients (p,)."""
+        every = np.arange(len(self.used))
+        return np.stack([self.of(j, every) @ theta for j in range(self.used.shape[1])], axis=1)
+
+    def _parts(self, torque: np.ndarray, rows: np.ndarray):
+        return enumerate(zip(self.used[rows].T, torque.T, strict=True))
+
+
+class Windowed:
+    """An effect's columns on the rows of a trajectory, and all sums that any window needs.
+
+    Args:
+        columns: (k, n, R) the effect's.
+        precision: (k,) the prior of their factors.
+        left: (R, n) what the model leaves.
+        rows: (r,) the trajectory's.
+    """
+
+    def __init__(
+        self, lasting: Lasting, columns: np.ndarray, precision: np.ndarray, left: np.ndarray, rows: np.ndarray
+    ) -> None:
+        self.lasting, self.columns, self.left, self.rows = lasting, columns, left, rows
+        self.felt = np.flatnonzero(np.abs(columns).max(axis=(0, 2)) > 0)
+        every = np.arange(len(left))
+        self.refit = lasting.moments(left, every)
+        whole = self._sums(0, len(rows))
+        self.prior = np.diag(precision) + 1e-9 * np.diag(np.diag(whole[:, : len(columns)]) + 1e-300)
+
+    def on(self, grid: np.ndarray) -> np.ndarray:
+        """(P, k, k + 1 + p) sums over the rows before each of `grid` (P,), which grows."""
+        cells = [self._sums(a, b) for a, b in zip([0, *grid[:-1]], grid, strict=True)]
+        return np.cumsum(cells, axis=0)
+
+    def before(self, first: int, last: int) -> np.ndarray:
+        """(last - first + 1, k, k + 1 + p) sums over the rows before each from `first` to `last`."""
+        start = self._sums(0, first)[None]
+        return np.concatenate([start, start + np.cumsum(self._each(first, last), axis=0)])
+
+    def gain(self, sums: np.ndarray) -> np.ndarray:
+        """(W,) squares that the effect explains in windows with these sums (W, k, k + 1 + p)."""
+        normal, moment = self._equations(sums)
+        return np.einsum("wa,wa->w", moment, np.linalg.solve(normal, moment[..., None])[..., 0])
+
+    def fitted(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+        """(R, n) the effect's torque in the window of the rows from `a` to `b`, and what the model leaves with it, all
+        that lasts being fitted anew."""
+        sums = self._sums(a, b)
+        normal, moment = self._equations(sums[None])
+        factors = np.linalg.solve(normal[0], moment[0])
+        made = np.zeros_like(self.left)
+        there = self.rows[a:b]
+        made[there] = np.tensordot(factors, self.columns[:, :, there], 1).T
+        lasting = self.refit - factors @ sums[:, len(factors) + 1 :]
+        return made, self.left - made - self.lasting.torque(lasting)
+
+    def _equations(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrices (W, k, k) and moments (W, k), what lasts being projected out."""
+        k = len(self.prior)
+        cross = sums[..., k + 1 :]
+        normal = sums[..., :k] - cross @ np.swapaxes(cross, 1, 2) + self.prior
+        return normal, sums[..., k] - cross @ self.refit
+
+    def _sums(self, start: int, end: int) -> np.ndarray:
+        """(k, k + 1 + p) products of the weighted columns with themselves, what is left, and what lasts."""
+        return np.sum([x @ others for x, others in self._products(start, end)], axis=0)
+
+    def _each(self, start: int, end: int) -> np.ndarray:
+        """(rows, k, k + 1 + p) the same, row by row."""
+        return np.sum([x.T[:, :, None] * others[:, None] for x, others in self._products(start, end)], axis=0)
+
+    def _products(self, start: int, end: int):
+        """Of each joint that feels it: (k, rows) weighted columns, and (rows, k + 1 + p) what they are multiplied with."""
+        rows = self.rows[start:end]
+        for j in self.felt:
+            x = self.columns[:, j, rows]
+            yield (
+                self.lasting.used[rows, j] * x,
+                np.column_stack([x.T, self.left[rows, j], self.lasting.of(j, rows)]),
+            )
