@@ -98,17 +98,17 @@ def proposed(
     residuals: Sequence[np.ndarray],
     measured: Noise,
     known: Sequence[TimeWindow] = (),
-    share: float = SHARE,
     lasting: Hypothesis = (),
+    share: float = SHARE,
 ) -> Windows:
     """For each window in which something comes and goes, every effect that may be it; the windows that explain most
     first.
 
     Args:
-        residuals: (R, n) each, in which windows are looked for: what lasts may have taken up some of what does not.
+        residuals: (R, n) each, in which windows are looked for.
         known: windows that need not be proposed.
+        lasting: what the residuals were fitted with; it is fitted anew beside every window.
         share: of a residual's squares that a window must explain.
-        lasting: what is fitted anew beside every window.
     """
     made: list[TimeWindow] = []
     first = 1 + max((when.number for when in known), default=-1)

@@ -102,7 +102,6 @@ def inquire(
     """
     everywhere = [] if compares else events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.yields]
-    nominal = evidence.residual((), np.zeros(0))
 
     def looked(
         evidence: Evidence, windows: Windows, gears: Sequence[Candidate], starts: Sequence[Hypothesis], rounds: int
@@ -117,24 +116,22 @@ def inquire(
         return one, {when: own for when, own in windows.items() if when.number in numbers}
 
     def proposed(inquiry: Inquiry, held: Windows) -> Windows:
-        """All windows anew, now that the rest is known; at first what lasts may have taken up half of what does not."""
+        """All windows anew, now that the rest is known."""
         acting = inquiry.whole.acting
         refined = [a.when for a in acting if a.when is not None]
         residuals = [inquiry.whole.residual]
         if refined:
             residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))
-        elif not wear:
-            residuals.append(nominal)
-        return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined])
+        lasting = [c for c in inquiry.hypothesis if c.when is None]
+        beside = (*inquiry.beside(lasting), *lasting)
+        return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined], beside)
 
     inquiry: Inquiry | None = None
     held: Windows = {}
     found: Windows = {}
     if everywhere:
         found = (
-            standing_out(evidence, everywhere, allowed, most, wear)
-            if wear
-            else at_first(evidence, everywhere, nominal, most)
+            standing_out(evidence, everywhere, allowed, most, wear) if wear else at_first(evidence, everywhere, most)
         )
     if found and not wear:  # what a gear carries is known when what comes and goes is
         inquiry, held = looked(evidence, found, [], [()], 1)

@@ -1,7 +1,7 @@
 """What an effect explains in any window of time, with all that lasts fitted anew beside it (Schur's complement).
 
-A model that was fitted without an event is a compromise: friction and links take up a part of it, and leave its opposite
-at all other times. The best window in such a residual is not that of the event.
+A model that was fitted without an event is a compromise: friction and links take up a part of it, and leave its
+opposite at all other times. The best window in such a residual is not that of the event.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.search.equations import inverted
+from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION
 from invdyn_cli.diagnosis.search.shared_part import Hypothesis, columns_of, precision_of
 
 
@@ -37,7 +37,9 @@ class Lasting:
         for (_, free, place), table, w in zip(own, evidence.tables, used.T, strict=True):
             columns = table[:, free]
             normal[np.ix_(place, place)] += (w * columns.T) @ columns
-        root = np.linalg.cholesky(inverted(normal, precision)) if len(precision) else normal
+        scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
+        values, vectors = np.linalg.eigh((normal + np.diag(precision)) / np.outer(scale, scale))
+        root = vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / scale[:, None]
         return cls(evidence, used, tuple(free for _, free, _ in own), tuple(root[place] for _, _, place in own))
 
     def of(self, joint: int, rows: np.ndarray) -> np.ndarray:
@@ -120,7 +122,7 @@ class Windowed:
         return np.sum([x.T[:, :, None] * others[:, None] for x, others in self._products(start, end)], axis=0)
 
     def _products(self, start: int, end: int):
-        """Of each joint that feels it: (k, rows) weighted columns, and (rows, k + 1 + p) what they are multiplied with."""
+        """Of each joint that feels it: weighted columns (k, rows), and their partners in all products (rows, k + 1 + p)."""
         rows = self.rows[start:end]
         for j in self.felt:
             x = self.columns[:, j, rows]

@@ -17,11 +17,12 @@ CROWDED = 1
 """Causes a joint, above which there seem to be many because what comes and goes is not among them."""
 
 
-def at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: np.ndarray, most: int) -> Windows:
+def at_first(evidence: Evidence, everywhere: Sequence[events.Place], most: int) -> Windows:
     """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
     measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
     judge = HypothesisScorer(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
+    nominal = evidence.residual((), np.zeros(0))
     lasting = [c for c in evidence.candidates if c.effect.invertible]  # a limit explains much of what comes and goes
     found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
     judge.refresh()
@@ -31,7 +32,7 @@ def at_first(evidence: Evidence, everywhere: Sequence[events.Place], nominal: np
     if len(crowd) <= CROWDED * evidence.dofs:
         return {}
     left = evidence.residual(crowd, judge.quick(crowd)[1])
-    return events.proposed(evidence, everywhere, [left, nominal], measured)
+    return events.proposed(evidence, everywhere, [left], measured, lasting=crowd)
 
 
 def standing_out(
