@@ -122,7 +122,7 @@ class Windowed:
         return np.sum([x.T[:, :, None] * others[:, None] for x, others in self._products(start, end)], axis=0)
 
     def _products(self, start: int, end: int):
-        """Of each joint that feels it: weighted columns (k, rows), and their partners in all products (rows, k + 1 + p)."""
+        """Of each joint that feels it: (k, rows) weighted, and what they are multiplied with (rows, k + 1 + p)."""
         rows = self.rows[start:end]
         for j in self.felt:
             x = self.columns[:, j, rows]
