@@ -147,16 +147,16 @@ def _other_end(evidence: Evidence, when: TimeWindow) -> list[TimeWindow]:
 
 def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
     """The evidence with training and held-out blocks in turn, in every window and outside: an event that occurs once
-    must be in both."""
+    must be in both. Blocks at an edge choose, or nothing would say where it is."""
     block, role = evidence.block.copy(), evidence.role.copy()
-    t, first, outside = evidence.on_rows("t"), 0, 0
+    t, first, short = evidence.on_rows("t"), 0, 0
     for number, piece in enumerate(evidence.recording.pieces):
         at = evidence.piece == number
         own = [w for w in windows if w.trajectory == piece.trajectory]
         edges = np.unique([-np.inf, *(x for w in own for x in (w.start, w.end)), np.inf])
         part = np.searchsorted(edges, t[at], side="right") - 1
         mine = np.zeros(at.sum(), int)
-        turns = np.zeros(at.sum(), int)
+        judge = np.zeros(at.sum(), bool)
         for segment in np.unique(part):
             here = part == segment
             time = t[at][here]
@@ -166,12 +166,16 @@ def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
             if inside:
                 count = max(TURN, min(PARTS, int(length / FINEST)), count)
             turn = np.minimum((time - time[0]) / length * count, count - 1).astype(int)
-            mine[here], turns[here] = first + turn, turn if inside else outside + turn
+            mine[here] = first + turn
+            if count >= TURN:
+                judge[here] = (turn % TURN == 1) & (turn < count - 1)
+            else:  # short stretches between windows take turns
+                judge[here] = (short + turn) % TURN == TURN - 1
+                short += count
             first += count
-            outside += 0 if inside else count  # short stretches between windows take turns too
         block[at] = mine
         if piece.role != "reference":
-            role[at] = np.where(turns % TURN == TURN - 1, ROLES.index("test"), ROLES.index("train"))
+            role[at] = np.where(judge, ROLES.index("test"), ROLES.index("train"))
     return replace(evidence, block=block, role=role)
 
 
