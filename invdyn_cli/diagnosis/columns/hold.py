@@ -21,6 +21,9 @@ MOST = 1.05
 """Largest number of samples that count as a property of the log: holding takes half of one, reading in turn up to
 one."""
 
+UNSURE = 0.5
+"""Samples of standard error from which on the common time is not known: holding takes as much."""
+
 
 def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) [s] by which each joint's logged torque leads its motion, and its standard error: the factor of the
@@ -60,13 +63,12 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
 def remove_common_delay(robot: Robot, recording: Recording, side: str) -> tuple[Recording, float]:
     """The recording with the common time between torque and motion taken out, and that time [s].
 
-    It is the weighted median of the joints' own times, if it is within MOST samples; otherwise every joint has its own
-    delay, and half a sample is used (zero for a sensor behind the gear).
+    It is the weighted median of the joints' own times, if it is within MOST samples and known; otherwise every joint
+    has its own delay, or something else moves the estimates, and half a sample is used (zero for a sensor behind the
+    gear).
     """
-    lead, error = offsets(robot, recording)
-    weight = 1 / np.maximum(error, 0.02 * recording.period) ** 2 * np.isfinite(error)
-    common = _median(lead, weight) if weight.any() else 0.0
-    if abs(common) > MOST * recording.period:
+    common, error = _median(*offsets(robot, recording), 0.02 * recording.period)
+    if error > UNSURE * recording.period or abs(common) > MOST * recording.period:
         common = 0.0 if side == "link" else recording.period / 2
     return moved(recording, common), float(common)
 
@@ -79,7 +81,15 @@ def moved(recording: Recording, lead: float) -> Recording:
     return replace(recording, pieces=pieces)
 
 
-def _median(x: np.ndarray, weight: np.ndarray) -> float:
-    order = np.argsort(x)
+def _median(x: np.ndarray, error: np.ndarray, least: float) -> tuple[float, float]:
+    """The weighted median of measurements (n,), none of which errs by less than `least`, and its standard error. Where
+    they differ by more than their errors, these are too small by as much (Birge 1932), here by the median of all."""
+    known = np.isfinite(error)
+    if not known.any():
+        return 0.0, 0.0
+    x, error = x[known], np.maximum(error[known], least)
+    order, weight = np.argsort(x), 1 / error**2
     share = np.cumsum(weight[order]) / weight.sum()
-    return float(x[order][np.searchsorted(share, 0.5)])
+    middle = float(x[order][np.searchsorted(share, 0.5)])
+    apart = np.median(np.abs(x - middle) / error) / scipy.stats.norm.ppf(0.75)
+    return middle, float(max(1.0, apart) / np.sqrt(weight.sum()))

@@ -1,5 +1,7 @@
 """Time between torque and motion that belongs to no joint is found, and taken out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,20 @@ def test_delays_of_all_joints_are_no_hold(side, taken):
     """Where all joints lag by 20 ms, that is not the log's own: half a sample is taken, none behind the gear."""
     _, common = hold.remove_common_delay(arm(), led(-0.02), side)
     assert common == pytest.approx(taken * PERIOD)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.33, 0.5, 0.7])
+def test_a_load_that_comes_is_no_hold(share):
+    """A load of 3 kg that comes after this share of the time moves the joints' leads by up to 13 samples: none of them
+    is known, and half a sample is taken."""
+    heavy = np.array(arm().inertial)
+    heavy[-1] += 3.0 * np.array([1, 0.1, 0.1, 0.1, 0.02, 0, 0.02, 0, 0, 0.02])
+    t, m = moved(rate=1 / PERIOD)
+    tau, laden = (inverse_dynamics(x, m.q, m.qd, m.qdd) for x in (arm(), replace(arm(), inertial=heavy)))
+    tau = np.where((t > share * t[-1])[:, None], laden, tau) + 0.01 * np.random.default_rng(0).normal(size=tau.shape)
+    recording = recording_of(log_of(RawTrajectory("run", t, m.q, tau)), cutoffs=(10.0,))
+    _, common = hold.remove_common_delay(arm(), recording, "command")
+    assert common == pytest.approx(0.5 * PERIOD)
 
 
 def test_leads_come_with_their_errors():
