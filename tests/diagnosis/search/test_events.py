@@ -1,6 +1,7 @@
 """Windows of what comes and goes: found to a row where there is something, nowhere else, and parted so that some rows
 of each choose and others judge."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import events
+from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
@@ -52,17 +54,19 @@ def within(term: Term) -> Term:
     return lambda t, m: term(t, m) * ((t > WINDOW[0]) & (t < WINDOW[1]))[:, None]
 
 
-def seen(term: Term = nothing, seed: int = 0, seconds: float = 10.0) -> Evidence:
-    """A log of the arm in white noise, at its own 100 Hz."""
-    return evidence_of(log_of(raw(*moved(seconds, 100.0, seed), term, torque=NOISE, seed=seed)), ())
+def seen(term: Term = nothing, seed: int = 0, seconds: float = 10.0, names: Sequence[str] = ()) -> Evidence:
+    """A log of the arm in white noise, at its own 100 Hz, with columns of these effects."""
+    return evidence_of(log_of(raw(*moved(seconds, 100.0, seed), term, torque=NOISE, seed=seed)), names)
 
 
-def looked_for(evidence: Evidence) -> events.Windows:
-    """The windows that are proposed for all that the nominal model leaves."""
-    left = evidence.tau - evidence.nominal
-    deviation = np.std(left[evidence.on_rows("t") < 2.5], axis=0)
-    measured = Noise(deviation, np.ones(3), left)
-    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), [left], measured)
+def looked_for(evidence: Evidence, lasting: Sequence[str] = ()) -> events.Windows:
+    """The windows that are proposed for all that the nominal model leaves, with these effects on every joint."""
+    beside = tuple(c for c in evidence.candidates if c.effect.name in lasting)
+    scorer = HypothesisScorer(evidence, np.ones(len(evidence.role), bool), np.ones(3) / NOISE**2, np.full(3, NOISE))
+    scorer.refresh()
+    left = evidence.residual(beside, scorer.quick(beside)[1])
+    measured = Noise(np.full(3, NOISE), np.ones(3), left)
+    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), [left], measured, lasting=beside)
 
 
 @pytest.mark.parametrize("name", HIDDEN)
@@ -78,6 +82,22 @@ def test_a_window_is_found_to_a_row(name):
     assert (when.start, when.end) == pytest.approx(WINDOW, abs=row)
     assert name in {c.effect.name for c in found[when]} and all(c.when == when for c in found[when])
     assert [window.number for window in found] == list(range(len(found)))
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_window_is_found_to_a_row_beside_what_lasts(name):
+    """So it is where every joint has friction and springs of unknown size, whose fit without the event is a compromise
+    that leaves more outside of the window than noise."""
+    lasting = ("viscous_friction", "joint_spring", "torque_offset")
+
+    def worn(t, m):
+        return within(HIDDEN[name])(t, m) + m.qd * [2.0, 3.0, 0.5] + m.q * [1.0, -2.0, 0.5]
+
+    evidence = seen(worn, names=lasting)
+    found = looked_for(evidence, lasting)
+    when = next(iter(found))
+    row = 1.01 * np.diff(np.unique(evidence.on_rows("t"))).max()
+    assert (when.start, when.end) == pytest.approx(WINDOW, abs=row)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -120,7 +140,8 @@ WINDOWS = {
 @pytest.mark.parametrize("name", WINDOWS)
 def test_some_rows_of_a_window_judge(name):
     """In every window, and outside of all, some rows choose and others judge; no block of rows does both, or lies on
-    both sides of an edge."""
+    both sides of an edge, and the last row before an edge and the first behind it choose, but where windows leave no
+    room for three blocks."""
     windows = [TimeWindow("run", *edges, number) for number, edges in enumerate(WINDOWS[name])]
     evidence = events.interleaved(seen(seconds=20.0), windows)
     t, train, test = evidence.on_rows("t"), ROLES.index("train"), ROLES.index("test")
@@ -129,6 +150,10 @@ def test_some_rows_of_a_window_judge(name):
         at = (t >= w.start) & (t < w.end)
         inside |= at
         assert set(evidence.role[at]) == {train, test}
+        for edge in (w.start, w.end):
+            beside = np.searchsorted(t, edge) + np.array([-1, 0])
+            roomy = len(windows) == 1 and beside[1] < len(t)
+            assert not roomy or set(evidence.role[beside]) == {train}
     assert set(evidence.role[~inside]) == {train, test}
     for block in np.unique(evidence.block):
         rows = evidence.block == block
