@@ -49,9 +49,9 @@ def contact(t, m) -> np.ndarray:
 HIDDEN = {"payload_change": payload, "torque_gain_change": gain, "external_contact": contact}
 
 
-def within(term: Term) -> Term:
-    """The term in the window alone."""
-    return lambda t, m: term(t, m) * ((t > WINDOW[0]) & (t < WINDOW[1]))[:, None]
+def within(term: Term, window: tuple[float, float] = WINDOW) -> Term:
+    """The term in a window alone."""
+    return lambda t, m: term(t, m) * ((t > window[0]) & (t < window[1]))[:, None]
 
 
 def seen(term: Term = nothing, seed: int = 0, seconds: float = 10.0, names: Sequence[str] = ()) -> Evidence:
@@ -86,18 +86,20 @@ def test_a_window_is_found_to_a_row(name):
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_window_is_found_to_a_row_beside_what_lasts(name):
-    """So it is where every joint has friction and springs of unknown size, whose fit without the event is a compromise
-    that leaves more outside of the window than noise."""
-    lasting = ("viscous_friction", "joint_spring", "torque_offset")
+    """So it is in nearly half of the log, where every joint has friction, springs and links of unknown size: fitted
+    without the event, these are a compromise in which another window explains more."""
+    lasting, window = (
+        ("viscous_friction", "joint_spring", "torque_offset", "link_inertia_error", "rotor_inertia"),
+        (4.1, 8.7),
+    )
 
     def worn(t, m):
-        return within(HIDDEN[name])(t, m) + m.qd * [2.0, 3.0, 0.5] + m.q * [1.0, -2.0, 0.5]
+        return within(HIDDEN[name], window)(t, m) + m.qd * [2.0, 3.0, 0.5] + m.q * [1.0, -2.0, 0.5]
 
     evidence = seen(worn, names=lasting)
-    found = looked_for(evidence, lasting)
-    when = next(iter(found))
+    when = next(iter(looked_for(evidence, lasting)))
     row = 1.01 * np.diff(np.unique(evidence.on_rows("t"))).max()
-    assert (when.start, when.end) == pytest.approx(WINDOW, abs=row)
+    assert (when.start, when.end) == pytest.approx(window, abs=row)
 
 
 @pytest.mark.parametrize("seed", range(6))
