@@ -153,7 +153,8 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
 
 @dataclass(frozen=True)
 class StribeckFriction(AbstractTorqueEffect):
-    """Falls from the static level to Coulomb's as the joint gains speed.
+    """Falls from the static level to Coulomb's as the joint gains speed. Below some multiples of the Stribeck velocity
+    that fall is nearly a parabola, which Coulomb, viscous and quadratic friction make too.
 
     Attributes:
         velocities: Stribeck velocities to try [rad/s]; the found one is refined between them.
@@ -175,7 +176,7 @@ class StribeckFriction(AbstractTorqueEffect):
         "static": Parameter("N m", 0.0),
         "velocity": Parameter("rad/s", 5e-3, 1.0),
     }
-    confounders = (("coulomb_friction",), ("coulomb_friction", "viscous_friction"))
+    confounders = (("coulomb_friction",), ("coulomb_friction", "viscous_friction"), ("quadratic_friction",))
     contains = ("coulomb_friction",)
     nonlinear = ("velocity",)
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
