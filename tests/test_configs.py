@@ -9,7 +9,8 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import registry
-from invdyn_cli.verbs.launch import config_folder, instantiate
+from invdyn_cli.verbs.launch import config_folder
+from invdyn_cli.verbs.objects import instantiate
 from tests.commands import ROOT
 
 CONF = ROOT / "conf"

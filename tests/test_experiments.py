@@ -28,7 +28,8 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Examination, Finding
 from invdyn_cli.verbs import listing
 from invdyn_cli.verbs.experiment import SHARED, _value, put
-from invdyn_cli.verbs.launch import config_folder, instantiate
+from invdyn_cli.verbs.launch import config_folder
+from invdyn_cli.verbs.objects import instantiate
 from tests.commands import ENVIRONMENT, ROOT, invdyn, tree
 
 SPECS = {name: listing.read(name) for name in sorted(path.stem for path in (ROOT / "experiments").glob("*.yaml"))}

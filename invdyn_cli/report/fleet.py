@@ -20,6 +20,8 @@ from invdyn_cli.report.wording import CLAIMS, VERDICT_WORDS, capital, cause, hea
 from invdyn_cli.types import Finding, Quantity
 
 TORQUE = "rms_of_term_N_m"
+"""Where a finding's evidence has the RMS torque of its effect on each joint."""
+
 HIDDEN = ("not_excited", "not_observable")
 DATE = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?:[-_T ]?([0-2]\d)[-_:h]?([0-5]\d))?(?!\d)")
 """A date in a file's name, with or without a time: 2026-11-24, 20261124_2103."""

@@ -11,7 +11,8 @@ from invdyn_cli.report import compared
 from invdyn_cli.report.compared import Compared
 from invdyn_cli.report.tables import robot_of
 from invdyn_cli.verbs.finished import page_of
-from invdyn_cli.verbs.launch import job, launch, trusted
+from invdyn_cli.verbs.launch import job, launch
+from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.run import relative, size_limit
 from invdyn_cli.verbs.screen import Screen, stages
 

@@ -14,7 +14,8 @@ from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.report import control_page, controlled
 from invdyn_cli.verbs import screen
-from invdyn_cli.verbs.launch import instantiate, job, launch, target_of
+from invdyn_cli.verbs.launch import job, launch
+from invdyn_cli.verbs.objects import instantiate, target_of
 from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
 from invdyn_cli.verbs.screen import Screen
 

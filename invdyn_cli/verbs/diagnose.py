@@ -23,7 +23,8 @@ from invdyn_cli.interfaces import (
 from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import check, imports, screen, sweep
-from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
+from invdyn_cli.verbs.launch import in_sweep, job, launch
+from invdyn_cli.verbs.objects import instantiate
 from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from invdyn_cli.errors import UsageError, closest, listed
-from invdyn_cli.verbs.launch import admit_modules
+from invdyn_cli.verbs.objects import admit_modules
 from invdyn_cli.verbs.options import find
 from invdyn_cli.verbs.usage import entry, look_up, width
 

@@ -13,7 +13,8 @@ from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.files import write_file
 from invdyn_cli.verbs import listing
-from invdyn_cli.verbs.launch import config_folder, failed, instantiate
+from invdyn_cli.verbs.launch import config_folder, failed
+from invdyn_cli.verbs.objects import instantiate
 
 SHARED = """
 folder: null   # where table, figures and rows go; null: outputs/NAME

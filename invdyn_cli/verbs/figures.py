@@ -14,8 +14,9 @@ from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
 from invdyn_cli.verbs import published, screen, tables
-from invdyn_cli.verbs.launch import launch, trusted
+from invdyn_cli.verbs.launch import launch
 from invdyn_cli.verbs.listing import read
+from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
 from invdyn_cli.verbs.screen import Screen

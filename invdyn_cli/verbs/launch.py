@@ -1,19 +1,16 @@
-"""The only module that calls Hydra: where configs are, how a config becomes objects, how wrong use is reported in one
-line."""
+"""How Hydra is called: where configs are, how a verb is run once or in a sweep, how wrong use is told in one line."""
 
 import contextlib
 import difflib
 import functools
-import importlib.util
 import logging
 import os
 import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
@@ -22,21 +19,20 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import (
     ConfigCompositionException,
     HydraException,
-    InstantiationException,
     MissingConfigException,
     OverrideParseException,
 )
 from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from invdyn_cli import interruption
 from invdyn_cli.errors import LONGEST, InvdynError, UsageError, closest, listed, shortened
-from invdyn_cli.fields import in_words, suits
 from invdyn_cli.files import write_file
 from invdyn_cli.interruption import closed_pipe
 from invdyn_cli.verbs import folders as named
 from invdyn_cli.verbs import meant
+from invdyn_cli.verbs.objects import cause_of
 
 TRACEBACK = "traceback.txt"
 
@@ -244,89 +240,6 @@ def complain(line: str, code: int = 2) -> int:
     return code
 
 
-def admit_modules(names: Iterable[str]) -> None:
-    """Let the working directory be imported from, if one of these modules is there and nowhere else.
-
-    It stands last on the path, and only where a config that was chosen, or the user, names a module of it: a file that
-    happens to lie there is never imported in the place of an installed one.
-    """
-    cwd = Path.cwd()
-    for top in {name.partition(".")[0] for name in names if name}:
-        here = (cwd / top).is_dir() or (cwd / f"{top}.py").is_file()
-        if here and str(cwd) not in sys.path and importlib.util.find_spec(top) is None:
-            sys.path.append(str(cwd))
-
-
-def trusted(config: DictConfig) -> list[str]:
-    """The modules that the option `trust` names, which may lie in the working directory.
-
-    Raises:
-        UsageError: if it is no list of names.
-    """
-    names = list(config.trust) if isinstance(config.trust, ListConfig) else None
-    if names is None or not all(isinstance(name, str) and name for name in names):
-        raise UsageError(f"trust={config.trust}; allowed: a list of modules", advice="trust=[mine]")
-    admit_modules(names)
-    return names
-
-
-def instantiate(node: DictConfig, **more: Any) -> Any:
-    """The object that a config node describes (`_target_`), nested ones too, in plain Python values.
-
-    Raises:
-        UsageError: for a value of the wrong type, a field that the class does not have, a `_target_` that cannot be
-            imported.
-        InvdynError: whatever the object itself refuses.
-    """
-    _refuse_wrong_types(node)
-    try:
-        return hydra.utils.instantiate(node, **more, _convert_="all")
-    except InstantiationException as error:
-        cause = _cause(error)
-        if isinstance(cause, InvdynError):
-            raise cause from None
-        raise UsageError(f"{node.get('_target_', 'a config')}: {type(cause).__name__}: {cause}") from error
-
-
-def target_of(node: DictConfig) -> Any:
-    """The class or function that a config node names; None where it cannot be found, which the instantiation tells."""
-    admit_modules(_targets(node))
-    try:
-        return hydra.utils.get_object(node._target_)
-    except Exception:
-        return None
-
-
-def _refuse_wrong_types(node: DictConfig) -> None:
-    """Compare plain values with the annotations of the dataclass that takes them."""
-    target = target_of(node)
-    try:
-        hints = get_type_hints(target) if is_dataclass(target) else {}
-    except Exception:  # unreadable annotations are told by the instantiation itself
-        return
-    for name, hint in hints.items():
-        if name not in node or OmegaConf.is_missing(node, name):
-            continue
-        value = node[name]
-        plain = OmegaConf.to_container(value, resolve=True) if isinstance(value, DictConfig | ListConfig) else value
-        if not suits(plain, hint):
-            got = "null" if value is None else value
-            raise UsageError(f"{node._get_full_key(name)}={got}; allowed: {in_words(hint)}")
-
-
-def _targets(node: Any) -> Iterator[str]:
-    """All classes and functions that a config names."""
-    if isinstance(node, DictConfig):
-        if isinstance(target := node.get("_target_"), str):
-            yield target
-        for name in node:
-            if not OmegaConf.is_missing(node, name):
-                yield from _targets(node[name])
-    elif isinstance(node, ListConfig):
-        for one in node:
-            yield from _targets(one)
-
-
 def job() -> Any:
     """Hydra's view of this run: output folder, choices, overrides, whether it is one job of a sweep."""
     return HydraConfig.get()
@@ -335,13 +248,6 @@ def job() -> Any:
 def in_sweep() -> bool:
     """Whether this is one job of a sweep."""
     return job().mode == RunMode.MULTIRUN
-
-
-def _cause(error: BaseException) -> BaseException:
-    """The original failure, or the first one that has a message of invdyn."""
-    while error.__cause__ is not None and not isinstance(error, InvdynError):
-        error = error.__cause__
-    return error
 
 
 def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
@@ -353,7 +259,7 @@ def _composing(verb: str, error: Exception, argv: Sequence[str]) -> str:
             return f"{group}={wanted} is no choice. Try: {likely}"
         return f"{group}={wanted}; allowed: {listed(sorted(error.options))}{closest(wanted, error.options)}"
     if isinstance(error, ConfigCompositionException) and "Could not override" in text:
-        key = getattr(_cause(error), "full_key", None) or text.split("'")[1]
+        key = getattr(cause_of(error), "full_key", None) or text.split("'")[1]
         if key == "data.path":
             return "data.path belongs to measured logs. Try: data=real_log data.path=…"
         config = _composed(verb, argv)

@@ -7,7 +7,8 @@ from omegaconf import DictConfig
 
 from invdyn_cli import store
 from invdyn_cli.report import figures, page
-from invdyn_cli.verbs.launch import launch, trusted
+from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.run import refuse_formats, size_limit
 from invdyn_cli.verbs.screen import Screen
 

@@ -17,7 +17,8 @@ from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
 from invdyn_cli.tracking.contract import AbstractTracker, Tracked, flat, mean_curves, numbers
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
-from invdyn_cli.verbs.launch import in_sweep, instantiate, job, launch
+from invdyn_cli.verbs.launch import in_sweep, job, launch
+from invdyn_cli.verbs.objects import instantiate
 from invdyn_cli.verbs.screen import Screen
 
 FORMATS = ("png", "svg", "pdf")

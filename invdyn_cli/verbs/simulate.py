@@ -18,7 +18,8 @@ from invdyn_cli.log import Log
 from invdyn_cli.logfile import write_log
 from invdyn_cli.types import Robot
 from invdyn_cli.verbs import screen
-from invdyn_cli.verbs.launch import instantiate, job, launch
+from invdyn_cli.verbs.launch import job, launch
+from invdyn_cli.verbs.objects import instantiate
 from invdyn_cli.verbs.run import make_robot
 from invdyn_cli.verbs.screen import Screen
 

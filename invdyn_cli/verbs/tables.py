@@ -14,7 +14,8 @@ from invdyn_cli.files import write_file
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.verbs import published
-from invdyn_cli.verbs.launch import launch, trusted
+from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.screen import Screen
 

@@ -31,11 +31,12 @@ LOUDER = 5.0
 """Multiple of the RMS that noise and clocks usually leave, above which a recurring residual is more than noise."""
 
 UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
-"""Of the variance that a learner still predicts on its joint, what an effect must save to be named; and the same for an
-effect on one joint where the learner predicts more than this share of what is left: the catalogue lacks its cause."""
+"""How many times the variance that a learner still predicts on its joints an effect must save to be named; and how
+many times where the learner predicts more than the share UNKNOWN of what is left on a joint: the catalogue then lacks
+what acts there."""
 
 LATE_UNKNOWN = 1e4
-"""The same of a delay or a lag there, which is like the other, like a spring and like a filter to some percent."""
+"""How many times for a delay or a lag there: some percent of many other effects look like one."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 
@@ -89,8 +90,8 @@ def beyond_noise(evidence: Evidence, residual: np.ndarray, rows: np.ndarray) -> 
 def in_doubt(
     found: Sequence[Finding], effects: Mapping[str, AbstractEffect], learned: Mapping[str, float]
 ) -> tuple[Finding, ...]:
-    """Findings, of which none is named that saves less than what a learner still predicts on its joints, each measured
-    by what is left there: another effect acts on them, and may make all of the torque.
+    """The findings; one that saves too little compared with what a learner still predicts on its joints is ambiguous:
+    another effect acts there, which may make all of the torque. Both are measured by what is left on the joint.
 
     Args:
         learned: {joint: share of the residual's variance that the learner predicts}.

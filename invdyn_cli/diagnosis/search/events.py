@@ -204,7 +204,7 @@ def _window(
             continue
         sums = windowed.on(grid)
         at = np.flatnonzero(long)[np.argmax(windowed.gain((sums[last] - sums[first])[long]))]
-        a, b = _sharpened(windowed, a[at], b[at], time, 2 * step)
+        a, b = _sharpened(windowed, int(a[at]), int(b[at]), time, 2 * step)
         value = float(windowed.gain(windowed.before(b, b) - windowed.before(a, a))[0]) - PRICE_OF_COEFFICIENT * k
         ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
         if value <= best[0] or ends:

@@ -73,7 +73,7 @@ class Windowed:
         self, lasting: Lasting, columns: np.ndarray, precision: np.ndarray, left: np.ndarray, rows: np.ndarray
     ) -> None:
         self.lasting, self.columns, self.left, self.rows = lasting, columns, left, rows
-        self.felt = np.flatnonzero(np.abs(columns).max(axis=(0, 2)) > 0)
+        self.felt: list[int] = np.flatnonzero(np.abs(columns).max(axis=(0, 2)) > 0).tolist()
         every = np.arange(len(left))
         self.refit = lasting.moments(left, every)
         whole = self._sums(0, len(rows))
