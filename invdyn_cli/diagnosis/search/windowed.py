@@ -46,17 +46,15 @@ class Lasting:
         """(rows, p) on a joint."""
         return self.evidence.tables[joint][np.ix_(rows, self.free[joint])] @ self.root[joint]
 
-    def moments(self, torque: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(p,) coefficients of what it explains of a torque (rows, n)."""
-        return np.sum([(w * y) @ self.of(j, rows) for j, (w, y) in self._parts(torque, rows)], axis=0)
+    def explained(self, torque: np.ndarray) -> np.ndarray:
+        """(p,) coefficients of what it explains of a torque (R, n)."""
+        weighted, every = self.used * torque, np.arange(len(torque))
+        return np.sum([weighted[:, j] @ self.of(j, every) for j in range(torque.shape[1])], axis=0)
 
     def torque(self, theta: np.ndarray) -> np.ndarray:
         """(R, n) of coefficients (p,)."""
         every = np.arange(len(self.used))
         return np.stack([self.of(j, every) @ theta for j in range(self.used.shape[1])], axis=1)
-
-    def _parts(self, torque: np.ndarray, rows: np.ndarray):
-        return enumerate(zip(self.used[rows].T, torque.T, strict=True))
 
 
 class Windowed:
@@ -74,8 +72,7 @@ class Windowed:
     ) -> None:
         self.lasting, self.columns, self.left, self.rows = lasting, columns, left, rows
         self.felt: list[int] = np.flatnonzero(np.abs(columns).max(axis=(0, 2)) > 0).tolist()
-        every = np.arange(len(left))
-        self.refit = lasting.moments(left, every)
+        self.refit = lasting.explained(left)
         whole = self._sums(0, len(rows))
         self.prior = np.diag(precision) + 1e-9 * np.diag(np.diag(whole[:, : len(columns)]) + 1e-300)
 
