@@ -76,15 +76,17 @@ class RandomWalk(AbstractReference):
 
 @dataclass(frozen=True)
 class Counted:
-    """One log: what was hidden beside the wear and how many times the noise it makes on the joint that feels it most,
-    how it was spoken of, anomalies that were claimed beside it, and the relative error of each standard term that
-    counts: on joints whose torque is more than the sensor's noise, and on the others (`faint`); whether the 95 %
-    interval of each of them has its true value."""
+    """One log: what was hidden beside the wear, how many times the noise it makes on the joint that feels it most
+    (`beyond`: what that joint's other friction, offset and rotor do not take up of it), how it was spoken of, anomalies
+    that were claimed beside it, and the relative error of each standard term that counts: on joints whose torque is
+    more than the sensor's noise, and on the others (`faint`); whether the 95 % interval of each of them has its true
+    value."""
 
     seed: int
     said: str
     hidden: str
     times: float
+    beyond: float
     result: str
     named: tuple[str, ...]
     false: tuple[str, ...]
@@ -153,7 +155,8 @@ def _damping(draw: np.random.Generator, one: Hidden, scene: Scene, j: int) -> fl
 
 class Drawn(NamedTuple):
     """A log that a controller survived, with its scene, its wear, its anomaly, what is to be said of its plant, how
-    many times the noise of a joint's torque the anomaly makes there at most, and the torque sensors' noise (n,)."""
+    many times the noise of a joint's torque the anomaly makes there at most, alone and beyond that joint's standard
+    terms, and the torque sensors' noise (n,)."""
 
     scene: Scene
     log: Log
@@ -161,6 +164,7 @@ class Drawn(NamedTuple):
     anomaly: Hidden | None
     said: str
     times: float
+    beyond: float
     noise: np.ndarray
 
 
@@ -195,12 +199,12 @@ def drawn(seed: int, name: str) -> Drawn:
             continue
         kind = type(scene.reference).__name__
         said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"
-        times = 0.0
-        if anomaly:
-            both, without = excess(scene.robot, log, [anomaly], worn), excess(scene.robot, twin[0], [], worn)
+        times = [0.0, 0.0]
+        for k, beyond in enumerate((False, True) if anomaly else ()):
+            both, without = (excess(scene.robot, *x, worn, beyond) for x in ((log, [anomaly]), (twin[0], [])))
             alone = np.sqrt(np.maximum(both**2 - without**2, 0.0))
-            times = float(np.max(alone / np.maximum(hiss, without)))
-        return Drawn(scene, log, worn, anomaly, said, times, hiss)
+            times[k] = float(np.max(alone / np.maximum(hiss, without)))
+        return Drawn(scene, log, worn, anomaly, said, *times, hiss)
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
 
 
@@ -269,7 +273,19 @@ def count(seed: int, name: str) -> Counted:
     hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
     false = tuple(map(said_of, false))
     return Counted(
-        seed, one.said, hidden, one.times, result, names, false, loud, faint, covered, diagnosis.verdict, seconds
+        seed,
+        one.said,
+        hidden,
+        one.times,
+        one.beyond,
+        result,
+        names,
+        false,
+        loud,
+        faint,
+        covered,
+        diagnosis.verdict,
+        seconds,
     )
 
 
@@ -303,7 +319,8 @@ class Worn(AbstractExperiment):
     def line(self, row: Counted) -> str:
         """What was hidden and what was named."""
         return (
-            f"{row.result}: {row.seed} {row.hidden} ({row.times:.1f} times the noise) -> {row.named} "
+            f"{row.result}: {row.seed} {row.hidden} ({row.times:.1f} times the noise, {row.beyond:.1f} beyond terms) "
+            f"-> {row.named} "
             f"({row.said}; {row.seconds:.0f} s, {row.verdict}, terms {100 * max(row.errors, default=0):.0f} %)"
         )
 
@@ -318,14 +335,16 @@ class Worn(AbstractExperiment):
         covered = [x for c in rows for x in c.covered]
         worn = [c for c in rows if c.hidden != "none"]
         loud = [c for c in worn if c.times > LOUD]
-        right, plain = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud))
+        beyond = [c for c in loud if c.beyond > LOUD]
+        right, plain, far = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud, beyond))
         seconds = sorted(c.seconds for c in rows)
         return "\n".join(
             [
                 *lines,
                 "",
                 f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
-                f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise; "
+                f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise, "
+                f"{far} of {len(beyond)} of those that do so beyond their joint's standard terms; "
                 f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",
                 f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
                 f"{100 * np.median(errors) if len(errors) else 0:.2g} %; on joints whose torque is less than the "
