@@ -172,7 +172,7 @@ class BaseTilt(AbstractBodyEffect):
 
 @dataclass(frozen=True)
 class EncoderOffset(AbstractMotionEffect):
-    """A wrong zero position of a joint."""
+    """A wrong zero position of a joint. What it changes of the last joint's load, a payload may change, too."""
 
     name = "encoder_offset"
     title = "encoder offset"
@@ -180,7 +180,7 @@ class EncoderOffset(AbstractMotionEffect):
     equation = "logged q = true q + offset"
     reference = "Hollerbach and Wampler, IJRR 1996"
     parameters = {"offset": Parameter("rad", -0.8, 0.8)}
-    confounders = (("link_inertia_error",), ("base_tilt",), ("torque_offset",))
+    confounders = (("link_inertia_error",), ("payload",), ("base_tilt",), ("torque_offset",))
     advice = "a calibration of the joint's zero by an external measurement"
     panels = ("position",)
     needs = ("range",)
