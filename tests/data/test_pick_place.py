@@ -10,7 +10,7 @@ from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.references import STAGES, Manipulation
 from invdyn_cli.testing import check_source
 
-PLAIN = {"repetitions": 1, "watched": 0, "friction": False, "elastic": False, "ripple": False, "torque_noise": 0.0}
+PLAIN = {"repetitions": 1, "watched": 0, "friction": 0.0, "elastic": False, "ripple": 0.0, "torque_noise": 0.0}
 
 
 @pytest.fixture(scope="module")
