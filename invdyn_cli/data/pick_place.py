@@ -39,7 +39,8 @@ ARM = {
     "ripple": (0.6, 0.6, 0.3, 0.3, 0.15, 0.1, 0.1),
 }
 """Per joint, base first: friction [N m; N m s/rad] as published for the joints of the UR10e (that of the elbow used
-twice); springs [N m/rad], rotors [kg m^2] and ripple [N m] typical of strain wave gears of these sizes."""
+twice); springs [N m/rad], rotors [kg m^2] and ripple [N m] typical of strain wave gears of these sizes. The defaults of
+`friction` and `torque_noise` scale it so that PEST and nets leave as much as in the paper (experiments/adaptation.md)."""
 
 STATIC, STRIBECK, CYCLES = 1.3, 0.05, 20.0
 """Static over Coulomb friction; its speed [rad/s]; ripple per revolution."""
@@ -61,7 +62,7 @@ class PickPlace(AbstractTaskSource):
         torque_side: where the torque is measured: command (motors, with friction) or link (sensors behind friction and
             gears).
         position_noise: [rad] RMS of white noise on the measured positions, which the controller sees too.
-        torque_noise: [-] RMS of white noise on the logged torque, as a share of each joint's Coulomb friction.
+        torque_noise: [-] RMS of white noise on the logged torque, as a share of each joint's Coulomb friction in `ARM`.
         seed: random seed of motions, grasps and noise.
         cache: folder in which the simulated log is kept; None: it is simulated anew each time.
         filter_cutoff, filter_order, causal: as in data=real_log.
@@ -74,12 +75,12 @@ class PickPlace(AbstractTaskSource):
     mass: float = 0.851
     com: Sequence[float] = (0.0, 0.0, 0.08)
     ramp: Sequence[float] = (0.1, 0.3)
-    friction: float = 1.0
+    friction: float = 0.14
     elastic: bool = True
     ripple: float = 1.0
     torque_side: Side = "command"
     position_noise: float = 1e-5
-    torque_noise: float = 0.01
+    torque_noise: float = 0.18
     seed: int = 0
     cache: str | None = "outputs/data"
     filter_cutoff: float | None = 10.0
