@@ -40,7 +40,7 @@ ARM = {
 }
 """Per joint, base first: friction [N m; N m s/rad] as published for the joints of the UR10e (that of the elbow used
 twice); springs [N m/rad], rotors [kg m^2] and ripple [N m] typical of strain wave gears of these sizes. The defaults of
-`friction` and `torque_noise` scale it so that PEST and nets leave as much as in the paper (experiments/adaptation.md)."""
+`friction` and `torque_noise` make PEST and nets leave as much as in the paper (experiments/adaptation.md)."""
 
 STATIC, STRIBECK, CYCLES = 1.3, 0.05, 20.0
 """Static over Coulomb friction; its speed [rad/s]; ripple per revolution."""
