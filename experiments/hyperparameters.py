@@ -80,7 +80,7 @@ class Hyperparameters(AbstractExperiment):
 def learned(seed: int, epochs: int, repetitions: int) -> tuple[Ffnn, Fit, Sequence[Trajectory], Trajectory]:
     """The nets, learned on the unloaded arm; repetitions with the object; one without that nobody learned from."""
     jax.config.update("jax_enable_x64", True)
-    splits = PickPlace(causal=True).load(load_urdf("apollo_arm"))
+    splits = PickPlace(causal=True, friction=1.0, torque_noise=0.01).load(load_urdf("apollo_arm"))
     assert splits.validation is not None
     model = Ffnn((100, 100, 10), joints=(), epochs=epochs)
     fit = Incremental().fit(model, splits.train, jax.random.key(seed))

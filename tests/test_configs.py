@@ -31,6 +31,7 @@ MEANT = {
         "rotor_inertia": True,
     },
     ("robot", "apollo_arm"): {"path": "apollo_arm"},
+    ("robot", "apollo_four"): {"path": "apollo_arm", "dofs": 4},
     ("robot", "from_log"): {"path": None},
 }
 """What makes a choice another one than its class's defaults."""
@@ -85,6 +86,25 @@ def test_defaults_agree(group, choice, compose):
         assert instantiate(node) == target(**missing, **meant)
     else:
         assert {k: node[k] for k in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("overrides", "joints"),
+    [
+        ((), 4),
+        (("data=sim_clean",), 4),
+        (("robot.dofs=7",), 7),
+        (("robot=apollo_arm",), None),
+        (("robot.path=arm.urdf",), None),
+        (("robot=urdf", "robot.path=arm.urdf"), None),
+        (("data=pick_place",), None),
+        (("data=pick_place", "robot=apollo_four"), 4),
+    ],
+)
+def test_sine_tasks_take_the_papers_four_joints(overrides, joints, compose):
+    """The paper's simulated data are of its four joints, unless the command line names another robot or number; other
+    data are of the whole arm."""
+    assert compose("run", *overrides).robot.dofs == joints
 
 
 @pytest.mark.parametrize(("group", "choice"), BUILT)

@@ -21,7 +21,7 @@ from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Dataset, Fit, Motion, Splits, Trajectory
 
 STIFF, SOFT = 50.0, 10.0
-RIGID = {"friction": False, "elastic": False, "ripple": False}
+RIGID = {"friction": 0.0, "elastic": False, "ripple": 0.0}
 """An arm that is a rigid body and nothing else."""
 
 

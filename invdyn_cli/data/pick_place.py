@@ -39,7 +39,8 @@ ARM = {
     "ripple": (0.6, 0.6, 0.3, 0.3, 0.15, 0.1, 0.1),
 }
 """Per joint, base first: friction [N m; N m s/rad] as published for the joints of the UR10e (that of the elbow used
-twice); springs [N m/rad], rotors [kg m^2] and ripple [N m] typical of strain wave gears of these sizes."""
+twice); springs [N m/rad], rotors [kg m^2] and ripple [N m] typical of strain wave gears of these sizes. The defaults of
+`friction` and `torque_noise` make PEST and nets leave as much as in the paper (experiments/adaptation.md)."""
 
 STATIC, STRIBECK, CYCLES = 1.3, 0.05, 20.0
 """Static over Coulomb friction; its speed [rad/s]; ripple per revolution."""
@@ -55,13 +56,13 @@ class PickPlace(AbstractTaskSource):
         mass: [kg] mass of the object.
         com: [m] centre of mass of the object in the last link's frame.
         ramp: [s] shortest and longest time in which the object's weight comes and goes; drawn at random in between.
-        friction: whether every joint has Coulomb, Stribeck and viscous friction (sizes: `ARM`).
+        friction: [-] Coulomb, Stribeck and viscous friction of every joint, as a share of the sizes in `ARM`.
         elastic: whether the gears are elastic, with rotors before them.
-        ripple: whether the gears have torque ripple.
+        ripple: [-] torque ripple of the gears, as a share of the sizes in `ARM`.
         torque_side: where the torque is measured: command (motors, with friction) or link (sensors behind friction and
             gears).
         position_noise: [rad] RMS of white noise on the measured positions, which the controller sees too.
-        torque_noise: [-] RMS of white noise on the logged torque, as a share of each joint's Coulomb friction.
+        torque_noise: [-] RMS of white noise on the logged torque, as a share of each joint's Coulomb friction in `ARM`.
         seed: random seed of motions, grasps and noise.
         cache: folder in which the simulated log is kept; None: it is simulated anew each time.
         filter_cutoff, filter_order, causal: as in data=real_log.
@@ -74,12 +75,12 @@ class PickPlace(AbstractTaskSource):
     mass: float = 0.851
     com: Sequence[float] = (0.0, 0.0, 0.08)
     ramp: Sequence[float] = (0.1, 0.3)
-    friction: bool = True
+    friction: float = 0.14
     elastic: bool = True
-    ripple: bool = True
+    ripple: float = 1.0
     torque_side: Side = "command"
     position_noise: float = 1e-5
-    torque_noise: float = 0.01
+    torque_noise: float = 0.18
     seed: int = 0
     cache: str | None = "outputs/data"
     filter_cutoff: float | None = 10.0
@@ -101,6 +102,8 @@ class PickPlace(AbstractTaskSource):
             ("mass", self.mass > 0, "a mass above 0 kg"),
             ("com", len(self.com) == 3, "three numbers [m]"),
             ("ramp", len(self.ramp) == 2 and 0 <= self.ramp[0] <= self.ramp[1] <= 0.4, "[from, to] within 0 to 0.4 s"),
+            ("friction", 0 <= self.friction < np.inf, "a share from 0"),
+            ("ripple", 0 <= self.ripple < np.inf, "a share from 0"),
             ("position_noise", self.position_noise >= 0, "from 0 rad"),
             ("torque_noise", self.torque_noise >= 0, "a share from 0"),
             ("seed", isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0"),
@@ -162,14 +165,14 @@ class PickPlace(AbstractTaskSource):
         size = {name: np.resize(values, robot.dofs) for name, values in ARM.items()}
         out: list[Hidden] = []
         for i, joint in enumerate(robot.joints):
-            coulomb = float(size["coulomb"][i])
-            level = {"coulomb": coulomb, "static": STATIC * coulomb, "velocity": STRIBECK}
+            coulomb, damping = self.friction * size["coulomb"][i], self.friction * size["viscous"][i]
+            level = {"coulomb": float(coulomb), "static": float(STATIC * coulomb), "velocity": STRIBECK}
             gear = {"stiffness": float(size["stiffness"][i]), "rotor": float(size["rotor"][i])}
-            wave = {"amplitude": float(size["ripple"][i]), "cycles": CYCLES, "phase": float(i)}
-            out += [Hidden("stribeck_friction", joint, level)] * self.friction
-            out += [Hidden("viscous_friction", joint, {"damping": float(size["viscous"][i])})] * self.friction
+            wave = {"amplitude": float(self.ripple * size["ripple"][i]), "cycles": CYCLES, "phase": float(i)}
+            out += [Hidden("stribeck_friction", joint, level)] * (self.friction > 0)
+            out += [Hidden("viscous_friction", joint, {"damping": float(damping)})] * (self.friction > 0)
             out += [Hidden("joint_elasticity", joint, gear)] * self.elastic
-            out += [Hidden("torque_ripple", joint, wave)] * self.ripple
+            out += [Hidden("torque_ripple", joint, wave)] * (self.ripple > 0)
         return tuple(out)
 
     def trial(self, robot: Robot, number: int, *, loaded: bool) -> Task:

@@ -5,8 +5,9 @@ differentiating positions, torques from inverse dynamics on those; 250 samples a
 the paper's 8 x 4,500. Noise: the positions are truncated after the fifth decimal and differentiated anew, while the
 torques stay those of the unmodified positions.
 
-The paper does not give amplitudes, phases, the joints' frequencies and the filter's weights: `PLANS` fixes two
-interpretations.
+The paper does not give amplitudes, the filter's weights, how closely the tasks follow one path, phases and the joints'
+frequencies. The first three are options whose defaults were found on its interpolation results alone
+(experiments/open_choices.md); the others are fixed here.
 """
 
 from dataclasses import dataclass
@@ -31,8 +32,10 @@ MULTIPLES = (1.0, 1.3, 0.7, 1.6, 0.9, 1.15, 1.45)
 joints would make the data one closed curve through q, run at different speeds, and extrapolation far too easy."""
 
 PHASES = (0.0, 1.9, 4.1, 0.8, 5.3, 2.7, 3.6)
-"""Every joint's phase [rad], the same in all tasks."""
+"""Every joint's phase [rad], which `jitter` varies from task to task."""
 
+AMPLITUDES = (0.9, 1.0, 0.8, 0.95, 0.85, 1.0, 0.9)
+"""Every joint's share of `amplitude`, from the first joint on and over again."""
 
 DIGITS = 15
 """Decimal digits that a float64 holds."""
@@ -42,29 +45,14 @@ MOST_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What the paper leaves open: amplitudes [rad; m], joint after joint and over again, and the window-3 filter."""
-
-    amplitudes: tuple[float, ...]
-    filter: str
-
-
-PLANS = {
-    "rich": Plan((0.9, 1.0, 0.8, 0.95, 0.85, 1.0, 0.9), "central"),
-    "paper": Plan((0.5, 0.6, 0.4, 0.55, 0.45, 0.6, 0.5), "backward"),
-}
-
-
-@dataclass(frozen=True)
 class SineTasks(AbstractSource):
     """The simulated data of section V-A.
 
     Attributes:
         noisy: whether the positions are truncated after `decimals` decimals (paper, V-A.2).
         split: test frequencies: interpolation (0.5 and 0.6 Hz) or extrapolation (0.7 and 0.8 Hz; paper, Table II).
-        plan: rich (amplitudes of 0.8 to 1 rad, central differences) or paper (0.4 to 0.6 rad, backward differences),
-            see `PLANS`.
-        filter: differentiation: backward, central or savgol (Savitzky-Golay); None: the one of the plan.
+        amplitude: [rad; m] largest amplitude of a joint; others have 0.8 to 0.95 of it, as far as their limits allow.
+        filter: differentiation: backward (differences of two samples), central or savgol (Savitzky-Golay).
         savgol_window: [samples] length of the window, for filter=savgol.
         savgol_order: [-] degree of the polynomial, for filter=savgol.
         validation_share: [-] middle share of every training task that is used for validation instead.
@@ -78,8 +66,8 @@ class SineTasks(AbstractSource):
 
     noisy: bool = False
     split: Literal["interpolation", "extrapolation"] = "interpolation"
-    plan: Literal["rich", "paper"] = "rich"
-    filter: Literal["backward", "central", "savgol"] | None = None
+    amplitude: float = 1.0
+    filter: Literal["backward", "central", "savgol"] = "backward"
     savgol_window: int = 21
     savgol_order: int = 3
     validation_share: float = 0.1
@@ -87,13 +75,14 @@ class SineTasks(AbstractSource):
     rate: float = 500.0
     trim: int = 250
     decimals: int = 5
-    jitter: float = 0.0
+    jitter: float = 0.01
 
     def __post_init__(self) -> None:
-        for name, allowed in (("split", TESTED), ("plan", PLANS), ("filter", (None, *signals.DERIVATIVES))):
+        for name, allowed in (("split", TESTED), ("filter", signals.DERIVATIVES)):
             if getattr(self, name) not in allowed:
-                named = ", ".join("null" if x is None else str(x) for x in allowed)
-                raise UsageError(f"data.{name}={getattr(self, name)!r}; allowed: {named}")
+                raise UsageError(f"data.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
+        if not 0 < self.amplitude < np.inf:
+            raise UsageError(f"data.amplitude={self.amplitude}; allowed: a number above 0 [rad; m]")
         if not 0 <= self.validation_share < 1:
             raise UsageError(f"data.validation_share={self.validation_share}; allowed: from 0 to below 1")
         if not 1 <= self.savgol_order < self.savgol_window <= self.duration * self.rate:
@@ -141,8 +130,8 @@ class SineTasks(AbstractSource):
             tests=tests,
             description={
                 "source": "sine tasks (simulated)",
-                "plan": self.plan,
-                "filter": self._filter,
+                "amplitude": self.amplitude,
+                "filter": self.filter,
                 "noise": f"positions truncated after decimal {self.decimals}" if self.noisy else "none",
                 "path": f"phases spread by {self.jitter} rad" if self.jitter else "one for all tasks",
                 "train_Hz": [task for task in TASKS if task not in tested],
@@ -158,13 +147,9 @@ class SineTasks(AbstractSource):
         bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
         middle = np.where(bounded, (np.nan_to_num(robot.lower) + np.nan_to_num(robot.upper)) / 2, 0.0)
         room = np.where(bounded, 0.95 * (np.asarray(robot.upper) - np.asarray(robot.lower)) / 2, np.inf)
-        amplitude = np.minimum(np.resize(PLANS[self.plan].amplitudes, n), room)
+        amplitude = np.minimum(self.amplitude * np.resize(AMPLITUDES, n), room)
         phase = np.resize(PHASES, n) + self.jitter * np.random.default_rng(round(10 * task)).normal(size=n)
         return middle + amplitude * np.sin(2 * np.pi * task * np.resize(MULTIPLES, n) * t + phase)
-
-    @property
-    def _filter(self) -> str:
-        return self.filter or PLANS[self.plan].filter
 
     def _trajectory(self, robot: Robot, task: float, q: np.ndarray, q_of_torque: np.ndarray) -> Trajectory:
         motion = self._motion(q)
@@ -174,9 +159,9 @@ class SineTasks(AbstractSource):
         return Trajectory(f"sine_{task:.1f}_Hz", t, motion, tau.T)
 
     def _motion(self, q: np.ndarray) -> Motion:
-        window, order = (self.savgol_window, self.savgol_order) if self._filter == "savgol" else (3, 2)
-        qd = signals.differentiate(q, self.rate, method=self._filter, window=window, order=order)
-        qdd = signals.differentiate(qd, self.rate, method=self._filter, window=window, order=order)
+        window, order = (self.savgol_window, self.savgol_order) if self.filter == "savgol" else (3, 2)
+        qd = signals.differentiate(q, self.rate, method=self.filter, window=window, order=order)
+        qdd = signals.differentiate(qd, self.rate, method=self.filter, window=window, order=order)
         return Motion(q, qd, qdd)[slice(self.trim, len(q) - self.trim)]
 
 

@@ -46,6 +46,14 @@ def config_folder() -> Path:
     raise UsageError(f"no configs beside {package}", advice="installing invdyn again")
 
 
+def paper_joints(path: str | None) -> int | None:
+    """Joints that robot=apollo_four keeps: the paper's four of the built-in arm, all (None) of another robot.path=."""
+    return 4 if path == "apollo_arm" else None
+
+
+OmegaConf.register_new_resolver("paper_joints", paper_joints, replace=True)
+
+
 def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) -> int:
     """Compose the verb's config with the overrides in argv, run the task (once, or for every job of a sweep).
 

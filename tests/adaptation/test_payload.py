@@ -32,8 +32,9 @@ def arm():
 
 
 def source(**options) -> PickPlace:
-    plain = {"repetitions": 1, "watched": 1, "elastic": False, "ripple": False, "mass": MASS, "com": COM, "cache": None}
-    return PickPlace(**{**plain, "causal": True, "seed": int(DRAW.integers(1000)), **options})
+    plain = {"repetitions": 1, "watched": 1, "elastic": False, "ripple": 0.0, "mass": MASS, "com": COM, "cache": None}
+    much = {"friction": 1.0, "torque_noise": 0.01}  # as published for a UR10e, seven times that of the default arm
+    return PickPlace(**{**plain, **much, "causal": True, "seed": int(DRAW.integers(1000)), **options})
 
 
 def followed(arm, source: PickPlace, model: Pest, adapter: Payload):

@@ -10,7 +10,7 @@ from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.references import STAGES, Manipulation
 from invdyn_cli.testing import check_source
 
-PLAIN = {"repetitions": 1, "watched": 0, "friction": False, "elastic": False, "ripple": False, "torque_noise": 0.0}
+PLAIN = {"repetitions": 1, "watched": 0, "friction": 0.0, "elastic": False, "ripple": 0.0, "torque_noise": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +78,20 @@ def test_a_task_is_what_the_log_has(arm):
     assert np.abs(later.motion(arm, source.rate).q - loaded.q_ref).max() > 1e-3
 
 
+def test_friction_and_ripple_are_scaled_by_themselves(arm):
+    """Half of friction or of ripple is half of each of their torques, and changes no other effect."""
+
+    def torques(**options):
+        return [(x.effect, x.joint, x.parameters) for x in PickPlace(**options).hidden(arm)]
+
+    whole, less = torques(friction=1.0, ripple=1.0), torques(friction=0.5, ripple=0.25)
+    shares = {"coulomb": 0.5, "static": 0.5, "damping": 0.5, "amplitude": 0.25}
+    for (effect, joint, now), (same, at, before) in zip(less, whole, strict=True):
+        assert (effect, joint) == (same, at)
+        assert now == pytest.approx({name: value * shares.get(name, 1.0) for name, value in before.items()})
+    assert {e for e, _, _ in torques(friction=0.0, ripple=0.0)} == {"joint_elasticity"}
+
+
 def test_repetitions_differ_a_little(arm):
     """Every repetition has its own postures and times, within some hundredths of a radian and tenths of a second."""
     task = Manipulation()
@@ -92,7 +106,10 @@ def test_repetitions_differ_a_little(arm):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("repetitions", 0), ("mass", 0.0), ("com", [0.0]), ("ramp", [0.3, 0.1]), ("torque_noise", -1.0), ("seed", -1)],
+    [
+        *[("repetitions", 0), ("mass", 0.0), ("com", [0.0]), ("ramp", [0.3, 0.1]), ("torque_noise", -1.0)],
+        *[("seed", -1), ("friction", -0.1), ("ripple", float("nan"))],
+    ],
 )
 def test_wrong_options(name, value):
     """What is out of range is named with what is allowed."""

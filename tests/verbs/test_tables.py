@@ -44,7 +44,7 @@ def test_runs_are_kept_and_the_table_written(tmp_path, command):
         "source": "a test",
         "columns": "sets",
         "common": ["robot.dofs=2", "data.duration=2", "data=sim_clean"],
-        "jobs": [{"name": "PEST", "overrides": ["model=pest"], "sweep": {"data.plan": ["rich", "paper"]}}],
+        "jobs": [{"name": "PEST", "overrides": ["model=pest"], "sweep": {"data.amplitude": [0.5, 1.0]}}],
         "statements": [{"paper": "exact", "claim": "clean", "each": {"name": "PEST"}, "band": [0, 1e-20]}],
     }
     (tmp_path / "experiments" / "small.yaml").write_text(yaml.safe_dump(spec))
