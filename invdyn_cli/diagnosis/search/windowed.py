@@ -4,6 +4,7 @@ A model that was fitted without an event is a compromise: friction and links tak
 opposite at all other times. The best window in such a residual is not that of the event.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,13 +16,12 @@ from invdyn_cli.diagnosis.search.shared_part import Hypothesis, columns_of, prec
 
 @dataclass(frozen=True)
 class Lasting:
-    """What lasts, with p coefficients. Its columns (R, p), `of` a joint, are such that their weighted squares together,
-    with the prior's, are the unit matrix.
+    """What lasts, with p coefficients of columns whose weighted squares, with the prior's, are the unit matrix.
 
     Attributes:
         used: (R, n) weight of every row of every joint.
         free: for each joint, the numbers of its columns in the joint's table.
-        root: for each joint, (columns, p).
+        root: for each joint, (columns, p) what makes those p columns of them.
     """
 
     evidence: Evidence
@@ -43,18 +43,18 @@ class Lasting:
         return cls(evidence, used, tuple(free for _, free, _ in own), tuple(root[place] for _, _, place in own))
 
     def of(self, joint: int, rows: np.ndarray) -> np.ndarray:
-        """(rows, p) on a joint."""
-        return self.evidence.tables[joint][np.ix_(rows, self.free[joint])] @ self.root[joint]
+        """(rows, columns) of a joint's table; times its `root` they are (rows, p)."""
+        return self.evidence.tables[joint][np.ix_(rows, self.free[joint])]
 
     def explained(self, torque: np.ndarray) -> np.ndarray:
         """(p,) coefficients of what it explains of a torque (R, n)."""
         weighted, every = self.used * torque, np.arange(len(torque))
-        return np.sum([weighted[:, j] @ self.of(j, every) for j in range(torque.shape[1])], axis=0)
+        return np.sum([weighted[:, j] @ self.of(j, every) @ root for j, root in enumerate(self.root)], axis=0)
 
     def torque(self, theta: np.ndarray) -> np.ndarray:
         """(R, n) of coefficients (p,)."""
         every = np.arange(len(self.used))
-        return np.stack([self.of(j, every) @ theta for j in range(self.used.shape[1])], axis=1)
+        return np.stack([self.of(j, every) @ (root @ theta) for j, root in enumerate(self.root)], axis=1)
 
 
 class Windowed:
@@ -112,18 +112,19 @@ class Windowed:
 
     def _sums(self, start: int, end: int) -> np.ndarray:
         """(k, k + 1 + p) products of the weighted columns with themselves, what is left, and what lasts."""
-        return np.sum([x @ others for x, others in self._products(start, end)], axis=0)
+        return self._summed(lambda x, others: x @ others, start, end)
 
     def _each(self, start: int, end: int) -> np.ndarray:
         """(rows, k, k + 1 + p) the same, row by row."""
-        return np.sum([x.T[:, :, None] * others[:, None] for x, others in self._products(start, end)], axis=0)
+        return self._summed(lambda x, others: x.T[:, :, None] * others[:, None], start, end)
 
-    def _products(self, start: int, end: int):
-        """Of each joint that feels it: (k, rows) weighted, and what they are multiplied with (rows, k + 1 + p)."""
-        rows = self.rows[start:end]
+    def _summed(self, product: Callable[[np.ndarray, np.ndarray], np.ndarray], start: int, end: int) -> np.ndarray:
+        """Sum over the joints that feel it of the product of its weighted columns (k, rows) with all others (rows,
+        k + 1 + p)."""
+        rows, own, out = self.rows[start:end], len(self.columns) + 1, []
         for j in self.felt:
             x = self.columns[:, j, rows]
-            yield (
-                self.lasting.used[rows, j] * x,
-                np.column_stack([x.T, self.left[rows, j], self.lasting.of(j, rows)]),
-            )
+            others = np.column_stack([x.T, self.left[rows, j], self.lasting.of(j, rows)])
+            made = product(self.lasting.used[rows, j] * x, others)
+            out.append(np.concatenate([made[..., :own], made[..., own:] @ self.lasting.root[j]], axis=-1))
+        return np.sum(out, axis=0)
