@@ -29,6 +29,7 @@ from invdyn_cli.models.gip import Gip
 from invdyn_cli.models.gpr import Gpr
 from invdyn_cli.models.gru import Gru
 from invdyn_cli.models.lagrangian_net import LagrangianNet
+from invdyn_cli.models.lip import Lip
 from invdyn_cli.models.local_gp import LocalGp
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.models.rff import Rff
@@ -47,6 +48,7 @@ CLASSES: Mapping[str, type] = {
     "svr": Svr,
     "rff": Rff,
     "gip": Gip,
+    "lip": Lip,
     "local_gp": LocalGp,
     "lagrangian_net": LagrangianNet,
     "gru": Gru,

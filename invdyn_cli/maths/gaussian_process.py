@@ -50,7 +50,7 @@ def minus_log_evidence(gram: Gram, hyper: PyTree, x: Array, y: Array) -> Array:
 
 
 def minimise(
-    loss: Callable, start: PyTree, *data: Array, steps: int, progress: Progress = silent, floor: PyTree | None = None
+    loss: Callable, start: PyTree, *data: PyTree, steps: int, progress: Progress = silent, floor: PyTree | None = None
 ) -> PyTree:
     """The hyperparameters near `start` that minimise loss(hyper, *data), by L-BFGS-B in at most so many steps.
 
@@ -251,5 +251,5 @@ def _factor(gram: Gram, hyper: PyTree, x: Array, *, noisy: bool = True) -> Array
 
 
 @partial(jax.jit, static_argnums=0)
-def _value_and_slope(loss: Callable, hyper: PyTree, *data: Array) -> tuple[Array, PyTree]:
+def _value_and_slope(loss: Callable, hyper: PyTree, *data: PyTree) -> tuple[Array, PyTree]:
     return jax.value_and_grad(loss)(hyper, *data)
