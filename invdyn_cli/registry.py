@@ -31,6 +31,7 @@ from invdyn_cli.models.gru import Gru
 from invdyn_cli.models.lagrangian_net import LagrangianNet
 from invdyn_cli.models.lip import Lip
 from invdyn_cli.models.local_gp import LocalGp
+from invdyn_cli.models.lwpr import Lwpr
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.models.rff import Rff
 from invdyn_cli.models.standard import Standard
@@ -49,6 +50,7 @@ CLASSES: Mapping[str, type] = {
     "rff": Rff,
     "gip": Gip,
     "lip": Lip,
+    "lwpr": Lwpr,
     "local_gp": LocalGp,
     "lagrangian_net": LagrangianNet,
     "gru": Gru,
