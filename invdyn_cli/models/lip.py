@@ -58,12 +58,12 @@ class Product(NamedTuple):
     """A product of the joints' polynomials for pairs of samples (N, M), with its derivatives by the joints of the
     first sample (n, N, M), of the second one, and of both (n, n, N, M)."""
 
-    value: Array
-    left: Array
-    right: Array
-    both: Array
+    value: jax.Array
+    left: jax.Array
+    right: jax.Array
+    both: jax.Array
 
-    def times(self, joint: Array, factor: tuple[Array, Array, Array, Array]) -> "Product":
+    def times(self, joint: jax.Array, factor: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> "Product":
         """With the factor of one more joint, given with its derivatives: by the first, the second, and both."""
         p, a, b, ab = factor
         both = p * self.both
@@ -112,7 +112,8 @@ class Lip(AbstractModel):
         """Torque (n,) of one sample: the posterior mean."""
         n = motion.q.shape[-1]
         row = jnp.concatenate([motion.q, motion.qd, motion.qdd])[None]
-        k = _gram(params["hyper"], *(_state(params, x, robot) for x in (row, params["support"])), params["scale"])
+        one, support = (_state(params, x, robot) for x in (row, params["support"]))
+        k = _gram(params["hyper"], one, support, params["scale"])
         return params["scale"] * (k.reshape(n, -1) @ params["coefficients"])
 
     def fit(
@@ -220,7 +221,7 @@ def torque_covariance(hyper: Mapping[str, Array], a: State, b: State) -> Array:
         total = total + weight["potential"][number] * potential.both + _kinetic(speed, kinetic, left, right)
         return (total, kinetic, potential), None
 
-    total = jax.lax.scan(link, (one.both, one, one), jnp.arange(n))[0][0]
+    total: jax.Array = jax.lax.scan(link, (one.both, one, one), jnp.arange(n))[0][0]
     if "viscous" in weight:
         own = lambda name, x, y: weight[name][:, None, None] * x * y  # noqa: E731
         rubbed = own("viscous", left.qd, right.qd) + own("coulomb", left.sign, right.sign) + own("offset", 1.0, 1.0)
@@ -232,7 +233,7 @@ def _expanded(state: State, axis: int) -> State:
     return jax.tree.map(lambda x: jnp.expand_dims(x, axis), state)
 
 
-def _factor(g: Array, h: Array, a: Place, b: Place) -> tuple[Array, Array, Array, Array]:
+def _factor(g: Array, h: Array, a: Place, b: Place) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """1 + g cos cos' + h sin sin' of one joint, and its derivatives by the first angle, the second, and both."""
     g_slope, h_slope = g * a.cosine_slope, h * a.sine_slope
     return (
@@ -243,7 +244,7 @@ def _factor(g: Array, h: Array, a: Place, b: Place) -> tuple[Array, Array, Array
     )
 
 
-def _kinetic(speed: Array, p: Product, a: State, b: State) -> Array:
+def _kinetic(speed: jax.Array, p: Product, a: State, b: State) -> jax.Array:
     """The Euler-Lagrange operator in both samples of (sum_i speed_i qd_i qd_i')² p, (n, n, N, M)."""
     v, w = a.qd, b.qd
     left_v, left_a, right_w, right_b = (speed * x for x in (v, a.qdd, w, b.qdd))

@@ -30,8 +30,8 @@ LARGEST_STEP = 1.0
 """Largest change of M by one sample, as a share: the gradient of a single sample is noisy."""
 
 STEADY = 100.0
-"""[samples] Added to a field's weight in the step of M: the gradient of few samples is noise, and a field that grows too
-wide ends its neighbours."""
+"""[samples] Added to a field's weight in the step of M: the gradient of few samples is noise, and a field that
+grows too wide ends its neighbours."""
 
 TINY = 1e-10
 """Least sum of squares along a direction: before the first sample it is zero."""

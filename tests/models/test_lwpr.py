@@ -57,8 +57,9 @@ def test_contract():
 
 
 def test_fixed_fields_are_locally_weighted_regression():
-    """With M fixed and as many directions as inputs, predictions differ from those of weighted least squares in the same
-    fields by less than 2 % of the target's spread: sums that forget one in 10,000 keep a little of their first errors."""
+    """With M fixed and as many directions as inputs, predictions differ from those of weighted least squares in the
+    same fields by less than 2 % of the target's spread: sums that forget one in 10,000 keep a little of their first
+    errors."""
     x, y = noisy(1000)
     model = Lwpr(fields=60, directions=2, reach=0.13, generate=0.1, direction_gain=1e-9, learning_rate=0)
     fields = learned(model, x, y, 20)
@@ -98,7 +99,7 @@ def test_gradient_of_the_leave_one_out_error(width):
     field = jax.tree.map(lambda leaf: leaf[0, 0], fields)
     model = replace(still, learning_rate=1.0, penalty=0.0)
     w = np.exp(-0.5 * (((x - centre) * start) ** 2).sum(1))
-    steps = jax.jit(jax.vmap(lambda *one: jnp.log(model._updated(*one[:2], field, one[2])["width"] / start)))(x, y, w)
+    steps = jax.jit(jax.vmap(lambda x, y, w: jnp.log(model._updated(x, y, field, w)["width"] / start)))(x, y, w)
     turn = np.asarray(steps.sum(0)) * field["judged"] / w.sum()
     expected = -np.array([difference(0), difference(1)])
     assert np.abs(turn - expected).max() < 0.15 * np.abs(expected).max()
