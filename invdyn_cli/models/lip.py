@@ -39,10 +39,10 @@ class Place(NamedTuple):
     """A joint's part of the energies: cosine and sine of its angle, or its position and zero where it slides, and
     their derivatives."""
 
-    cosine: Array
-    sine: Array
-    cosine_slope: Array
-    sine_slope: Array
+    cosine: jax.Array
+    sine: jax.Array
+    cosine_slope: jax.Array
+    sine_slope: jax.Array
 
 
 class State(NamedTuple):
@@ -233,7 +233,7 @@ def _expanded(state: State, axis: int) -> State:
     return jax.tree.map(lambda x: jnp.expand_dims(x, axis), state)
 
 
-def _factor(g: Array, h: Array, a: Place, b: Place) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def _factor(g: jax.Array, h: jax.Array, a: Place, b: Place) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """1 + g cos cos' + h sin sin' of one joint, and its derivatives by the first angle, the second, and both."""
     g_slope, h_slope = g * a.cosine_slope, h * a.sine_slope
     return (
