@@ -51,6 +51,7 @@ MODELS: Mapping[str, Sequence[str]] = {
     **{name: [f"model={name}"] for name in ("ffnn", "ffnn_deep", "lagrangian_net", "gru")},
     "pest_coulomb + ffnn": ["model=hybrid"],
     "standard + gpr": PARTS.format("standard", "gpr").split(),
+    "pest_coulomb + gpr": PARTS.format("pest_coulomb", "gpr").split(),
     "pest_friction + gpr": PARTS.format("pest_friction", "gpr").split(),
     "lip + gpr": PARTS.format("lip", "gpr").split(),
     "extended": ["model=extended"],

@@ -1,7 +1,8 @@
 """The figures of grand_comparison: error against time with the Pareto front, and learning curves."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -14,13 +15,28 @@ FAMILIES: Mapping[str, tuple[str, Sequence[str]]] = {
     "kernels": (GREEN, ("gip", "lip", "gpr", "rff", "svr")),
     "local models": (ORANGE, ("local_gp", "lwpr")),
     "nets": (VERMILLION, ("ffnn", "ffnn_deep", "lagrangian_net", "gru")),
-    "hybrids": (PURPLE, ("pest_coulomb + ffnn", "standard + gpr", "pest_friction + gpr", "lip + gpr")),
+    "hybrids": (
+        PURPLE,
+        ("pest_coulomb + ffnn", "standard + gpr", "pest_coulomb + gpr", "pest_friction + gpr", "lip + gpr"),
+    ),
 }
 MARKERS = "osD^v"
 LOOK = {model: (colour, MARKERS[k]) for colour, models in FAMILIES.values() for k, model in enumerate(models)}
 TIMES = {"predict_us": "time of a prediction [µs]", "fit_s": "time to learn [s]"}
 
 
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """A figure in the house style, axes and labels too."""
+
+    @wraps(draw)
+    def drawn(*arguments: Any) -> Figure:
+        with house_style():
+            return draw(*arguments)
+
+    return drawn
+
+
+@styled
 def error_against_time(rows: Sequence[Any], time: str) -> Figure:
     """A panel per data set; the line joins the models that no other one beats in both."""
     figure, panels = grid(rows, f"Held-out error against {TIMES[time]}; the line is the Pareto front")
@@ -45,6 +61,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     return front
 
 
+@styled
 def curves(rows: Sequence[Any]) -> Figure:
     """A panel per data set: error over the number of rows."""
     figure, panels = grid(rows, "Learning curves: held-out error over the number of rows learned from")
@@ -66,14 +83,13 @@ def grid(rows: Sequence[Any], title: str) -> tuple[Figure, dict[str, Axes]]:
     names = list(dict.fromkeys(row.data for row in rows))
     columns = min(4, len(names))
     lines = math.ceil(len(names) / columns)
-    with house_style():
-        figure = Figure(figsize=(max(3.0 * columns, 7.0), 2.7 * lines + 1.4), layout="constrained")
-        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-        panels = figure.subplots(lines, columns, squeeze=False)
-        for axes in panels.flat[len(names) :]:
-            axes.set_visible(False)
-        for line in panels:
-            line[0].set_ylabel("NMSE, mean of the joints")
+    figure = Figure(figsize=(max(3.0 * columns, 7.0), 2.7 * lines + 1.4), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    panels = figure.subplots(lines, columns, squeeze=False)
+    for axes in panels.flat[len(names) :]:
+        axes.set_visible(False)
+    for line in panels:
+        line[0].set_ylabel("NMSE, mean of the joints")
     return figure, dict(zip(names, panels.flat, strict=False))
 
 
