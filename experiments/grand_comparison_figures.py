@@ -17,7 +17,7 @@ FAMILIES: Mapping[str, tuple[str, Sequence[str]]] = {
     "nets": (VERMILLION, ("ffnn", "ffnn_deep", "lagrangian_net", "gru")),
     "hybrids": (
         PURPLE,
-        ("pest_coulomb + ffnn", "standard + gpr", "pest_coulomb + gpr", "pest_friction + gpr", "lip + gpr"),
+        ("pest_coulomb + ffnn", "standard + gpr", "standard + gpr sparse", "pest_friction + gpr", "lip + gpr"),
     ),
 }
 MARKERS = "osD^v"
