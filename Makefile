@@ -25,7 +25,7 @@ TESTED = OMP_NUM_THREADS=1 XLA_FLAGS="$$(XLA_FLAGS="$(QUICK)" $(BIN)/python -c '
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test benchmarks lint format tables figures real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
+.PHONY: help venv run test benchmarks lint format tables figures grand real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
 
 help:  ## what there is to make
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -55,6 +55,8 @@ tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/table
 
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
 	$(BIN)/invdyn figures
+
+grand: grand_comparison  ## every model on the same rows of simulated and real robots: error, time, size; what to choose
 
 real: real_logs ur10e_load  ## the same models on real robots' logs
 

@@ -29,7 +29,9 @@ from invdyn_cli.models.gip import Gip
 from invdyn_cli.models.gpr import Gpr
 from invdyn_cli.models.gru import Gru
 from invdyn_cli.models.lagrangian_net import LagrangianNet
+from invdyn_cli.models.lip import Lip
 from invdyn_cli.models.local_gp import LocalGp
+from invdyn_cli.models.lwpr import Lwpr
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.models.rff import Rff
 from invdyn_cli.models.standard import Standard
@@ -47,6 +49,8 @@ CLASSES: Mapping[str, type] = {
     "svr": Svr,
     "rff": Rff,
     "gip": Gip,
+    "lip": Lip,
+    "lwpr": Lwpr,
     "local_gp": LocalGp,
     "lagrangian_net": LagrangianNet,
     "gru": Gru,

@@ -4,7 +4,7 @@ A kernel is a function gram(hyper, a, b) -> (N, M) of inputs a (N, d) and b (M, 
 holds "noise", that of the noise's standard deviation. Targets have mean zero and spread one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -31,6 +31,10 @@ LEAST_NOISE = 1e-4
 REACH = 8.0
 """Largest change of the logarithms of hyperparameters from their start: a factor of 3,000 in both directions."""
 
+NOISE_STEPS = 8
+"""Iterations in which only the noise is learned: where it is most of a target, as of another model's residual, length
+scales otherwise shrink first until every sample stands alone, and stay there."""
+
 CHUNK = 2048
 """Rows whose covariances with the inducing inputs are computed at once."""
 
@@ -50,17 +54,29 @@ def minus_log_evidence(gram: Gram, hyper: PyTree, x: Array, y: Array) -> Array:
 
 
 def minimise(
-    loss: Callable, start: PyTree, *data: Array, steps: int, progress: Progress = silent, floor: PyTree | None = None
+    loss: Callable,
+    start: PyTree,
+    *data: PyTree,
+    steps: int,
+    progress: Progress = silent,
+    floor: PyTree | None = None,
+    free: Sequence[str] = (),
 ) -> PyTree:
     """The hyperparameters near `start` that minimise loss(hyper, *data), by L-BFGS-B in at most so many steps.
 
     Args:
         loss: a function at module level (or a partial of one that hashes), so that it is compiled once.
         floor: lower bounds, a tree like `start`; values of -inf leave those of REACH.
+        free: names of the hyperparameters that change; none: all.
     """
     at, back = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
     at = np.asarray(at)
     lower = at - REACH if floor is None else np.maximum(at - REACH, np.asarray(ravel_pytree(floor)[0]))
+    reach = REACH * np.asarray(
+        ravel_pytree({name: jax.tree.map(lambda x, on=name in free or not free: np.full(np.shape(x), float(on)), leaf)
+                      for name, leaf in start.items()})[0]
+    )  # fmt: skip
+    lower, upper = np.where(reach > 0, lower, at), at + reach
     done = iter(range(1, 10**9))
 
     def both(point: np.ndarray) -> tuple[float, np.ndarray]:
@@ -70,7 +86,7 @@ def minimise(
             return 1e300, np.zeros_like(point)
         return float(value), np.asarray(ravel_pytree(slope)[0])
 
-    bounds = list(zip(lower, at + REACH, strict=True))
+    bounds = list(zip(lower, upper, strict=True))
     found = scipy.optimize.minimize(
         both, np.maximum(at, lower), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": steps}
     )
@@ -127,9 +143,9 @@ def learned_hyperparameters(
     first = each(start, y.shape[1])
     floor: dict = jax.tree.map(lambda leaf: np.full_like(leaf, -np.inf), first)
     floor["noise"] = np.full_like(first["noise"], np.log(LEAST_NOISE))
-    return minimise(
-        SummedEvidence(gram), first, jnp.asarray(x), jnp.asarray(y), steps=steps, progress=progress, floor=floor
-    )
+    loss, data = SummedEvidence(gram), (jnp.asarray(x), jnp.asarray(y))
+    first = minimise(loss, first, *data, steps=NOISE_STEPS, floor=floor, free=("noise",))
+    return minimise(loss, first, *data, steps=steps, progress=progress, floor=floor)
 
 
 def start(inputs: int) -> PyTree:
@@ -251,5 +267,5 @@ def _factor(gram: Gram, hyper: PyTree, x: Array, *, noisy: bool = True) -> Array
 
 
 @partial(jax.jit, static_argnums=0)
-def _value_and_slope(loss: Callable, hyper: PyTree, *data: Array) -> tuple[Array, PyTree]:
+def _value_and_slope(loss: Callable, hyper: PyTree, *data: PyTree) -> tuple[Array, PyTree]:
     return jax.value_and_grad(loss)(hyper, *data)

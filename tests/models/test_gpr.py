@@ -97,3 +97,19 @@ def test_bad_options(option):
     """Counts that are no whole numbers from one are refused by name."""
     with pytest.raises(UsageError, match=f"model.{option}=0; allowed: a whole number >= 1"):
         Gpr(**{option: 0})
+
+
+def test_finds_what_is_smooth_in_a_target_of_mostly_noise():
+    """Under noise of twice its spread, as in another model's residual, less than half of an arm's torque is left. With
+    all hyperparameters learned at once length scales shrank to nothing, and all of it was left."""
+    train, test = sine_tasks(2, 40)
+    rng = np.random.default_rng(0)
+    spread = train.tau.std(0)
+
+    def hidden(x):
+        return replace(x, tau=0.5 * x.tau / spread + rng.normal(size=x.tau.shape))
+
+    noisy = replace(train, trajectories=tuple(hidden(x) for x in train.trajectories))
+    smooth = replace(test, trajectories=tuple(replace(x, tau=0.5 * x.tau / spread) for x in test.trajectories))
+    model = Gpr(hyperparameter_samples=300, steps=30)
+    assert (error(model, model.fit(noisy, KEY), smooth) < 0.5).all()

@@ -1,0 +1,103 @@
+"""LIP: its kernel against differentiated energies, the arm's torques from few samples, and its parts."""
+
+import functools
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from invdyn_cli.errors import UsageError
+from invdyn_cli.models.gip import Gip
+from invdyn_cli.models.lip import Lip, _state, torque_covariance
+from invdyn_cli.testing import check_model
+from tests.records import make_dataset, make_robot
+from tests.sine_arm import error, sine_tasks
+
+KEY = jax.random.key(0)
+SMALL = Lip(hyperparameter_samples=20, steps=8)
+
+
+def test_contract():
+    """It keeps the contract of a model, of an arm with a joint that slides too."""
+    robot = make_robot(("a", "b"), (False, True))
+    check_model(SMALL, make_dataset(robot, np.random.default_rng(0), samples=30))
+
+
+def energies(weight, q, qd):
+    """Features (F,) of the Lagrangian of two revolute joints whose inner products are the energies' kernel."""
+
+    def every(parts):  # all products of one entry of each part
+        return functools.reduce(lambda x, y: jnp.outer(x, y).ravel(), parts)
+
+    def place(name, at, joint):
+        cosine, sine = (weight[f"{name}_{x}"][(*at, joint)] for x in ("cosine", "sine"))
+        return jnp.stack([1.0, jnp.sqrt(cosine) * jnp.cos(q[joint]), jnp.sqrt(sine) * jnp.sin(q[joint])])
+
+    features = []
+    for link in range(2):
+        joints = range(link + 1)
+        speeds = jnp.sqrt(weight["speed"][link, : link + 1]) * qd[: link + 1]
+        features.append(every([speeds, speeds, *(place("kinetic", (s,), j) for j in joints for s in range(2))]))
+        features.append(every([weight["potential"][link, None] ** 0.5, *(place("potential", (), j) for j in joints)]))
+    return jnp.concatenate(features)
+
+
+def test_kernel_is_the_euler_lagrange_operator_on_the_energies():
+    """For two joints the covariance of torques equals the inner product of the torques that JAX differentiates from
+    each of the energies' explicit monomials, to rounding."""
+    rng = np.random.default_rng(0)
+    hyper = jax.tree.map(lambda leaf: rng.normal(size=np.shape(leaf)), Lip(friction=False).start(2))
+    weight = jax.tree.map(jnp.exp, hyper)
+
+    def torques(row):
+        q, qd, qdd = jnp.split(row, 3)
+        momentum = jax.jacfwd(lambda q, qd: energies(weight, q, qd), 1)
+        rate = jax.jvp(momentum, (q, qd), (qd, qdd))[1]
+        return (rate - jax.jacfwd(lambda q: energies(weight, q, qd))(q)).T  # (2, F)
+
+    a, b = rng.normal(size=(4, 6)), rng.normal(size=(3, 6))
+    scales = {"time": 1.0, "length": np.ones(2)}
+    said = torque_covariance(hyper, _state(scales, a, None), _state(scales, b, None))
+    left, right = (np.asarray(jax.jit(jax.vmap(torques))(x)) for x in (a, b))
+    np.testing.assert_allclose(said, np.einsum("aif,bjf->ijab", left, right), rtol=1e-9, atol=1e-9)
+
+
+def test_recovers_a_rigid_arm_from_few_samples():
+    """From 60 samples of two joints it leaves less than 1e-3 of the variance of unseen motions, and less than gip: what
+    the paper claims of it (torques of all joints inform each other)."""
+    train, test = sine_tasks(2, 400)
+    assert train.samples < 80
+    errors = [error(model, model.fit(train, KEY), test).mean() for model in (Lip(steps=40), Gip(steps=40))]
+    assert errors[0] < 1e-3 and errors[0] < errors[1]
+
+
+def test_more_samples_than_the_support():
+    """Projected on the torques of 30 of 120 samples, which span the polynomials, it leaves at most twice the error of
+    exact inference from all, or 1e-5 of the variance."""
+    train, test = sine_tasks(2, 200)
+    exact, projected = Lip(steps=20), Lip(steps=20, exact=100, inducing=40)
+    errors = [error(model, model.fit(train, KEY), test).mean() for model in (exact, projected)]
+    assert errors[1] < max(2 * errors[0], 1e-5)
+
+
+def test_friction_terms_learn_friction():
+    """With Coulomb and viscous friction in the torques, it leaves less than half without its friction terms."""
+    train, test = sine_tasks(2, 400)
+
+    def rubbed(data):
+        def more(x):
+            return replace(x, tau=x.tau + 1.5 * np.clip(x.motion.qd / 0.02, -1, 1) + 0.5 * x.motion.qd)
+
+        return replace(data, trajectories=tuple(more(x) for x in data.trajectories))
+
+    models = [Lip(steps=25), Lip(steps=25, friction=False)]
+    errors = [error(model, model.fit(rubbed(train), KEY), rubbed(test)).mean() for model in models]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_bad_options():
+    """Counts that are no whole numbers from one are refused by name."""
+    with pytest.raises(UsageError, match=r"model.inducing=0; allowed: a whole number >= 1"):
+        Lip(inducing=0)
