@@ -73,6 +73,7 @@ def test_recovers_a_rigid_arm_from_few_samples():
     assert errors[0] < 1e-3 and errors[0] < errors[1]
 
 
+@pytest.mark.benchmark
 def test_more_samples_than_the_support():
     """Projected on the torques of 30 of 120 samples, which span the polynomials, it leaves at most twice the error of
     exact inference from all, or 1e-5 of the variance."""
@@ -82,6 +83,7 @@ def test_more_samples_than_the_support():
     assert errors[1] < max(2 * errors[0], 1e-5)
 
 
+@pytest.mark.benchmark
 def test_friction_terms_learn_friction():
     """With Coulomb and viscous friction in the torques, it leaves less than half without its friction terms."""
     train, test = sine_tasks(2, 400)

@@ -105,6 +105,7 @@ def test_gradient_of_the_leave_one_out_error(width):
     assert np.abs(turn - expected).max() < 0.15 * np.abs(expected).max()
 
 
+@pytest.mark.benchmark
 def test_learns_the_papers_function():
     """From 2,000 samples with noise of 0.1 it leaves less than 2 % of the variance of the noise-free function (the
     paper's figure), and less than 0.6 of what fields of fixed shape leave: M is worth learning."""
