@@ -20,41 +20,36 @@ class Lasting:
 
     Attributes:
         used: (R, n) weight of every row of every joint.
-        free: for each joint, the numbers of its columns in the joint's table.
-        root: for each joint, (columns, p) what makes those p columns of them.
+        columns: of each joint, those of its table (R, m).
+        root: of each joint, (m, p) what makes the p columns of them.
     """
 
-    evidence: Evidence
     used: np.ndarray
-    free: tuple[np.ndarray, ...]
+    columns: tuple[np.ndarray, ...]
     root: tuple[np.ndarray, ...]
 
     @classmethod
     def beside(cls, evidence: Evidence, hypothesis: Hypothesis, used: np.ndarray) -> "Lasting":
         """That of a hypothesis whose columns are fitted on the rows with these weights (R, n)."""
         precision = precision_of(hypothesis)
-        normal, own = np.zeros((len(precision),) * 2), [columns_of(hypothesis, j) for j in range(evidence.dofs)]
-        for (_, free, place), table, w in zip(own, evidence.tables, used.T, strict=True):
-            columns = table[:, free]
-            normal[np.ix_(place, place)] += (w * columns.T) @ columns
+        normal, own = np.zeros((len(precision),) * 2), [columns_of(hypothesis, j)[1:] for j in range(evidence.dofs)]
+        columns = tuple(table[:, free] for table, (free, _) in zip(evidence.tables, own, strict=True))
+        for x, (_, place), w in zip(columns, own, used.T, strict=True):
+            normal[np.ix_(place, place)] += (w * x.T) @ x
         scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
         values, vectors = np.linalg.eigh((normal + np.diag(precision)) / np.outer(scale, scale))
         root = vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / scale[:, None]
-        return cls(evidence, used, tuple(free for _, free, _ in own), tuple(root[place] for _, _, place in own))
-
-    def of(self, joint: int, rows: np.ndarray) -> np.ndarray:
-        """(rows, columns) of a joint's table; times its `root` they are (rows, p)."""
-        return self.evidence.tables[joint][np.ix_(rows, self.free[joint])]
+        return cls(used, columns, tuple(root[place] for _, place in own))
 
     def explained(self, torque: np.ndarray) -> np.ndarray:
         """(p,) coefficients of what it explains of a torque (R, n)."""
-        weighted, every = self.used * torque, np.arange(len(torque))
-        return np.sum([weighted[:, j] @ self.of(j, every) @ root for j, root in enumerate(self.root)], axis=0)
+        parts = zip((self.used * torque).T, self.columns, self.root, strict=True)
+        return np.sum([y @ x @ root for y, x, root in parts], axis=0)
 
     def torque(self, theta: np.ndarray) -> np.ndarray:
         """(R, n) of coefficients (p,)."""
-        every = np.arange(len(self.used))
-        return np.stack([self.of(j, every) @ (root @ theta) for j, root in enumerate(self.root)], axis=1)
+        parts = zip(self.columns, self.root, strict=True)
+        return np.stack([x @ (root @ theta) for x, root in parts], axis=1)
 
 
 class Windowed:
@@ -124,7 +119,7 @@ class Windowed:
         rows, own, out = self.rows[start:end], len(self.columns) + 1, []
         for j in self.felt:
             x = self.columns[:, j, rows]
-            others = np.column_stack([x.T, self.left[rows, j], self.lasting.of(j, rows)])
+            others = np.column_stack([x.T, self.left[rows, j], self.lasting.columns[j][rows]])
             made = product(self.lasting.used[rows, j] * x, others)
             out.append(np.concatenate([made[..., :own], made[..., own:] @ self.lasting.root[j]], axis=-1))
         return np.sum(out, axis=0)
