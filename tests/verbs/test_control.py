@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 SMALL = ("robot.dofs=2", "data.repetitions=1", "data.watched=0", "data.friction=0", "data.elastic=false")
-TINY = (*SMALL, "data.ripple=0", "gains=[20]", "settle=0.2", "model=pest")
+TINY = (*SMALL, "data.ripple=0", "data.torque_noise=0.01", "gains=[20]", "settle=0.2", "model=pest")
 
 
 def test_leaves_its_files(command):
