@@ -155,7 +155,7 @@ def log_axis(axes: Axes) -> None:
 
     def between(value: float, _: float) -> str:
         low, high = axes.get_ylim()
-        return short(value) if high < 100 * low else ""
+        return short(value) if high < 300 * low else ""
 
     def short(value: float) -> str:
         return f"{value:g}".replace("e-0", "e-").replace("e+0", "e+")
