@@ -86,6 +86,7 @@ def _bars(
 ) -> None:
     width = 0.8 / len(spec["bars"])
     others = iter(OTHERS)
+    boxes: list[tuple[float, float, float]] = []  # drawn last, so that the legend names them after all bars
     for k, (shown, bar) in enumerate(spec["bars"].items()):
         picked = _labels(bar)
         colour, of = COLOURS.get(bar.get("colour")) or OF_MODEL.get(shown) or next(others), bar.get("set", "test")
@@ -103,7 +104,9 @@ def _bars(
             if dots := _joints(spec, metrics, of):
                 axes.plot([where] * len(dots), dots, ".", ms=5, color=INK, label="single joints", zorder=3)
             if (band := band_of(statements, labels, of)) is not None:
-                _box(axes, where, width, *band)
+                boxes.append((where, *band))
+    for where, low, high in boxes:
+        _box(axes, where, width, low, high)
 
 
 def _box(axes: Axes, where: float, width: float, low: float, high: float) -> None:

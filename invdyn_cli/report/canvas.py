@@ -148,20 +148,23 @@ def limit_zero(axes: Axes, values: np.ndarray) -> None:
 
 
 def log_axis(axes: Axes) -> None:
-    """A log axis in plain numbers, 0.1 and 1e-27; between the decades 2 and 5 are named where few decades show.
+    """A log axis in plain numbers, 0.1, 1e-5 and 1e-27; between the decades 2 and 5 are named where few decades show.
 
     An axis without a positive value gets limits of its own: a logarithm finds none there.
     """
 
     def between(value: float, _: float) -> str:
         low, high = axes.get_ylim()
-        return f"{value:g}" if high < 100 * low else ""
+        return short(value) if high < 300 * low else ""
+
+    def short(value: float) -> str:
+        return f"{value:g}".replace("e-0", "e-").replace("e+0", "e+")
 
     if not np.isfinite(axes.dataLim.minposy):
         axes.set_ylim(0.1, 10)
     axes.set_yscale("log")
     axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_major_formatter(lambda value, _: short(value))
     axes.yaxis.set_minor_formatter(between)
 
 

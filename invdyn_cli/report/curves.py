@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from invdyn_cli.maths import stages
 from invdyn_cli.maths.metrics import ACCURATE, BLOCK
-from invdyn_cli.report.canvas import BLACK, COLOURS, INK, PREDICTED, WIDTH, add_legend, house_style, log_axis, plain
+from invdyn_cli.report.canvas import BLACK, COLOURS, INK, WIDTH, add_legend, house_style, log_axis, plain
 from invdyn_cli.report.comparison import matches
 from invdyn_cli.types import RunRecord
 
@@ -80,9 +80,9 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
 
 
 def mark_stages(axes: Axes, begins: Mapping[str, float], *, named: bool = True) -> None:
-    """Where stages begin, with their names above, where there are several."""
+    """Where stages begin, dotted, with their names at the top, where there are several."""
     for name, at in begins.items() if len(begins) > 1 else ():
-        axes.axvline(at, color=PREDICTED, lw=0.9, ls="--", zorder=1.4)
+        axes.axvline(at, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=1.4)
         if named:
             axes.annotate(plain(name), (at, 1), xycoords=("data", "axes fraction"), xytext=(3, -10),
                           textcoords="offset points", color=INK)  # fmt: skip

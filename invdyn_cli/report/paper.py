@@ -128,7 +128,7 @@ def table_two(runs: Mapping[tuple[str, str], RunRecord]) -> Grid:
         samples = ", ".join(f"{run.samples.get(x, 0):,}" for x in ("train", "validation", "test"))
         said = f"{SAMPLES * len(learned):,}, {SAMPLES * len(tested):,}"
         rows.append((name, *paper, said, samples, "the same tasks" if paper == ours else f"differs: {'; '.join(ours)}"))
-    heads = ("data", "learned [Hz]", "tested [Hz]", "samples in the paper", "here: learned, watched, tested", "")
+    heads = ("data", "learned [Hz]", "tested [Hz]", "samples in the paper", "here: training, validation, test", "")
     return Grid(heads, tuple(rows))
 
 

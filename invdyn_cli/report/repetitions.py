@@ -14,7 +14,7 @@ from invdyn_cli.types import RunRecord, Trajectory
 
 
 def draw(spec: Mapping[str, Any], record: RunRecord) -> Figure:
-    """The first repetition of the validation set (without the object, red) and of the test set (with it, cyan), over
+    """The first repetition of the validation set (without the object, red) and of the test set (with it, blue), over
     samples, a panel per joint of `joints` (numbers from 1); stages are those of the repetition with it."""
     numbers = spec.get("joints", [1])
     without, loaded = (record.predictions[name].data.trajectories[0] for name in ("validation", "test"))
@@ -27,6 +27,9 @@ def draw(spec: Mapping[str, Any], record: RunRecord) -> Figure:
                 axes.plot(*thinned(*_course(x, number - 1)), color=colour, lw=1.6, label=label)
             mark_stages(axes, {name: rows.start for name, rows in stages.parts(loaded)}, named=axes is panels[0])
             axes.margins(x=0.01)
+            if axes is panels[0]:  # room for the names of the stages
+                low, high = axes.get_ylim()
+                axes.set_ylim(low, high + 0.12 * (high - low))
             axes.set_title(plain(record.fit.joints[number - 1]))
             axes.set_ylabel(f"torque [{units(record)[number - 1]}]")
         panels[-1].set_xlabel("samples of a repetition (1 kHz)")
