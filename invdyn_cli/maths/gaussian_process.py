@@ -32,8 +32,9 @@ REACH = 8.0
 """Largest change of the logarithms of hyperparameters from their start: a factor of 3,000 in both directions."""
 
 NOISE_STEPS = 8
-"""Iterations in which only the noise is learned: where it is most of a target, as of another model's residual, length
-scales otherwise shrink first until every sample stands alone, and stay there."""
+"""Iterations in which only the noise is learned, before a second start: where it is most of a target, as of another
+model's residual, length scales otherwise shrink first until every sample stands alone, and stay there. Where there is
+hardly any, the first start finds more evidence."""
 
 CHUNK = 2048
 """Rows whose covariances with the inducing inputs are computed at once."""
@@ -144,8 +145,9 @@ def learned_hyperparameters(
     floor: dict = jax.tree.map(lambda leaf: np.full_like(leaf, -np.inf), first)
     floor["noise"] = np.full_like(first["noise"], np.log(LEAST_NOISE))
     loss, data = SummedEvidence(gram), (jnp.asarray(x), jnp.asarray(y))
-    first = minimise(loss, first, *data, steps=NOISE_STEPS, floor=floor, free=("noise",))
-    return minimise(loss, first, *data, steps=steps, progress=progress, floor=floor)
+    noisy = minimise(loss, first, *data, steps=NOISE_STEPS, floor=floor, free=("noise",))
+    found = [minimise(loss, x, *data, steps=steps, progress=progress, floor=floor) for x in (first, noisy)]
+    return min(found, key=lambda hyper: float(np.nan_to_num(_value_and_slope(loss, hyper, *data)[0], nan=np.inf)))
 
 
 def start(inputs: int) -> PyTree:
