@@ -51,11 +51,11 @@ class Lwpr(AbstractModel):
         fields: largest number of receptive fields of a joint.
         directions: largest number of directions of a field.
         reach: [spreads] radius of a new field, in units of an input's spread times the root of the number of inputs.
-        generate, prune: weights at which a field begins or ends.
-        direction_gain: share of its squared error that a field must lose by one more direction to take it.
-        learning_rate: step of the gradient descent on M.
-        penalty: weight of the penalty on small fields.
-        forgetting, last_forgetting: factor by which a field's sums forget at each of its samples, at first and in the
+        generate, prune: [-] weights at which a field begins or ends.
+        direction_gain: [-] share of its squared error that a field must lose by one more direction to take it.
+        learning_rate: [-] step of the gradient descent on M.
+        penalty: [-] weight of the penalty on small fields.
+        forgetting, last_forgetting: [-] factor by which a field's sums forget at each of its samples, at first and in the
             end.
         passes: how often the training samples are learned from, each time in a new random order.
     """
