@@ -55,8 +55,7 @@ class Lwpr(AbstractModel):
         direction_gain: [-] share of its squared error that a field must lose by one more direction to take it.
         learning_rate: [-] step of the gradient descent on M.
         penalty: [-] weight of the penalty on small fields.
-        forgetting, last_forgetting: [-] factor by which a field's sums forget at each of its samples, at first and in the
-            end.
+        forgetting, last_forgetting: [-] factor by which a field's sums forget at each of its samples, first and last.
         passes: how often the training samples are learned from, each time in a new random order.
     """
 

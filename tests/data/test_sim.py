@@ -197,6 +197,7 @@ def test_pest_is_as_in_the_paper(split, apollo4):
     assert 1e-3 < run.scores["test"].mean("nmse") < 1e-1
 
 
+@pytest.mark.benchmark
 def test_the_dbm_is_as_in_the_paper(apollo4):
     """With noise the DBM interpolates with an NMSE of the order of 1e-2 (Fig. 3a), as it does not where all tasks run
     along one path."""
