@@ -175,8 +175,12 @@ class _Reader:
                 heads.append(head)
         except (EOFError, OSError, ValueError) as error:
             self.close()
-            got = f"reading it took over {patience:.0f} s" if late.is_set() else "the HDF5 library crashed on it"
-            raise raises(f"{path} is damaged: {got}", advice="a new copy of it") from error
+            if late.is_set():
+                got = f"is damaged, or slow to read: it took over {patience:.0f} s"
+                advice = "again, where nothing else keeps the machine busy; or a new copy of it"
+            else:
+                got, advice = "is damaged: the HDF5 library crashed on it", "a new copy of it"
+            raise raises(f"{path} {got}", advice=advice) from error
         except MemoryError as error:
             self.close()
             raise raises(f"{path} needs more memory than there is", advice="fewer trajectories") from error
