@@ -15,6 +15,13 @@ def inverted(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
     return np.linalg.inv(scaled) / np.outer(scale, scale)
 
 
+def inverse_root(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """A root (k, k) of the inverse of the normal matrix with the prior: times its own transpose it is that inverse."""
+    scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
+    values, vectors = np.linalg.eigh((normal + np.diag(precision)) / np.outer(scale, scale))
+    return vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / scale[:, None]
+
+
 def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Coefficients (k,) of the normal equations with the prior."""
     if not len(r):

@@ -110,6 +110,8 @@ def proposed(
         lasting: what the residuals were fitted with; it is fitted anew beside every window.
         share: of a residual's squares that a window must explain.
     """
+    if not everywhere:
+        return {}
     made: list[TimeWindow] = []
     first = 1 + max((when.number for when in known), default=-1)
     used = evidence.valid * measured.weights * (evidence.role != ROLES.index("reference"))[:, None]
@@ -118,7 +120,8 @@ def proposed(
         left = residual.copy()
         least = max(PRICE, share * float(np.sum(used * residual**2)))
         for _ in range(MOST):
-            tries = [_window(evidence, p, left, measured, beside) for p in everywhere]
+            refit = beside.explained(left)
+            tries = [_window(evidence, p, left, refit, measured, beside) for p in everywhere]
             value, when, after = max(tries, key=lambda x: x[0], default=(0.0, None, left))
             if value <= least or when is None:
                 break
@@ -180,7 +183,7 @@ def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
 
 
 def _window(
-    evidence: Evidence, place: Place, left: np.ndarray, measured: Noise, lasting: Lasting
+    evidence: Evidence, place: Place, left: np.ndarray, refit: np.ndarray, measured: Noise, lasting: Lasting
 ) -> tuple[float, TimeWindow | None, np.ndarray]:
     """The explained squares of an effect in its best window, minus its price; the window, and what is then left
     (R, n)."""
@@ -191,9 +194,7 @@ def _window(
         rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
         if len(rows) < 2 * k:
             continue
-        windowed, time = Windowed(lasting, place.columns, place.precision, left, rows), t[rows]
-        if not len(windowed.felt):
-            continue
+        windowed, time = Windowed(lasting, place.columns, place.precision, left, refit, rows), t[rows]
         step = max(CELL, (time[-1] - time[0]) / GRID)
         grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
         first, last = np.triu_indices(len(grid), 1)
@@ -205,7 +206,7 @@ def _window(
         sums = windowed.on(grid)
         at = np.flatnonzero(long)[np.argmax(windowed.gain((sums[last] - sums[first])[long]))]
         a, b = _sharpened(windowed, int(a[at]), int(b[at]), time, 2 * step)
-        value = float(windowed.gain(windowed.before(b, b) - windowed.before(a, a))[0]) - PRICE_OF_COEFFICIENT * k
+        value = float(windowed.gain(windowed.between(a, b)[None])[0]) - PRICE_OF_COEFFICIENT * k
         ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
         if value <= best[0] or ends:
             continue
@@ -234,10 +235,10 @@ def _sharpened(windowed: Windowed, a: int, b: int, time: np.ndarray, reach: floa
         near = near[time[near] <= time[b - 1] - SHORTEST]
         if len(near):
             edges = windowed.before(near[0], near[-1])
-            a = int(near[np.argmax(windowed.gain(windowed.before(b, b) - edges))])
+            a = int(near[np.argmax(windowed.gain(windowed.between(0, b) - edges))])
         near = np.flatnonzero(np.abs(time - time[b - 1]) <= reach) + 1
         near = near[time[near - 1] >= time[a] + SHORTEST]
         if len(near):
             edges = windowed.before(near[0], near[-1])
-            b = int(near[np.argmax(windowed.gain(edges - windowed.before(a, a)))])
+            b = int(near[np.argmax(windowed.gain(edges - windowed.between(0, a)))])
     return a, b

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION
+from invdyn_cli.diagnosis.search.equations import inverse_root
 from invdyn_cli.diagnosis.search.shared_part import Hypothesis, columns_of, precision_of
 
 
@@ -36,9 +36,7 @@ class Lasting:
         columns = tuple(table[:, free] for table, (free, _) in zip(evidence.tables, own, strict=True))
         for x, (_, place), w in zip(columns, own, used.T, strict=True):
             normal[np.ix_(place, place)] += (w * x.T) @ x
-        scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
-        values, vectors = np.linalg.eigh((normal + np.diag(precision)) / np.outer(scale, scale))
-        root = vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / scale[:, None]
+        root = inverse_root(normal, precision)
         return cls(used, columns, tuple(root[place] for _, place in own))
 
     def explained(self, torque: np.ndarray) -> np.ndarray:
@@ -59,27 +57,39 @@ class Windowed:
         columns: (k, n, R) the effect's.
         precision: (k,) the prior of their factors.
         left: (R, n) what the model leaves.
+        refit: (p,) what lasts explains of that.
         rows: (r,) the trajectory's.
     """
 
     def __init__(
-        self, lasting: Lasting, columns: np.ndarray, precision: np.ndarray, left: np.ndarray, rows: np.ndarray
+        self,
+        lasting: Lasting,
+        columns: np.ndarray,
+        precision: np.ndarray,
+        left: np.ndarray,
+        refit: np.ndarray,
+        rows: np.ndarray,
     ) -> None:
-        self.lasting, self.columns, self.left, self.rows = lasting, columns, left, rows
+        self.lasting, self.columns, self.left, self.refit, self.rows = lasting, columns, left, refit, rows
         self.felt: list[int] = np.flatnonzero(np.abs(columns).max(axis=(0, 2)) > 0).tolist()
-        self.refit = lasting.explained(left)
-        whole = self._sums(0, len(rows))
+        whole = self.between(0, len(rows))
         self.prior = np.diag(precision) + 1e-9 * np.diag(np.diag(whole[:, : len(columns)]) + 1e-300)
+
+    def between(self, start: int, end: int) -> np.ndarray:
+        """(k, k + 1 + p) sums over the rows from `start` to `end`: the weighted columns times themselves, times what is
+        left, and times what lasts."""
+        return self._summed(lambda x, others: x @ others, start, end)
 
     def on(self, grid: np.ndarray) -> np.ndarray:
         """(P, k, k + 1 + p) sums over the rows before each of `grid` (P,), which grows."""
-        cells = [self._sums(a, b) for a, b in zip([0, *grid[:-1]], grid, strict=True)]
+        cells = [self.between(a, b) for a, b in zip([0, *grid[:-1]], grid, strict=True)]
         return np.cumsum(cells, axis=0)
 
     def before(self, first: int, last: int) -> np.ndarray:
         """(last - first + 1, k, k + 1 + p) sums over the rows before each from `first` to `last`."""
-        start = self._sums(0, first)[None]
-        return np.concatenate([start, start + np.cumsum(self._each(first, last), axis=0)])
+        start = self.between(0, first)[None]
+        each = self._summed(lambda x, others: x.T[:, :, None] * others[:, None], first, last)
+        return np.concatenate([start, start + np.cumsum(each, axis=0)])
 
     def gain(self, sums: np.ndarray) -> np.ndarray:
         """(W,) squares that the effect explains in windows with these sums (W, k, k + 1 + p)."""
@@ -89,7 +99,7 @@ class Windowed:
     def fitted(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
         """(R, n) the effect's torque in the window of the rows from `a` to `b`, and what the model leaves with it, all
         that lasts being fitted anew."""
-        sums = self._sums(a, b)
+        sums = self.between(a, b)
         normal, moment = self._equations(sums[None])
         factors = np.linalg.solve(normal[0], moment[0])
         made = np.zeros_like(self.left)
@@ -104,14 +114,6 @@ class Windowed:
         cross = sums[..., k + 1 :]
         normal = sums[..., :k] - cross @ np.swapaxes(cross, 1, 2) + self.prior
         return normal, sums[..., k] - cross @ self.refit
-
-    def _sums(self, start: int, end: int) -> np.ndarray:
-        """(k, k + 1 + p) products of the weighted columns with themselves, what is left, and what lasts."""
-        return self._summed(lambda x, others: x @ others, start, end)
-
-    def _each(self, start: int, end: int) -> np.ndarray:
-        """(rows, k, k + 1 + p) the same, row by row."""
-        return self._summed(lambda x, others: x.T[:, :, None] * others[:, None], start, end)
 
     def _summed(self, product: Callable[[np.ndarray, np.ndarray], np.ndarray], start: int, end: int) -> np.ndarray:
         """Sum over the joints that feel it of the product of its weighted columns (k, rows) with all others (rows,
