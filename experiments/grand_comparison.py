@@ -11,9 +11,7 @@ from typing import ClassVar
 import jax
 import numpy as np
 import yaml
-from hydra import compose, initialize_config_dir
 from matplotlib.figure import Figure
-from omegaconf import DictConfig
 
 from experiments.grand_comparison_figures import curves, error_against_time
 from invdyn_cli import compiled, experiment
@@ -23,16 +21,10 @@ from invdyn_cli.interfaces import AbstractModel, AbstractSource
 from invdyn_cli.maths.scaling import spread_rows
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Dataset, Fit
-from invdyn_cli.verbs import run
-from invdyn_cli.verbs.launch import config_folder
+from invdyn_cli.verbs import options, run
 from invdyn_cli.verbs.screen import Screen
 
-SIMULATED: Mapping[str, Sequence[str]] = {
-    "sim_clean": ["data=sim_clean", "robot.dofs=4"],
-    "sim_noisy": ["data=sim_noisy", "robot.dofs=4"],
-    "pick_place": ["data=pick_place"],
-}
-"""The four joints of the paper, whose others carry next to no torque."""
+SIMULATED: Mapping[str, Sequence[str]] = {name: [f"data={name}"] for name in ("sim_clean", "sim_noisy", "pick_place")}
 
 REAL: Mapping[str, str] = {
     "panda": "Panda",
@@ -59,9 +51,9 @@ MODELS: Mapping[str, Sequence[str]] = {
 NETS = ("ffnn", "ffnn_deep", "lagrangian_net", "gru", "pest_coulomb + ffnn")
 """Models whose fit depends on the seed enough for several to be asked."""
 
-INNER = 1000
-"""Number of rows at which a model is also judged inside its training rows: by it one model is chosen for all robots."""
-INNER_SHARE = 0.7
+INNER, INNER_SHARE = 1000, 0.7
+"""Number of rows at which a model is also judged inside its training rows: by it one model is chosen for all robots;
+and the share of every training motion that it then learns from."""
 
 
 @dataclass(frozen=True)
@@ -170,12 +162,6 @@ class GrandComparison(AbstractExperiment):
         return Path(self.data) / f"{name}.h5"
 
 
-def config(overrides: Sequence[str]) -> DictConfig:
-    """The config of `invdyn run` with these overrides."""
-    with initialize_config_dir(str(config_folder()), version_base="1.3"):
-        return compose("run", list(overrides))
-
-
 def composed(model: str) -> AbstractModel:
     """The model of the table.
 
@@ -184,7 +170,7 @@ def composed(model: str) -> AbstractModel:
     """
     if model == "extended":
         raise UsageError("it brings the fit of a diagnosis of its own log (experiments/transfer.md compares it)")
-    return run.make_object(config(MODELS[model]), "model", AbstractModel)
+    return run.make_object(options.composed("run", MODELS[model]), "model", AbstractModel)
 
 
 def split_of(name: str, data: str) -> Sequence[str]:
@@ -202,7 +188,7 @@ def loaded(name: str, data: str, samples: int) -> tuple[Dataset, Dataset]:
 
     Of pick_place an unloaded repetition judges that nobody learned from: its test set carries an object.
     """
-    made = config(split_of(name, data))
+    made = options.composed("run", split_of(name, data))
     source = run.make_object(made, "data", AbstractSource)
     splits = source.load(run.make_robot(made, source.header(), optional=True, console=Screen(quiet=True)))
     judge = splits.validation if name == "pick_place" else splits.tests["test"]
@@ -261,12 +247,9 @@ def measured(name: str, label: str, model: AbstractModel, train: Dataset, test: 
 def inner_error(model: AbstractModel, train: Dataset) -> float | None:
     """NMSE on the last rows of every training motion, learned from its first ones; None where it is not finite."""
 
-    def share(chosen: slice) -> Dataset:
-        cuts = [slice(*(int(INNER_SHARE * len(x.t)) if c else c for c in (chosen.start, chosen.stop)))
-                for x in train.trajectories]  # fmt: skip
-        return replace(train, trajectories=tuple(x[c] for x, c in zip(train.trajectories, cuts, strict=True)))
-
-    first, last = share(slice(None, 1)), share(slice(1, None))
+    cuts = [(x, int(INNER_SHARE * len(x.t))) for x in train.trajectories]
+    first = replace(train, trajectories=tuple(x[:cut] for x, cut in cuts))
+    last = replace(train, trajectories=tuple(x[cut:] for x, cut in cuts))
     fit = model.fit(first, jax.random.key(0))
     error = experiment.score(last, experiment.predict(model, fit, last)).mean("nmse")
     return error if math.isfinite(error) else None
@@ -348,11 +331,11 @@ def verdict(rows: Sequence[Measured], real: Sequence[str], size: int | None) -> 
     lines = [f"### Real robots, {title}: NMSE", "", f"| model | {' | '.join(real)} | best on | ratio to the best |",
              "|---|" + "---:|" * (len(real) + 2)]  # fmt: skip
     for model in ranked:
-        cells = [f"{'**' if best[n][1] == model else ''}{number(found[model].get(n))}"
-                 f"{'**' if best[n][1] == model else ''}" for n in real]  # fmt: skip
-        wins = sum(best[n][1] == model for n in best)
+        won = [name for name in best if best[name][1] == model]
+        bold = dict.fromkeys(won, "**")
+        cells = [f"{bold.get(name, '')}{number(found[model].get(name))}{bold.get(name, '')}" for name in real]
         ratio = significant(math.exp(mean_log(found[model], best)))
-        lines.append(f"| {model} | {' | '.join(cells)} | {wins} of {len(real)} | {ratio} |")
+        lines.append(f"| {model} | {' | '.join(cells)} | {len(won)} of {len(real)} | {ratio} |")
     if size == INNER:
         lines += ["", *choice(rows, real)]
     return "\n".join(lines)

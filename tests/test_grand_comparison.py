@@ -89,6 +89,16 @@ def test_table_and_verdict(tmp_path):
     assert "there is no sarcos.h5" in text and "there is no panda.h5" not in text
 
 
+def test_a_robot_on_which_every_model_failed_stays_in_the_table(tmp_path):
+    """It is no model's best, and has an empty cell."""
+    rows = [
+        Measured("panda", "standard", 4000, nmse=0.1, rmse=0.5),
+        Measured("sarcos", "standard", 4000, reason="needs a URDF"),
+    ]
+    text = GrandComparison(data=str(tmp_path)).table(rows)
+    assert "| standard | **0.100** |  | 1 of 2 | 1.00 |" in text
+
+
 def test_pareto_front_is_what_no_faster_model_beats():
     """A brute-force comparison of all pairs gives the same points."""
     points = [tuple(x) for x in np.random.default_rng(0).integers(0, 30, (40, 2)).tolist()]
