@@ -123,7 +123,7 @@ def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> C
     noise = Noise(position=float(np.exp(draw.uniform(np.log(1e-6), np.log(1.5e-5)))), torque=tuple(torque))
     options: dict[str, Any] = {"duration": scene.duration, "seed": scene.seed, "position_side": "motor"}
     log = plant.record(scene.robot, [scene.reference], hidden, noise=noise, **options)
-    share = excess(scene.robot, log, hidden) / torque
+    share = excess(scene.robot, log, hidden)[0] / torque
     said = f"{scene.robot.name} {scene.robot.dofs} joints, {type(scene.reference).__name__} {scene.duration:g} s"
     return Case(scene.robot, log, tuple(hidden), float(share.max()), said)
 
@@ -147,14 +147,12 @@ def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_j
     raise RuntimeError(f"no stable case from seed {seed} for {names}")
 
 
-def excess(
-    robot: Robot, log: Log, hidden: Sequence[Hidden], wear: Sequence[Hidden] = (), beyond: bool = False
-) -> np.ndarray:
-    """RMS torque (n,) by which a log's torque differs from that of an arm with nothing but its `wear` (wrong links,
+def excess(robot: Robot, log: Log, hidden: Sequence[Hidden], wear: Sequence[Hidden] = ()) -> np.ndarray:
+    """RMS torque (2, n) by which a log's torque differs from that of an arm with nothing but its `wear` (wrong links,
     Coulomb and viscous friction), above its noise [N m]: at 20 Hz, where the noise of 1 kHz is a seventh; noise is put
     back to its full size by the caller's ratio. The rotor that a gear brings with it is not counted: it may be found,
-    and is not what was hidden. Nor are samples near standstill, where friction is what it must be. `beyond`: only what
-    an offset, Coulomb and viscous friction and a rotor of each joint, fitted to it, do not take up."""
+    and is not what was hidden. Nor are samples near standstill, where friction is what it must be. First all of
+    it, then what an offset, Coulomb and viscous friction and a rotor of each joint, fitted to it, do not take up."""
     raw = log.trajectories[0]
     sections = butter(4, 20.0, fs=log.rate, output="sos")
     q = sosfiltfilt(sections, raw.q, axis=0)[::5]
@@ -171,10 +169,11 @@ def excess(
     speed = abs(qd[40:-40])
     moves = speed > STANDSTILL * np.sqrt(np.mean(speed**2, axis=0)) * (built.friction > 0)
     left = np.where(moves, (tau - known)[40:-40], 0.0)
-    for j, own in enumerate(moves.T if beyond else ()):
-        columns = np.stack([np.ones_like(qd), np.sign(qd), qd, qdd], axis=2)[40:-40][own, j]
-        left[own, j] -= columns @ np.linalg.lstsq(columns, left[own, j], rcond=None)[0]
-    return np.sqrt(np.sum(left**2, axis=0) / np.maximum(moves.sum(0), 1))
+    terms, beyond = np.stack([np.ones_like(qd), np.sign(qd), qd, qdd], axis=2)[40:-40], left.copy()
+    for j, own in enumerate(moves.T):
+        columns = terms[own, j]
+        beyond[own, j] -= columns @ np.linalg.lstsq(columns, left[own, j], rcond=None)[0]
+    return np.sqrt(np.sum(np.stack([left, beyond]) ** 2, axis=1) / np.maximum(moves.sum(0), 1))
 
 
 def _share(draw: np.random.Generator) -> float:

@@ -199,12 +199,12 @@ def drawn(seed: int, name: str) -> Drawn:
             continue
         kind = type(scene.reference).__name__
         said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"
-        times = [0.0, 0.0]
-        for k, beyond in enumerate((False, True) if anomaly else ()):
-            both, without = (excess(scene.robot, *x, worn, beyond) for x in ((log, [anomaly]), (twin[0], [])))
+        times = beyond = 0.0
+        if anomaly:
+            both, without = excess(scene.robot, log, [anomaly], worn), excess(scene.robot, twin[0], [], worn)
             alone = np.sqrt(np.maximum(both**2 - without**2, 0.0))
-            times[k] = float(np.max(alone / np.maximum(hiss, without)))
-        return Drawn(scene, log, worn, anomaly, said, *times, hiss)
+            times, beyond = np.max(alone / np.maximum(hiss, without), axis=1).tolist()
+        return Drawn(scene, log, worn, anomaly, said, times, beyond, hiss)
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
 
 
