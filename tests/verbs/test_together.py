@@ -18,7 +18,7 @@ from invdyn_cli.verbs import sweep
 from tests.commands import TINY
 from tests.verbs.test_sweep import folder_of, rows_of
 
-NETS = ("model=ffnn", "model.epochs=3", *TINY)
+NETS = ("model=ffnn", "model.epochs=3", *TINY, "data.filter=central", "data.jitter=0")
 
 
 def test_a_job_of_one_program_is_the_run_alone(command):
@@ -39,8 +39,7 @@ def test_a_job_of_one_program_is_the_run_alone(command):
     assert together.config == alone.config and together.digest == alone.digest
     assert together.model == alone.model and together.samples == alone.samples
     for a, b in zip(*(jax.tree.leaves(run.fit.params) for run in (together, alone)), strict=True):
-        # Adam divides by a gradient's size: one that is nearly zero moves its weight by rounding, up to a step of 0.004
-        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(
         together.fit.history["train_loss"], alone.fit.history["train_loss"], rtol=1e-3, atol=1e-5
     )
