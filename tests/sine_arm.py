@@ -9,7 +9,7 @@ from invdyn_cli.data.sim import SineTasks
 from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.types import Dataset, Fit
+from invdyn_cli.types import Dataset, Fit, Trajectory
 
 
 def thinned(data: Dataset, step: int) -> Dataset:
@@ -22,6 +22,15 @@ def sine_tasks(joints: int = 2, step: int = 40, **options) -> tuple[Dataset, Dat
     """Training set (24,300 / step samples) and test set (450 samples at 0.5 and 0.6 Hz) without noise."""
     splits = SineTasks(**options).load(load_urdf("apollo_arm", dofs=joints))
     return thinned(splits.train, step), thinned(splits.tests["test"], 20)
+
+
+def rubbed(data: Dataset) -> Dataset:
+    """The same with Coulomb (1.5 N m) and viscous friction (0.5 N m s/rad) in every joint."""
+
+    def more(x: Trajectory) -> Trajectory:
+        return replace(x, tau=x.tau + 1.5 * np.clip(x.motion.qd / 0.02, -1, 1) + 0.5 * x.motion.qd)
+
+    return replace(data, trajectories=tuple(more(x) for x in data.trajectories))
 
 
 def error(model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:

@@ -72,12 +72,9 @@ def minimise(
     """
     at, back = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
     at = np.asarray(at)
-    lower = at - REACH if floor is None else np.maximum(at - REACH, np.asarray(ravel_pytree(floor)[0]))
-    reach = REACH * np.asarray(
-        ravel_pytree({name: jax.tree.map(lambda x, on=name in free or not free: np.full(np.shape(x), float(on)), leaf)
-                      for name, leaf in start.items()})[0]
-    )  # fmt: skip
-    lower, upper = np.where(reach > 0, lower, at), at + reach
+    held = {name: np.full(np.shape(x), bool(free) and name not in free) for name, x in start.items()}
+    reach = np.where(ravel_pytree(held)[0], 0.0, REACH)
+    lower = at - reach if floor is None else np.maximum(at - reach, np.asarray(ravel_pytree(floor)[0]))
     done = iter(range(1, 10**9))
 
     def both(point: np.ndarray) -> tuple[float, np.ndarray]:
@@ -87,7 +84,7 @@ def minimise(
             return 1e300, np.zeros_like(point)
         return float(value), np.asarray(ravel_pytree(slope)[0])
 
-    bounds = list(zip(lower, upper, strict=True))
+    bounds = list(zip(lower, at + reach, strict=True))
     found = scipy.optimize.minimize(
         both, np.maximum(at, lower), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": steps}
     )

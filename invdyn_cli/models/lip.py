@@ -26,10 +26,8 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import gaussian_process as gp
 from invdyn_cli.maths.scaling import spread_rows
+from invdyn_cli.models.gip import REST
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
-
-REST = 0.02
-"""[rad/s; m/s] Speed below which the sign of a measured velocity is noise."""
 
 CHUNK = 128
 """Samples whose covariances with the support are computed at once: each takes 8 n² bytes per sample of the support."""

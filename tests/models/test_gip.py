@@ -1,7 +1,6 @@
 """GIP: the kernel against its explicit features, the polynomials that it spans, and how few samples it needs."""
 
 import itertools
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from invdyn_cli.models.gpr import Gpr
 from invdyn_cli.testing import check_model
 from invdyn_cli.types import Motion
 from tests.records import make_dataset, make_robot
-from tests.sine_arm import error, sine_tasks
+from tests.sine_arm import error, rubbed, sine_tasks
 
 KEY = jax.random.key(0)
 SMALL = Gip(hyperparameter_samples=60, steps=10)
@@ -80,16 +79,9 @@ def test_needs_fewer_samples_than_a_squared_exponential():
 
 def test_friction_terms_learn_friction():
     """With Coulomb and viscous friction in the torques, it leaves less than half without its friction terms."""
-    train, test = sine_tasks(2, 200)
-
-    def rubbed(data):
-        def more(x):
-            return replace(x, tau=x.tau + 1.5 * np.clip(x.motion.qd / 0.02, -1, 1) + 0.5 * x.motion.qd)
-
-        return replace(data, trajectories=tuple(more(x) for x in data.trajectories))
-
+    train, test = (rubbed(x) for x in sine_tasks(2, 200))
     models = [Gip(steps=30), Gip(steps=30, friction=False)]
-    errors = [error(model, model.fit(rubbed(train), KEY), rubbed(test)).mean() for model in models]
+    errors = [error(model, model.fit(train, KEY), test).mean() for model in models]
     assert errors[0] < 0.5 * errors[1]
 
 
