@@ -31,12 +31,12 @@ LOUDER = 5.0
 """Multiple of the RMS that noise and clocks usually leave, above which a recurring residual is more than noise."""
 
 UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
-"""How many times the variance that a learner still predicts on its joints an effect must save to be named; and how
-many times where the learner predicts more than the share UNKNOWN of what is left on a joint: the catalogue then lacks
-what acts there."""
+"""An effect is named if it saves this many times the variance that a learner still predicts on its joints. The second
+factor is for a joint on which the learner predicts more than the share UNKNOWN of the residual: an effect that the
+catalogue lacks acts there."""
 
 LATE_UNKNOWN = 1e4
-"""How many times for a delay or a lag there: some percent of many other effects look like one."""
+"""The factor for a delay or a lag on such a joint: many other effects resemble one to some percent."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 
@@ -90,8 +90,8 @@ def beyond_noise(evidence: Evidence, residual: np.ndarray, rows: np.ndarray) -> 
 def in_doubt(
     found: Sequence[Finding], effects: Mapping[str, AbstractEffect], learned: Mapping[str, float]
 ) -> tuple[Finding, ...]:
-    """The findings; one that saves too little compared with what a learner still predicts on its joints is ambiguous:
-    another effect acts there, which may make all of the torque. Both are measured by what is left on the joint.
+    """The findings. One that saves too little, compared with what a learner still predicts on its joints, becomes
+    ambiguous: another effect acts there and may be the whole cause. Savings and predictions are shares of the residual.
 
     Args:
         learned: {joint: share of the residual's variance that the learner predicts}.

@@ -62,7 +62,7 @@ def claimed(effect: str, left: float) -> Finding:
 )
 def test_a_name_must_outweigh_what_has_none(effect, learned, times):
     """An effect that saves a tenth more than so many times what is still predicted is named, with a tenth less it is
-    not. The factor is larger where a learner predicts most of what is left, and largest for a delay or a lag."""
+    not. The factor is larger where a learner predicts most of the residual, and largest for a delay or a lag."""
     for factor, status in ((1.1, "named"), (0.9, "ambiguous")):
         left = (1 + factor * times * learned) ** -0.5
         (found,) = in_doubt([claimed(effect, left)], EFFECTS, {"axis1": learned})
