@@ -86,8 +86,8 @@ def named(rows: Rows, joints: tuple[str, ...], terms: Iterable[tuple[str, str, f
 
 def ours(log: Log, urdf: Path) -> list[dict[str, Any]]:
     """The findings of a diagnosis."""
+    from invdyn_cli.compiled import use_compilation_cache
     from invdyn_cli.diagnosis import diagnose
-    from invdyn_cli.verbs.screen import use_compilation_cache
 
     use_compilation_cache()
     found = diagnose(log, load_urdf(urdf)).findings

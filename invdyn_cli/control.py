@@ -19,6 +19,7 @@ from invdyn_cli.data.tasks import AbstractTaskSource, Task
 from invdyn_cli.errors import UsageError
 from invdyn_cli.experiment import Stage
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, silent
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.online import Online, online
 from invdyn_cli.simulation.arm import quiet
@@ -259,11 +260,6 @@ def _arm(robot: Robot, task: Task, sweep: Sweep, source: AbstractTaskSource) -> 
     return loop
 
 
-def _rms(x: np.ndarray) -> np.ndarray:
-    """(n,) over time (T, n)."""
-    return np.sqrt(np.mean(x**2, axis=0))
-
-
 def _measured(
     loop: ClosedLoop,
     task: Task,
@@ -311,11 +307,11 @@ def _measured(
         loaded=loaded,
         kind=kind,
         repetition=repetition,
-        error=_rms(error),
+        error=rms(error),
         peak=np.abs(error).max(axis=0),
-        stages={name: _rms(error[stage == name]) for name in dict.fromkeys(stage.tolist())},
-        feedback=_rms(back[counted]),
-        torque=_rms(loop.commands[counted]) if not failed else np.full(n, np.nan),
+        stages={name: rms(error[stage == name]) for name in dict.fromkeys(stage.tolist())},
+        feedback=rms(back[counted]),
+        torque=rms(loop.commands[counted]) if not failed else np.full(n, np.nan),
         tick=(float(np.percentile(took[counted], 50)), float(np.percentile(took[counted], 99))),
         failed=failed,
     )

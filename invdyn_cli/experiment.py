@@ -66,8 +66,8 @@ def run(
     started = time.perf_counter()
     splits = prepared.splits if prepared else source.load(robot, stage("data"))
     if "test" not in splits.tests:
-        got = f"the source {type(source).__name__} has the test sets {listed(splits.tests)}"
-        raise UsageError(f"{got}; allowed: test, and further ones")
+        got = f"the source {type(source).__name__} has no test set named test, but {listed(splits.tests)}"
+        raise UsageError(f"{got}; allowed: one named test, and others beside it")
     fit_started = time.perf_counter()
     fit = adaptation.fit(
         _known(model, prepared.fit) if prepared else model,

@@ -58,6 +58,26 @@ def in_words(hint: Any) -> str:
     return WORDS.get(hint) or getattr(hint, "__name__", str(hint))
 
 
+def counts(owner: Any, group: str, *names: str) -> None:
+    """Refuse options of an object, said as `group.name`, that are no whole numbers >= 1.
+
+    Raises:
+        UsageError: naming the first of them.
+    """
+    for name in names:
+        value = getattr(owner, name)
+        if not (isinstance(value, int) and value >= 1):
+            raise UsageError(f"{group}.{name}={value}; allowed: a whole number >= 1")
+
+
+def positive(owner: Any, group: str, *names: str) -> None:
+    """The same of options that are no numbers > 0."""
+    for name in names:
+        value = getattr(owner, name)
+        if not value > 0:
+            raise UsageError(f"{group}.{name}={value}; allowed: a number > 0")
+
+
 def made(kind: type[T], options: Mapping[str, Any], what: str) -> T:
     """An object of a dataclass from options by name; numbers of numpy count as Python's.
 

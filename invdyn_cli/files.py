@@ -36,6 +36,11 @@ def write_file(path: str | Path, content: bytes | str) -> Path:
     return path
 
 
+def relative(path: Path) -> Path:
+    """A path as seen from the working directory, where it lies below it."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
 def remove_stale(folder: Path) -> None:
     """Remove the incomplete files that killed processes of this machine left in a folder."""
     for part in folder.glob(f".invdyn-{_HOST}-*.part"):

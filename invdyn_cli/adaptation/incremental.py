@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
 from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
@@ -31,11 +31,8 @@ class AbstractDescent(AbstractAdapter):
     if_diverged = "a lower adaptation.learning_rate may help"
 
     def __post_init__(self) -> None:
-        for name in ("rate", "batch_size", "epochs"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"{name}={getattr(self, name)}; allowed: a whole number >= 1")
-        if not self.learning_rate > 0:
-            raise UsageError(f"learning_rate={self.learning_rate}; allowed: a number > 0")
+        counts(self, "adaptation", "rate", "batch_size", "epochs")
+        positive(self, "adaptation", "learning_rate")
 
     @abc.abstractmethod
     def memory(self, weights: PyTree) -> PyTree:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
 from invdyn_cli.maths.scaling import standardisation
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
@@ -42,12 +43,8 @@ class LocalErrorModel(AbstractAdapter):
     if_diverged = "a lower adaptation.offset_rate may help"
 
     def __post_init__(self) -> None:
-        for name in ("window", "interval"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"adaptation.{name}={getattr(self, name)}; allowed: a whole number >= 1")
-        for name in ("width", "noise"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"adaptation.{name}={getattr(self, name)}; allowed: a number > 0")
+        counts(self, "adaptation", "window", "interval")
+        positive(self, "adaptation", "width", "noise")
         if not 0 <= self.offset_rate <= 1:
             raise UsageError(f"adaptation.offset_rate={self.offset_rate}; allowed: a number from 0 to 1")
 

@@ -46,11 +46,6 @@ class Open:
         return len(self.sides) > 1
 
 
-def open_questions(findings: Sequence[Finding], robot: Robot) -> list[Open]:
-    """The ambiguous findings that have two names or more in the catalogue for which a motion can be designed."""
-    return [x for x in all_open(findings, robot) if x.playable]
-
-
 def all_open(findings: Sequence[Finding], robot: Robot) -> list[Open]:
     """All ambiguous findings, also those for which no motion can be designed."""
     return [_opened(number, one, robot) for number, one in enumerate(findings) if one.status == "ambiguous"]

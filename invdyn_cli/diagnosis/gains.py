@@ -16,6 +16,7 @@ import numpy as np
 from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.columns.evidence import started
 from invdyn_cli.log import Log
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES, Preparation, prepare
 from invdyn_cli.types import Diagnosis, Finding, Gain, Quantity, Robot
@@ -96,7 +97,7 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
             fitted = columns.fit(evidence.tau, rows)
             factor, error = fitted.theta[-robot.dofs :], np.sqrt(np.diag(fitted.covariance))[-robot.dofs :]
             left = (evidence.tau - columns.of(fitted.theta))[rows]
-            shown = factor * _rms(evidence.nominal[rows]) > SHOWN * _rms(left)
+            shown = factor * rms(evidence.nominal[rows]) > SHOWN * rms(left)
         known = shown & (error < KNOWN * factor)
         # where nothing tells, the nominal torque is at most what the log allows of it; else currents stay as they are
         most = np.maximum(factor + error, 1e-9)
@@ -104,11 +105,6 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
         relative = np.where(known, np.hypot(error / np.where(known, factor, 1.0), wear.WORN), 1.0)
     units = tuple("N/A" if slides else "N m/A" for slides in robot.prismatic)
     return Gains(robot.joints, units, value, value * relative)
-
-
-def _rms(x: np.ndarray) -> np.ndarray:
-    """(n,) of rows (R, n)."""
-    return np.sqrt(np.mean(x**2, axis=0))
 
 
 def beside(diagnosis: Diagnosis, gains: Gains) -> Diagnosis:

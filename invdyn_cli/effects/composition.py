@@ -1,7 +1,7 @@
 """A robot with effects on it: from a motion to the torque that is logged, effects composed in one fixed order.
 
-logged = channel(torque terms + forces + inverse dynamics of (changed bodies, true motion behind the gear)). An effect
-in a time window has the weight of its window, 0 to 1.
+logged = channel(torque terms + forces + inverse dynamics of (changed bodies, true motion behind the gear)). The torque
+of an effect with a time window is multiplied by the window's weight, between 0 and 1.
 """
 
 from collections.abc import Sequence

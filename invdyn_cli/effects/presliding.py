@@ -40,7 +40,8 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     contains_as_limit = True
     nonlinear = ("stiffness",)
     advice = (
-        "reversals of a few milliradians, slow and fast: it depends on the distance since the reversal, not on speed"
+        "reversals of a few milliradians, slow and fast: presliding friction depends on the distance since the "
+        "reversal, not on speed"
     )
     panels = ("loops_over_position",)
     needs = ("motion", "reversals", "creep")

@@ -1,3 +1,4 @@
-"""The verbs as Python functions: objects in, results out that show themselves (docs/python.md). No config; files are
-written only by `result.save(folder)`. `invdyn_cli/__init__.py` says what the top level of the package offers.
+"""The verbs as Python functions: they take objects, and return results that display themselves in a notebook
+(docs/python.md). No config; files are written only by `result.save(folder)`. `invdyn_cli/__init__.py` says what the top
+level of the package offers.
 """

@@ -11,6 +11,11 @@ BLOCK = 100
 """Number of samples over which errors during adaptation are averaged (the paper's lambda)."""
 
 
+def rms(x: np.ndarray) -> np.ndarray:
+    """Root of the mean square over time, (n,) of (T, n)."""
+    return np.sqrt(np.mean(np.square(x), axis=0))
+
+
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     """Root mean squared error per joint (n,) of torques (T, n) [N m; N]."""
     return np.sqrt(np.mean((target - prediction) ** 2, axis=0))

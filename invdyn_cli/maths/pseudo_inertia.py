@@ -12,8 +12,6 @@ P is linear in the ten parameters, so the realisable ones are a convex cone.
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
@@ -102,37 +100,6 @@ def realisable(row: Array, floor: float = FLOOR) -> np.ndarray:
         return np.array(row, float)
     nearest = (vectors * np.maximum(values, floor)) @ vectors.T
     return row_of(nearest * np.outer(unit, unit))
-
-
-@jax.jit
-def from_log_cholesky(coordinates: Array) -> jax.Array:
-    """The row (10,) of log-Cholesky coordinates (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3), any ten numbers: their
-    pseudo inertia U U' is positive definite (Rucker and Wensing, RA-L 2022, eq. 11); pure jax."""
-    alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = jnp.asarray(coordinates)
-    zero, one = jnp.zeros_like(alpha), jnp.ones_like(alpha)
-    upper = jnp.exp(alpha) * jnp.array(
-        [[jnp.exp(d1), s12, s13, t1], [zero, jnp.exp(d2), s23, t2], [zero, zero, jnp.exp(d3), t3], [zero] * 3 + [one]]
-    )
-    p = upper @ upper.T
-    return jnp.array([p[3, 3], *p[:3, 3], *_inertia(p)])
-
-
-def log_cholesky(row: Array) -> np.ndarray:
-    """Log-Cholesky coordinates (10,) of a row (10,) with a positive definite pseudo inertia.
-
-    Raises:
-        numpy.linalg.LinAlgError: if it is not.
-    """
-    u = np.linalg.cholesky(pseudo_inertia(row)[::-1, ::-1])[::-1, ::-1]
-    scaled = u / u[3, 3]
-    diagonal = np.log(np.diag(scaled)[:3])
-    return np.array([np.log(u[3, 3]), *diagonal, scaled[0, 1], scaled[1, 2], scaled[0, 2], *scaled[:3, 3]])
-
-
-@jax.jit
-def log_cholesky_jacobian(coordinates: Array) -> jax.Array:
-    """(10, 10) derivative of the row by each coordinate (last axis); it has full rank everywhere."""
-    return jax.jacfwd(from_log_cholesky)(jnp.asarray(coordinates, float))
 
 
 def divergence(row: Array, reference: Array) -> float:

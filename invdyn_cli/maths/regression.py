@@ -2,8 +2,8 @@
 
 Memory does not grow with the number of samples. A Gram matrix K'K would square the condition number and blur the small
 singular values that decide the rank; here the columns are preconditioned first, K = Z T with T from a sample of the
-rows, so that Z'Z is harmless and the singular values of K are those of the small matrix (Z'Z)^(1/2) T (Cholesky QR with
-a preconditioner; Fukaya et al. 2020).
+rows, so that Z'Z is well conditioned and the singular values of K are those of the small matrix (Z'Z)^(1/2) T (Cholesky
+QR with a preconditioner; Fukaya et al. 2020).
 """
 
 import itertools

@@ -1,7 +1,10 @@
 """Inputs and targets in units of their own spread, as regression from the state to the torque needs them."""
 
 from collections.abc import Mapping
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.types import Array, Motion
@@ -14,6 +17,11 @@ def standardisation(motion: Motion, tau: Array) -> dict[str, Array]:
     scales = np.concatenate([x.std(0) for x in inputs]), tau.std(0)
     scales = [np.where(s > 1e-12 * (1 + np.abs(m)), s, 1.0) for m, s in zip(means, scales, strict=True)]
     return {"input_mean": means[0], "input_scale": scales[0], "target_mean": means[1], "target_scale": scales[1]}
+
+
+def standardised_state(scales: Mapping[str, Any], motion: Motion) -> jax.Array:
+    """Inputs (3 n,) of one sample in those units; pure jax."""
+    return (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - scales["input_mean"]) / scales["input_scale"]
 
 
 def standardised(scales: Mapping[str, Array], motion: Motion, tau: Array) -> tuple[np.ndarray, np.ndarray]:

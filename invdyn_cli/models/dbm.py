@@ -11,6 +11,7 @@ import numpy as np
 
 from invdyn_cli.chunks import CHUNK, padded
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import chains, least_squares, regression, rigid_body
 from invdyn_cli.maths.bezier import BASES, REACH, Basis
@@ -77,8 +78,7 @@ class Dbm(AbstractModel):
                 raise UsageError(f"model.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
         if self.strength is not None and not 0 < self.strength < 1:
             raise UsageError(f"model.strength={self.strength}; allowed: null, or a number between 0 and 1")
-        if not (isinstance(self.searches, int) and self.searches >= 1):
-            raise UsageError(f"model.searches={self.searches}; allowed: a whole number >= 1")
+        counts(self, "model", "searches")
         if not self.memory > 0:
             raise UsageError(f"model.memory={self.memory}; allowed: a number > 0 [GB]")
 

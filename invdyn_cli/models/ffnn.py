@@ -10,8 +10,9 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths.scaling import standardisation, standardised
+from invdyn_cli.maths.scaling import standardisation, standardised, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 MOST_WEIGHTS = 10_000_000
@@ -67,9 +68,7 @@ class Ffnn(AbstractModel):
         common = JointNet(self.hidden, self.learning_rate)
         object.__setattr__(self, "hidden", common.hidden)
         object.__setattr__(self, "joints", _per_joint(self.joints, common))
-        for name in ("epochs", "batch_size", "seeds"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        counts(self, "model", "epochs", "batch_size", "seeds")
         for net in (common, *(net for _, net in self.joints)):
             weights = _weights(net, self.seeds)
             if weights > MOST_WEIGHTS:
@@ -101,7 +100,7 @@ class Ffnn(AbstractModel):
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample: the mean over the members."""
         n = motion.q.shape[-1]
-        x = (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
+        x = standardised_state(params, motion)
         x = x.astype(jnp.float32)
         outputs = jnp.zeros(n)
         for i, group in enumerate(self.groups(n)):

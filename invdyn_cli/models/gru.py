@@ -13,7 +13,7 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.chunks import padded
-from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths.scaling import standardisation, standardised
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
@@ -59,11 +59,8 @@ class Gru(AbstractModel):
     learning_rate: float = 0.003
 
     def __post_init__(self) -> None:
-        for name in ("memory", "hidden", "window", "epochs", "batch_size"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
-        if not self.learning_rate > 0:
-            raise UsageError(f"model.learning_rate={self.learning_rate}; allowed: a number > 0")
+        counts(self, "model", "memory", "hidden", "window", "epochs", "batch_size")
+        positive(self, "model", "learning_rate")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """Fresh weights and the standardisation of this dataset."""

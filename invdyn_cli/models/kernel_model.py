@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from invdyn_cli.chunks import in_chunks
-from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import gaussian_process as gp
 from invdyn_cli.maths.scaling import standardisation
@@ -37,9 +37,7 @@ class AbstractKernelModel(AbstractModel):
     steps: int
 
     def __post_init__(self) -> None:
-        for name in ("exact", "inducing", "hyperparameter_samples", "steps"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        counts(self, "model", "exact", "inducing", "hyperparameter_samples", "steps")
 
     @abc.abstractmethod
     def inputs(self, scales: PyTree, motion: Motion, robot: Robot | None) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths.scaling import standardisation
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
@@ -67,11 +68,8 @@ class LagrangianNet(AbstractModel):
         if not isinstance(self.hidden, Sequence) or any(not (isinstance(w, int) and w >= 1) for w in self.hidden):
             raise UsageError(f"model.hidden={self.hidden}; allowed: a list of whole numbers >= 1")
         object.__setattr__(self, "hidden", tuple(self.hidden))
-        for name in ("epochs", "batch_size"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
-        if not self.learning_rate > 0:
-            raise UsageError(f"model.learning_rate={self.learning_rate}; allowed: a number > 0")
+        counts(self, "model", "epochs", "batch_size")
+        positive(self, "model", "learning_rate")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """A fresh net and the standardisation of this dataset."""

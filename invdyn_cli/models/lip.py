@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import gaussian_process as gp
 from invdyn_cli.maths.scaling import spread_rows
@@ -96,9 +96,7 @@ class Lip(AbstractModel):
     steps: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("exact", "inducing", "hyperparameter_samples", "steps"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        counts(self, "model", "exact", "inducing", "hyperparameter_samples", "steps")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """The prior: mean zero."""

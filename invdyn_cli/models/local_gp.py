@@ -17,9 +17,10 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import gaussian_process as gp
-from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised
+from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 
@@ -49,9 +50,7 @@ class LocalGp(AbstractModel):
     steps: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("regions", "capacity", "nearest", "hyperparameter_samples", "steps"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        counts(self, "model", "regions", "capacity", "nearest", "hyperparameter_samples", "steps")
         if not 0 < self.nearness < 1:
             raise UsageError(f"model.nearness={self.nearness}; allowed: a number between 0 and 1")
 
@@ -63,7 +62,7 @@ class LocalGp(AbstractModel):
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample."""
-        x = _input(params, motion)
+        x = standardised_state(params, motion)
         each = jax.vmap(partial(self._mean, x))(params["hyper"], params["local"])
         return params["target_mean"] + params["target_scale"] * each
 
@@ -96,7 +95,7 @@ class LocalGp(AbstractModel):
 
     def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
         """The parameters after ONE more sample, which replaces the oldest one in regions that are full."""
-        x, y = _input(params, motion), (tau - params["target_mean"]) / params["target_scale"]
+        x, y = standardised_state(params, motion), (tau - params["target_mean"]) / params["target_scale"]
 
         def one(hyper: PyTree, local: PyTree, y: Array) -> PyTree:
             local = self._centred(hyper, local, x)
@@ -153,10 +152,6 @@ class LocalGp(AbstractModel):
         k = gp.squared_exponential(hyper, region["inputs"], region["inputs"]) * (filled[:, None] & filled)
         k = k + jnp.diag(jnp.where(filled, jnp.exp(2 * hyper["noise"]), 1.0))
         return cho_solve((jnp.linalg.cholesky(k), True), region["targets"] * filled)
-
-
-def _input(params: PyTree, motion: Motion) -> Array:
-    return (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
 
 
 def _closeness(hyper: PyTree, local: PyTree, x: Array) -> Array:

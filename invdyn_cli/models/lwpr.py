@@ -19,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths.scaling import standardisation, standardised
+from invdyn_cli.maths.scaling import standardisation, standardised, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 ACTIVE = 1e-3
@@ -74,17 +75,14 @@ class Lwpr(AbstractModel):
     passes: int = 5
 
     def __post_init__(self) -> None:
-        for name in ("fields", "directions", "passes"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        counts(self, "model", "fields", "directions", "passes")
         for name in ("generate", "prune", "direction_gain", "forgetting", "last_forgetting"):
             if not 0 < getattr(self, name) <= 1:
                 raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a number above 0, up to 1")
         for name in ("learning_rate", "penalty"):
             if not getattr(self, name) >= 0:
                 raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a number >= 0")
-        if not self.reach > 0:
-            raise UsageError(f"model.reach={self.reach}; allowed: a number > 0")
+        positive(self, "model", "reach")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """No fields yet: the mean torque."""
@@ -94,7 +92,7 @@ class Lwpr(AbstractModel):
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample."""
-        x = _input(params, motion)
+        x = standardised_state(params, motion)
         return params["target_mean"] + params["target_scale"] * jax.vmap(lambda f: said(f, x))(params["fields"])
 
     def fit(
@@ -124,7 +122,7 @@ class Lwpr(AbstractModel):
 
     def learned_from(self, params: PyTree, motion: Motion, tau: Array, robot: Robot | None) -> PyTree:
         """The parameters after ONE more sample."""
-        x, y = _input(params, motion), (tau - params["target_mean"]) / params["target_scale"]
+        x, y = standardised_state(params, motion), (tau - params["target_mean"]) / params["target_scale"]
         return {**params, "fields": jax.vmap(lambda fields, y: self.learned(fields, x, y))(params["fields"], y)}
 
     def chunk(self, motion: Motion) -> int:
@@ -255,10 +253,6 @@ def _linear(x: Array, f: PyTree) -> Array:
         total = total + jnp.where(k < f["used"], f["slope"][k] * s, 0.0)
         z = z - s * f["loading"][k]
     return total
-
-
-def _input(params: PyTree, motion: Motion) -> Array:
-    return (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
 
 
 @partial(jax.jit, static_argnums=0)

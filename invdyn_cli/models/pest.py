@@ -9,6 +9,7 @@ import numpy as np
 
 from invdyn_cli.chunks import in_chunks
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import links, regression, rigid_body, ripple
 from invdyn_cli.maths.regression import Design, Solution
@@ -68,8 +69,7 @@ class Pest(AbstractModel):
                 raise UsageError(f"model.{name}={value!r}; allowed: {', '.join(allowed)}")
         if not (isinstance(self.ripples, int) and 0 <= self.ripples <= MOST_RIPPLES):
             raise UsageError(f"model.ripples={self.ripples}; allowed: a whole number from 0 to {MOST_RIPPLES}")
-        if not self.rest_speed > 0:
-            raise UsageError(f"model.rest_speed={self.rest_speed}; allowed: a number > 0")
+        positive(self, "model", "rest_speed")
         for name in ("threshold", "least_speed"):
             if not getattr(self, name) >= 0:
                 raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a number >= 0")

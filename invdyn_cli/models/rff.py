@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import gaussian_process as gp
-from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised
+from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 
@@ -40,9 +40,7 @@ class Rff(AbstractModel):
     steps: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("frequencies", "hyperparameter_samples", "steps"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise UsageError(f"model.{name}={getattr(self, name)}; allowed: a whole number >= 1")
+        counts(self, "model", "frequencies", "hyperparameter_samples", "steps")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """Weights zero, frequencies drawn."""
@@ -56,7 +54,7 @@ class Rff(AbstractModel):
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample: the posterior mean."""
-        x = (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
+        x = standardised_state(params, motion)
         each = jax.vmap(lambda hyper, w: _features(hyper, params["directions"], x[None])[0] @ w)
         return params["target_mean"] + params["target_scale"] * each(params["hyper"], params["weights"])
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from invdyn_cli.chunks import in_chunks
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import regression, rigid_body, standard, statistics
 from invdyn_cli.maths.regression import Design
@@ -42,8 +43,7 @@ class Standard(AbstractModel):
     def __post_init__(self) -> None:
         if self.share is not None and not self.share > 0:
             raise UsageError(f"model.share={self.share}; allowed: a number above 0, or null")
-        if not self.rest_speed > 0:
-            raise UsageError(f"model.rest_speed={self.rest_speed}; allowed: a number > 0")
+        positive(self, "model", "rest_speed")
 
     @property
     def terms(self) -> tuple[str, ...]:

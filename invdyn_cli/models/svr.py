@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.errors import UsageError
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised
+from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 
@@ -44,8 +45,7 @@ class Svr(AbstractModel):
             value = getattr(self, name)
             if not (name == "gamma" and value is None) and not value > 0:
                 raise UsageError(f"model.{name}={value}; allowed: a number > 0")
-        if not (isinstance(self.samples, int) and self.samples >= 1):
-            raise UsageError(f"model.samples={self.samples}; allowed: a whole number >= 1")
+        counts(self, "model", "samples")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
         """No support vectors yet: coefficients of zero."""
@@ -56,7 +56,7 @@ class Svr(AbstractModel):
 
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample."""
-        x = (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - params["input_mean"]) / params["input_scale"]
+        x = standardised_state(params, motion)
         k = jnp.exp(-self._gamma(len(x)) * jnp.sum((x - params["inputs"]) ** 2, 1))
         return params["target_mean"] + params["target_scale"] * (params["coefficients"] @ k + params["offset"])
 

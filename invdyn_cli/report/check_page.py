@@ -215,8 +215,8 @@ def _excitation(examination: Examination, robot: Robot | None) -> str:
     condition = next(iter(examination.excitation.values())).get("condition")
     note = "After a low-pass filter of 6 Hz. "
     if condition is not None:
-        note += f"The condition number of the whole arm's regressor is {significant(condition)}: below 100 inertial "
-        note += "parameters come out well, above 1000 many do not (Gautier, Khalil 1992)."
+        note += f"The condition number of the whole arm's regressor is {significant(condition)}: below 100, the "
+        note += "inertial parameters are well determined; above 1000, many are not (Gautier, Khalil 1992)."
     return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
 
 

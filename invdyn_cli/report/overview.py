@@ -43,7 +43,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.set_xlim(0, 160)
     shares.set_xticks([0, 25, 50, 75, 100])
     shares.grid(False, axis="y")
-    shares.set_xlabel("share of the residual's variance [%], and its RMS")
+    shares.set_xlabel("predictable share of the residual's variance [%], and its RMS")
     shares.set_title("unexplained: what a learner predicts")
     bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))

@@ -99,7 +99,7 @@ def build(
     bodies = []
     for i, name in enumerate(robot.joints):
         parent = spec.worldbody if robot.parents[i] < 0 else bodies[robot.parents[i]]
-        frame = {"pos": np.asarray(robot.translation[i]), "quat": _quaternion(np.asarray(robot.rotation[i]))}
+        frame = {"pos": np.asarray(robot.translation[i]), "quat": quaternion_of(np.asarray(robot.rotation[i]))}
         bodies.append(_body(parent, f"link_{i}", solids[i], **frame))
         slides = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
         bodies[i].add_joint(name=name, type=slides, axis=np.asarray(robot.axis[i]), armature=float(i in geared))
@@ -193,7 +193,7 @@ def _solid(row: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
     axes[:, 2] *= np.sign(np.linalg.det(axes))
-    return mass, com, _quaternion(axes), moments
+    return mass, com, quaternion_of(axes), moments
 
 
 def _body(parent, name: str, solid: tuple, **frame):
@@ -204,7 +204,8 @@ def _body(parent, name: str, solid: tuple, **frame):
     )
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """(4,) w, x, y, z of a rotation matrix (3, 3)."""
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).reshape(9))
     return quaternion

@@ -21,7 +21,7 @@ import numpy as np
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.joints import JOINT_TERMS, SimulatorTerms
 from invdyn_cli.maths.pseudo_inertia import realisable
-from invdyn_cli.simulation.arm import build, mass_matrix
+from invdyn_cli.simulation.arm import build, mass_matrix, quaternion_of
 from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Robot
 from invdyn_cli.urdf import moving_links
@@ -156,7 +156,7 @@ def _text(made: _Numbers) -> str:
     world = ET.SubElement(root, "worldbody")
     for i, name in enumerate(_links(robot)):
         parent = world if robot.parents[i] < 0 else bodies[robot.parents[i]]
-        frame = {"pos": robot.translation[i], "quat": _quaternion(np.asarray(robot.rotation[i]))}
+        frame = {"pos": robot.translation[i], "quat": quaternion_of(np.asarray(robot.rotation[i]))}
         body = ET.SubElement(parent, "body", {"name": name, **{k: _said(v) for k, v in frame.items()}})
         _inertial(body, made.inertial[i])
         for joint in _joints(made, i):
@@ -253,9 +253,3 @@ def _links(robot: Robot) -> list[str]:
 def _said(numbers: Any) -> str:
     """Numbers with all their digits."""
     return " ".join(repr(float(x)) for x in np.atleast_1d(np.asarray(numbers, float)))
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).reshape(9))
-    return quaternion

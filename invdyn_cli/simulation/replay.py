@@ -16,6 +16,7 @@ import numpy as np
 
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.interfaces import Progress, silent
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.simulation.arm import mass_matrix, quiet
 from invdyn_cli.simulation.driven import STEP, Driven, Segment
 
@@ -166,20 +167,20 @@ def replay(
     holds = {name: [held(text, x, *gains) for x in used] for name, text in (("before", before), ("after", after))}
     moved = {name: np.concatenate([x[0] for x in parts]) for name, parts in holds.items()}
     pulled = {name: np.concatenate([x[1] for x in parts]) for name, parts in holds.items()}
-    worst = int(np.argmax(_rms(off["before"]) - _rms(off["after"])))
+    worst = int(np.argmax(rms(off["before"]) - rms(off["after"])))
     return Replay(
         joints=tuple(joints),
         length=length,
         windows=len(where),
-        before=_rms(off["before"]),
-        after=_rms(off["after"]),
-        end_before=_rms(ends["before"]),
-        end_after=_rms(ends["after"]),
+        before=rms(off["before"]),
+        after=rms(off["after"]),
+        end_before=rms(ends["before"]),
+        end_after=rms(ends["after"]),
         held=sum(float(x.t[-1] - x.t[0]) for x in used),
-        held_before=_rms(moved["before"]),
-        held_after=_rms(moved["after"]),
-        torque_before=_rms(pulled["before"]),
-        torque_after=_rms(pulled["after"]),
+        held_before=rms(moved["before"]),
+        held_after=rms(moved["after"]),
+        torque_before=rms(pulled["before"]),
+        torque_after=rms(pulled["after"]),
         traces=_traces(found, where, joints[worst], worst, pictures),
         not_held=tuple(not_held),
     )
@@ -287,10 +288,6 @@ def _traces(found, where, joint: str, column: int, pictures: int) -> tuple[Trace
         moved = [measured + found[name][k][:, column] for name in ("before", "after")]
         out.append(Traces(stretch.name, joint, stretch.t[rows], measured, *moved))
     return tuple(out)
-
-
-def _rms(x: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.mean(x**2, axis=0))
 
 
 def _bounded(x: np.ndarray) -> np.ndarray:

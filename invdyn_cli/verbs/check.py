@@ -6,7 +6,9 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.errors import UsageError
+from invdyn_cli.files import relative
 from invdyn_cli.functions import checking
 from invdyn_cli.interfaces import AbstractSource
 from invdyn_cli.logfile import write_log
@@ -29,7 +31,7 @@ def task(config: DictConfig) -> None:
     source = make_log_source(config)
     refuse_target(config, source)
     folder, console = Path(job().runtime.output_dir), Screen()
-    screen.use_compilation_cache()
+    use_compilation_cache()
     robot = make_robot(config, source.header(), optional=not source.needs_robot, console=console)
     with screen.stages() as stage:
         found = source.recorded(robot, stage("read"))
@@ -79,8 +81,3 @@ def written(result: checking.CheckResult, config: DictConfig) -> tuple[str, ...]
     write_log(replace(log, trajectories=named, history=history), target)
     count = len(result.corrections)
     return (f"{count} {'correction' if count == 1 else 'corrections'} written into {target}",)
-
-
-def relative(folder: Path) -> Path:
-    """The path of the folder relative to the working directory."""
-    return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder

@@ -16,12 +16,11 @@ from rich.text import Text
 
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError, UsageError, listed
-from invdyn_cli.files import write_file
+from invdyn_cli.files import relative, write_file
 from invdyn_cli.report.tables import shortened, significant
 from invdyn_cli.tracking.contract import flat
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import launch
-from invdyn_cli.verbs.run import relative
 from invdyn_cli.verbs.screen import Screen
 
 CHOSEN = ("model", "data", "adaptation", "seed")

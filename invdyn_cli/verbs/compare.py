@@ -7,13 +7,14 @@ from omegaconf import DictConfig, ListConfig
 
 from invdyn_cli import store
 from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.files import relative
 from invdyn_cli.report import compared
 from invdyn_cli.report.compared import Compared
 from invdyn_cli.report.tables import robot_of
 from invdyn_cli.verbs.finished import page_of
 from invdyn_cli.verbs.launch import job, launch
 from invdyn_cli.verbs.objects import trusted
-from invdyn_cli.verbs.run import relative, size_limit
+from invdyn_cli.verbs.run import size_limit
 from invdyn_cli.verbs.screen import Screen, stages
 
 

@@ -7,16 +7,17 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import control
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.control import ControlRecord, Sweep
 from invdyn_cli.data.tasks import AbstractTaskSource
 from invdyn_cli.errors import UsageError
-from invdyn_cli.files import write_file
+from invdyn_cli.files import relative, write_file
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.report import control_page, controlled
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import job, launch
 from invdyn_cli.verbs.objects import instantiate, target_of
-from invdyn_cli.verbs.run import make_object, make_robot, refuse_options, relative
+from invdyn_cli.verbs.run import make_object, make_robot, refuse_options
 from invdyn_cli.verbs.screen import Screen
 
 
@@ -32,7 +33,7 @@ def task(config: DictConfig) -> None:
 
 def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
     """Config -> objects -> the arm in closed loop -> files in `folder`; prints the result on `console`."""
-    screen.use_compilation_cache()
+    use_compilation_cache()
     refuse_options(config)
     target = f"{Sweep.__module__}.{Sweep.__name__}"
     sweep: Sweep = instantiate(

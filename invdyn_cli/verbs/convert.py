@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from invdyn_cli.errors import LogError, RobotError, UsageError
-from invdyn_cli.files import write_file
+from invdyn_cli.files import relative, write_file
 from invdyn_cli.formats import map_file
 from invdyn_cli.formats.columns import ColumnMap
 from invdyn_cli.formats.map_file import ENTRIES
@@ -16,7 +16,7 @@ from invdyn_cli.functions.inputs import robot_of
 from invdyn_cli.logfile import write_log
 from invdyn_cli.verbs import imports
 from invdyn_cli.verbs.launch import launch
-from invdyn_cli.verbs.run import relative, size_limit
+from invdyn_cli.verbs.run import size_limit
 from invdyn_cli.verbs.screen import Screen
 
 OWN = ("source", "output", "columns", "force", "max_size", "hydra")

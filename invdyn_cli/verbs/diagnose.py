@@ -6,9 +6,11 @@ from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.diagnosis import Options
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
+from invdyn_cli.files import relative
 from invdyn_cli.functions.diagnosing import REPORT, explain
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
@@ -22,7 +24,7 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.types import Diagnosis
-from invdyn_cli.verbs import check, imports, screen, sweep
+from invdyn_cli.verbs import imports, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, job, launch
 from invdyn_cli.verbs.objects import instantiate
 from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_seed
@@ -79,7 +81,7 @@ def _one_of_many(config: DictConfig, folder: Path) -> None:
 def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = False) -> Diagnosis:
     """Config -> objects -> diagnosis -> files in `folder`; prints the result on `console`, and shows progress unless
     `console` is quiet, or always if `shows` is true."""
-    screen.use_compilation_cache()
+    use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.diagnosis.design, bool):
         raise UsageError(f"diagnosis.design={config.diagnosis.design}; allowed: true or false")
@@ -114,8 +116,8 @@ def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = 
         result.save(folder, stage("write"))
     imports.keep(maps, folder, console)
     console.print(result)
-    console.whole(f"page: {check.relative(folder) / REPORT}")
-    console.whole(check.relative(folder))
+    console.whole(f"page: {relative(folder) / REPORT}")
+    console.whole(relative(folder))
     return result.diagnosis
 
 

@@ -10,6 +10,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from rich.table import Table
 
 from invdyn_cli import store, untrusted
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.design.causes import Cause
 from invdyn_cli.design.contest import Side
 from invdyn_cli.design.next_motion import all_open, cause_of, words
@@ -17,11 +18,11 @@ from invdyn_cli.design.sizes import left_out, refused, unplayable
 from invdyn_cli.design.trajectory import APART, Design, Told, design
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError, closest, listed
-from invdyn_cli.files import write_file
+from invdyn_cli.files import relative, write_file
 from invdyn_cli.report import excitation
 from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Finding, Quantity, Robot
-from invdyn_cli.verbs import check, screen
+from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import job, launch
 from invdyn_cli.verbs.run import make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
@@ -48,7 +49,7 @@ def task(config: DictConfig) -> None:
 def execute(config: DictConfig, folder: Path, console: Screen) -> Design | None:
     """Config -> questions -> trajectory.csv, trajectory.png and design.json in `folder`; prints on `console` what the
     trajectory distinguishes. Returns None, and writes no trajectory, if no motion can be designed for the question."""
-    screen.use_compilation_cache()
+    use_compilation_cache()
     for name, low, high in (("duration", 5.0, LONGEST), ("rate", 20.0, FASTEST)):
         _refuse_number(config, name, low, high)
     refuse_seed(config.seed)
@@ -77,7 +78,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Design | None:
     console.print(shown(made))
     for line in advice(made):
         console.warn(line)
-    console.whole(check.relative(folder))
+    console.whole(relative(folder))
     return made
 
 

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli.abstract_experiment import AbstractExperiment
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.errors import InvdynError, RunFileError, UsageError
 from invdyn_cli.files import write_file
 from invdyn_cli.interfaces import Progress
 from invdyn_cli.untrusted import read_json
 from invdyn_cli.verbs import origin
 from invdyn_cli.verbs.listing import admit, places
-from invdyn_cli.verbs.screen import tell, use_compilation_cache
+from invdyn_cli.verbs.screen import tell
 
 KEPT = "jobs"
 """The folder of the rows of finished jobs, inside the experiment's."""

@@ -10,7 +10,9 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import experiment, registry, store
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.errors import RobotError, UsageError, listed
+from invdyn_cli.files import relative
 from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.functions.inputs import named_by, with_joints
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress
@@ -67,7 +69,7 @@ def execute(
     already.
     """
     console = console or Screen(quiet=True)
-    screen.use_compilation_cache()
+    use_compilation_cache()
     started = datetime.datetime.now(datetime.UTC)
     refuse_options(config)
     source = make_object(config, "data", AbstractSource)
@@ -222,11 +224,3 @@ def with_origin(record: RunRecord, config: DictConfig, started: datetime.datetim
         overrides=tuple(view.overrides.task),
         provenance=origin.origin(started),
     )
-
-
-def relative(folder: Path) -> Path:
-    """As seen from the working directory, where it lies below it."""
-    try:
-        return folder.relative_to(Path.cwd())
-    except ValueError:
-        return folder

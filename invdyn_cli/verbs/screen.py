@@ -5,12 +5,9 @@ import os
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
-import jax
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -169,13 +166,3 @@ def _duration(seconds: float) -> str:
 def tell(line: str) -> None:
     """One line on stderr, as it stands."""
     Screen(stderr=True).whole(line)
-
-
-def use_compilation_cache() -> None:
-    """Keep compiled programs between runs, in $JAX_COMPILATION_CACHE_DIR or the user's cache folder."""
-    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")  # it only costs time
-    if jax.config.values["jax_compilation_cache_dir"] is None:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(home / "invdyn" / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.01)  # a command has a hundred small programs
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -13,7 +13,7 @@ from rich.table import Table
 from invdyn_cli import registry
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.errors import UsageError
-from invdyn_cli.files import write_file
+from invdyn_cli.files import relative, write_file
 from invdyn_cli.log import Log
 from invdyn_cli.logfile import write_log
 from invdyn_cli.types import Robot
@@ -56,7 +56,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Log:
     if untold := [f"robot.{name}" for name in UNTOLD if config.robot.get(name) is not None]:
         said = f"{URDF} does not contain {', '.join(untold)}: set the same options again when you read the log"
         console.warn(said)
-    console.whole(_shown(folder))
+    console.whole(relative(folder))
     return log
 
 
@@ -106,10 +106,3 @@ def _hidden(source: Plant) -> Table:
 
 def _words(parameters: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {value}" for name, value in parameters.items())
-
-
-def _shown(folder: Path) -> Path:
-    try:
-        return folder.relative_to(Path.cwd())
-    except ValueError:
-        return folder

@@ -17,6 +17,7 @@ import jax
 from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli import experiment, interruption
+from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.experiment import Prepared
 from invdyn_cli.functions.fitting import FitResult
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
@@ -72,7 +73,7 @@ def made(jobs: Sequence[Job], writers: Executor) -> dict[int, Made]:
     waiting = [job for job in jobs if not sweep.is_complete(job.config, job.folder)]
     if len(waiting) < 2:
         return {}
-    screen.use_compilation_cache()
+    use_compilation_cache()
     asked = [one for job in waiting if (one := _asked(job)) is not None]
     groups: dict[Hashable, list[_Asked]] = {}
     for one in asked:

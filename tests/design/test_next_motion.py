@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.design import next_motion
-from invdyn_cli.design.next_motion import FILE, after, open_questions
+from invdyn_cli.design.next_motion import FILE, after, all_open
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Diagnosis, Examination, Finding, Quantity
@@ -59,7 +59,7 @@ def diagnosis(arm, *findings):
 
 def test_questions_are_the_open_ones(arm):
     """Ambiguous findings alone are questions, with the sizes that the log gave both names; "unknown" is no rival."""
-    asked = open_questions([SURE, LATE, UNKNOWN, SAME], arm)
+    asked = [x for x in all_open([SURE, LATE, UNKNOWN, SAME], arm) if x.playable]
     assert [x.finding for x in asked] == [1, 3]
     names = [[[(c.effect.name, c.joint) for c in side] for side in x.sides] for x in asked]
     assert names[0] == [[("torque_delay", 1)], [("actuator_lag", 1)]]
@@ -132,7 +132,7 @@ def test_sizes_that_make_no_sense_are_typical_ones(arm):
         {"delay": Quantity(-1.0, "s")},
         {"delay": Quantity("x", "s")},
     ):
-        (asked,) = open_questions([replace(LATE, parameters=bad)], arm)
+        (asked,) = all_open([replace(LATE, parameters=bad)], arm)
         assert asked.sides[0][0].parameters is None
 
 

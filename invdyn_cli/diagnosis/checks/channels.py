@@ -5,10 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.fits import rms
 from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.signals import lattice
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import is_series, median_step, runs, usable_rows

@@ -15,11 +15,12 @@ from invdyn_cli.diagnosis.checks.arrangement import (
     arrangement,
     known_orders,
 )
-from invdyn_cli.diagnosis.checks.fits import left, rms, share, slope
+from invdyn_cli.diagnosis.checks.fits import left, share, slope
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.rows import each, present
 from invdyn_cli.types import Check, Robot
 

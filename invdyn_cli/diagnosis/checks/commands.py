@@ -280,7 +280,7 @@ def _meaning(lag: float, limit: float) -> str:
         return ""
     if lag < 0 or lag > 0.5:
         return "longer than the lag of a controller, or q leads: q_ref and q have different clocks or buffers"
-    return "the controller's tracking lag, or different clocks; commanded positions are not measured"
+    return "the controller's tracking lag, or q and q_ref have different clocks; a command cannot replace q"
 
 
 def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Check]]:

@@ -6,9 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.fits import rms, slope
+from invdyn_cli.diagnosis.checks.fits import slope
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.rows import each, is_series, median_step
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot

@@ -44,8 +44,3 @@ def lowest(x: np.ndarray, y: np.ndarray) -> float:
         return float(x[k])
     curve = y[k - 1] - 2 * y[k] + y[k + 1]
     return float(x[k] + (0.5 * (y[k - 1] - y[k + 1]) / curve if curve > 0 else 0.0) * (x[1] - x[0]))
-
-
-def rms(x: np.ndarray) -> np.ndarray:
-    """Root of the mean square over time, (n,) of (T, n)."""
-    return np.sqrt(np.mean(np.square(x), axis=0))

@@ -63,7 +63,7 @@ class TimeOffset(AbstractCheck):
         for session in sessions.values():
             shifts = [self._shifts(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
             found += self._session(log, [x for x in shifts if x is not None], session)
-        return found or [self.skipped("no joint's torque follows the URDF's closely enough to time it", "tau")]
+        return found or [self.skipped("no joint's torque matches that of the URDF well enough to time it", "tau")]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""

@@ -9,10 +9,10 @@ import scipy
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
 from invdyn_cli.diagnosis.checks.fitness import GAINS, fitness, rows_of
-from invdyn_cli.diagnosis.checks.fits import rms
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.memory import once_for_a_log
 from invdyn_cli.recording.rows import each
 from invdyn_cli.types import Check, Robot

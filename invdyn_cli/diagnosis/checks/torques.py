@@ -12,10 +12,11 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.arrangement import FLAW, OWN, UNITS, known_orders
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
-from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope, span
+from invdyn_cli.diagnosis.checks.fits import correlation, left, slope, span
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.types import Check, Robot
 
 EXCITED = 0.03

@@ -7,10 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
-from invdyn_cli.diagnosis.checks.fits import correlation, left, rms, slope
+from invdyn_cli.diagnosis.checks.fits import correlation, left, slope
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.rows import each, is_series, median_step
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot

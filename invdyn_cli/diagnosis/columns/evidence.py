@@ -36,7 +36,7 @@ HELD = 0.01
 
 REST_TIME = 0.05
 
-STICK, STUCK = 0.025, 0.25
+STICKS, CREEPS = 0.025, 0.25
 """[s] Shortest time for which a joint sticks before it turns back; and how far it moves then at most, as a share of the
 way at the highest speed of a rest: a joint that turns back without friction moves as much while it is that slow."""
 
@@ -225,15 +225,15 @@ def joint_states(piece: Piece, torque: np.ndarray, recording: Recording, parents
 
 def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.ndarray:
     """(n, rows) bool: rows that no rest reaches through the filter. Speeds are means over REST_TIME: one that creeps
-    from one step of its encoder to the next seems to stop and go. A joint that stays where it is for STICK rests, too:
+    from one step of its encoder to the next seems to stop and go. A joint that stays where it is for STICKS rests, too:
     its friction balances what is to turn it back."""
     length = max(2, round(REST_TIME * recording.filter.rate))
     mean = scipy.ndimage.uniform_filter1d(piece.qd, length, axis=1)
     slowest = np.maximum(rest_speed, 4 * piece.motion_noise)[:, None]
     slow = np.abs(mean) < slowest
-    size = (1, max(3, round(STICK * recording.filter.rate)))
+    size = (1, max(3, round(STICKS * recording.filter.rate)))
     moves = scipy.ndimage.maximum_filter(piece.q, size) - scipy.ndimage.minimum_filter(piece.q, size)
-    rest = scipy.ndimage.maximum_filter(moves < STUCK * slowest * STICK, size)
+    rest = scipy.ndimage.maximum_filter(moves < CREEPS * slowest * STICKS, size)
     for j in range(len(slow)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], slow[j], [False]]).astype(int)))
         for start, end in zip(edges[::2], edges[1::2], strict=True):

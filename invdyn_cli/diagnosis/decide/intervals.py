@@ -20,7 +20,7 @@ simulated arm (`make confusion`)."""
 GEARED = 0.03
 """Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide."""
 
-STUCK = 0.04
+HIDDEN_BY_STICKING = 0.04
 """Share of a static friction, and of the speed at which it falls, that is hidden by the milliseconds in which a joint
 that turns back sticks."""
 
@@ -72,7 +72,7 @@ def _systematic(evidence: Evidence, acting: EffectInstance, name: str, value) ->
     if name == acting.effect.late_by:
         return OWN_TIME * evidence.recording.period
     if name in ("static", "velocity"):
-        return STUCK * np.abs(value)
+        return HIDDEN_BY_STICKING * np.abs(value)
     if name in EDGES:
         return 1 / evidence.recording.filter.rate
     if acting.effect.yields:

@@ -1,5 +1,5 @@
-"""The table of what a claim must reach, in order: held-out data must be predicted better with the effect, also by its
-exact formula, and the effect must explain more than what stays unexplained on its joint."""
+"""The table of what a claim must reach, row by row: among others, held-out data must be predicted better with the
+effect, also by its exact formula, and it must explain more than what stays unexplained on its joint."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,12 +13,11 @@ from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 
 OUTWEIGHED = 1.0
-"""Share of the variance that stays unexplained on its joint, without which an effect explains too little to be named:
-a column that is nearly orthogonal to an unknown cause still picks up a few percent of it, and one that the arm's answer
-to it goes with, more."""
+"""Least gain of an effect, as a multiple of the variance that stays unexplained on its joint: columns that have little
+to do with an unknown cause pick up some percent of it, and more where the arm answers to it."""
 
 PICKED_UP = 0.2
-"""The same share again for each further coefficient."""
+"""What each further coefficient adds to that multiple."""
 
 MIN_SHARE_OF_RESIDUAL = 0.5
 """Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise
@@ -148,8 +147,9 @@ def _titled(inquiry: Inquiry, one: Candidate) -> str:
 
 
 def _vague(claims: Sequence[Claim]) -> tuple[int, naming.Rival] | None:
-    """The candidate beside the standard model in whose place an effect does best for which theory does not take it, if
-    there is one, and that effect: what so different effects explain alike is too little to have a name."""
+    """Among claims beside the standard model in whose place an effect that is none of their confounders does equally
+    well, the one whose rival has the smallest excess loss, and that rival; None if there is none. What so different
+    effects explain alike is too little to have a name."""
     found: list[tuple[int, naming.Rival]] = []
     for claim in claims:
         one = claim.candidate

@@ -1,4 +1,4 @@
-"""Before a name is given: every rival is fitted in its place, and the unexplained rest must not outweigh it.
+"""Before a name is given: every rival is fitted in its place; and how much of a residual is no noise.
 
 A rival is equally good if the held-out loss with it in the effect's place is within the noise of that with the effect.
 The noise is that of the difference, block by block, so that errors which both share do not count (Vuong 1989).
@@ -30,7 +30,8 @@ SURE = 4.0
 other errors."""
 
 LEAST_DIFFERENCE = 10.0
-"""The same in noise variances: a likelihood ratio of 150 (Kass and Raftery 1995 call it very strong)."""
+"""Noise variances by which a rival must do worse not to be equal: a likelihood ratio of 150 (Kass and Raftery 1995
+call it very strong)."""
 
 MIN_CLEAR_DIFFERENCE, MAX_OPPOSED_SHARE = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
