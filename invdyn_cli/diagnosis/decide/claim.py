@@ -22,6 +22,10 @@ FELT = 0.1
 RARE = 0.1
 """Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
 
+FEW = 2.0
+"""Number of blocks that share an effect's squares on the held-out rows evenly, below which these do not judge it: of a
+gear's play they have one impact or two, and a model of the load that was not fitted there has it some ms off."""
+
 SLOWEST = 0.1
 """Share of a joint's moving rows, the slowest, that hold the errors of the friction's formula around standstill."""
 
@@ -35,14 +39,14 @@ class Claim:
 
     Attributes:
         hypothesis: all candidates; this one is number `place`.
-        chosen: their exact parameters.
+        whole: their exact parameters, refined on all rows.
         after: (R, n) what the hypothesis leaves.
     """
 
     inquiry: Inquiry
     hypothesis: Hypothesis
     place: int
-    chosen: Refined
+    whole: Refined
     after: np.ndarray
 
     @property
@@ -153,21 +157,21 @@ class Claim:
     def delay(self) -> float:
         """The least that its own delay [s] may be, by its interval; infinite where it has none."""
         late_by = self.candidate.effect.late_by
-        place = next((k for k, a in enumerate(self.chosen.acting) if a.key == self.key), None)
+        place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
         if not late_by or place is None:
             return np.inf
-        return float(intervals(self.inquiry.evidence, self.chosen)[place][late_by][1])
+        return float(intervals(self.inquiry.evidence, self.whole)[place][late_by][1])
 
     @cached_property
     def exact(self) -> tuple[float, float]:
         """The chance that the logged torque is predicted better with the effect than without it, the others staying as
         they are, and by how much, as a share of what is left on the joints that feel it. Better on held-out rows, and
-        on draws of blocks of all rows by more than the effect costs for having been chosen on some of them.
+        on draws of blocks of all rows by more than the effect costs for having been fitted to them.
         Columns of a channel effect act on the measured torque, and calm its noise; the formula does not."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
-        others = [a for a in self.chosen.acting if a.key != self.key]
-        after = self.chosen.residual * evidence.valid
-        change = (self.inquiry.model.without(self.chosen, others) - self.chosen.residual) * evidence.valid
+        others = [a for a in self.whole.acting if a.key != self.key]
+        after = self.whole.residual * evidence.valid
+        change = (self.inquiry.model.without(self.whole, others) - self.whole.residual) * evidence.valid
         rows = _judging(evidence, change**2 @ weights)
         saved = ((2 * after + change) * change) @ weights
         every = evidence.role != ROLES.index("reference")
@@ -192,9 +196,11 @@ def judged(evidence: Evidence) -> np.ndarray:
 
 def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
     """Rows (R,) bool on which an effect with these squares (R,) is judged: the held-out ones, or all if it hardly acts
-    on those."""
+    on those, or in FEW blocks."""
     rows = judged(evidence)
-    return rows if np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
+    blocks = np.bincount(evidence.block[rows], squares[rows])
+    often = blocks.sum() ** 2 >= FEW * np.sum(blocks**2)
+    return rows if often and np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
 
 
 def held_out(evidence: Evidence) -> bool:
@@ -206,11 +212,14 @@ def refitted(inquiry: Inquiry, acting: Sequence[EffectInstance], rows: np.ndarra
     return refine(inquiry.evidence, inquiry.model, acting, rows, inquiry.noise.weights, inquiry.beside(acting))
 
 
-def exactly(inquiry: Inquiry, hypothesis: Hypothesis, before: Refined) -> Refined:
-    """The exact parameters of a hypothesis on the data that chose it, from where they were `before` if they were."""
+def exactly(inquiry: Inquiry, hypothesis: Hypothesis, before: Refined, rows: np.ndarray) -> Refined:
+    """The exact parameters of a hypothesis on some rows (R,) bool, from where they were `before` if they were; that
+    itself if it has them all."""
+    if {a.key for a in before.acting} == {c.key for c in hypothesis}:
+        return before
     known = {a.key: a for a in before.acting}
     start = acting_of(inquiry.judge, inquiry.beside(hypothesis), hypothesis)
-    return refitted(inquiry, [known.get(a.key, a) for a in start], inquiry.judge.rows)
+    return refitted(inquiry, [known.get(a.key, a) for a in start], rows)
 
 
 def left(inquiry: Inquiry, hypothesis: Hypothesis) -> np.ndarray:

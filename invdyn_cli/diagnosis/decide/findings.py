@@ -13,7 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.decide import bodies, claim, sums
-from invdyn_cli.diagnosis.decide.claim import held_out, judged, left, refitted
+from invdyn_cli.diagnosis.decide.claim import exactly, held_out, judged, left, refitted
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.search import naming, resting
@@ -76,11 +76,9 @@ def report(
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
     evidence, judge = inquiry.evidence, inquiry.judge
-    supporting, chosen, dropped = supported(inquiry, refusals)
+    supporting, whole, dropped = supported(inquiry, refusals)
     hypothesis = tuple(x.candidate for x in supporting)
-    whole = inquiry.whole
-    if len(hypothesis) < len(inquiry.hypothesis):
-        whole = refitted(inquiry, chosen.acting, np.ones_like(judge.rows))
+    chosen = exactly(inquiry, hypothesis, inquiry.chosen, judge.rows)
     if unsure:
         around = (*inquiry.beside(whole.acting), *unsure)
         every = np.ones_like(judge.rows)

@@ -87,7 +87,9 @@ REFUSALS = (
             "come from the log's clock"
         ),
     ),
-    Refusal("chance that its exact formula gains", lambda x: x.exact[0], 1 - naming.DOUBT),
+    Refusal(
+        "chance that its exact formula gains", lambda x: np.inf if x.inquiry.wear else x.exact[0], 1 - naming.DOUBT
+    ),
     Refusal(
         "gain over the residual",
         lambda x: x.exact[1],
@@ -107,15 +109,13 @@ REFUSALS = (
 
 
 def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[list[Claim], Refined, tuple[str, ...]]:
-    """The claims that no row refuses; their exact parameters, refined again after each refusal; and a sentence on
-    each refused candidate for which held-out data speak. A candidate in whose place another effect does equally well
-    gets no sentence, because it is chance which of them was tried."""
-    hypothesis, chosen, said = inquiry.hypothesis, inquiry.chosen, []
-    if {a.key for a in chosen.acting} != {c.key for c in hypothesis}:
-        chosen = exactly(inquiry, hypothesis, chosen)
+    """The claims that no row refuses; their exact parameters on all rows, refined again after each refusal; and a
+    sentence on each refused candidate for which held-out data speak. A candidate in whose place another effect does
+    equally well gets no sentence, because it is chance which of them was tried."""
+    hypothesis, whole, said = inquiry.hypothesis, inquiry.whole, []
     while True:
-        after = left(inquiry, hypothesis)
-        claims = [Claim(inquiry, hypothesis, i, chosen, after) for i in range(len(hypothesis))]
+        whole, after = exactly(inquiry, hypothesis, whole, np.ones_like(inquiry.judge.rows)), left(inquiry, hypothesis)
+        claims = [Claim(inquiry, hypothesis, i, whole, after) for i in range(len(hypothesis))]
         refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
         if refused:
             worst, row = min(refused, key=lambda x: x[0].gain)
@@ -132,8 +132,7 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         hypothesis = hypothesis[:place] + hypothesis[place + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
-        chosen = exactly(inquiry, hypothesis, chosen)
-    return claims, chosen, tuple(said)
+    return claims, whole, tuple(said)
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:

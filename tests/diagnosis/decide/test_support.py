@@ -23,8 +23,9 @@ def test_a_delay_that_was_never_refined_is_judged():
     late = next(c for c in evidence.candidates if c.effect.name == "torque_delay")
     assert late.key not in {a.key for a in inquiry.chosen.acting}
     hypothesis = (*inquiry.hypothesis, candidate(evidence, *late.key))
-    chosen, after = claim.exactly(inquiry, hypothesis, inquiry.chosen), claim.left(inquiry, hypothesis)
-    one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, chosen, after)
+    every = np.ones_like(inquiry.judge.rows)
+    whole, after = claim.exactly(inquiry, hypothesis, inquiry.whole, every), claim.left(inquiry, hypothesis)
+    one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, whole, after)
     why = support.refusal(one)
     assert why is not None and why.why(one) == ""
     kept, _, said = support.supported(replace(inquiry, hypothesis=hypothesis))
@@ -34,7 +35,7 @@ def test_a_delay_that_was_never_refined_is_judged():
 def of_coulomb(inquiry):
     """The claim of Coulomb friction on the first joint."""
     (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
-    return claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.chosen, claim.left(inquiry, inquiry.hypothesis))
+    return claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.whole, claim.left(inquiry, inquiry.hypothesis))
 
 
 @pytest.mark.parametrize(("excess", "refused"), [(-20.0, True), (-5.0, False), (300.0, False)])
