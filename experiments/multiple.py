@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
 from experiments.confusion import claims, judge, matches
+from experiments.worn import ANOMALIES, beyond_wear, said_of, several
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.types import Diagnosis
@@ -19,7 +20,7 @@ PAIRS = (
     ("stribeck_friction", "torque_ripple"),
     ("torque_gain_error", "load_dependent_friction"),
 )
-TASKS = {"three": "three on different joints", "two": "two on one joint"}
+TASKS = {"three": "three on different joints", "two": "two on one joint", "worn": "three on a worn arm"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def names_of(task: str, seed: int, k: int) -> tuple[str, ...]:
     """The effects of log k of a task."""
     if task == "two":
         return PAIRS[k % len(PAIRS)]
-    of_joint = [name for name in SIZES if name not in WHOLE_ARM]
+    of_joint = ANOMALIES if task == "worn" else [name for name in SIZES if name not in WHOLE_ARM]
     draw = np.random.default_rng([seed, k, 3])
     return tuple(str(x) for x in draw.choice(of_joint, 3, replace=False))
 
@@ -55,7 +56,8 @@ def count(task: str, seed: int, case: Case, diagnosis: Diagnosis, seconds: float
         else:
             left.remove(best)
     outcome = judge(case, diagnosis, seed, seconds)
-    return Counted(task, seed, outcome.hidden, outcome.named, tuple(missed), outcome.extra, seconds)
+    extra = tuple(map(said_of, beyond_wear(left))) if task == "worn" else outcome.extra
+    return Counted(task, seed, outcome.hidden, outcome.named, tuple(missed), extra, seconds)
 
 
 def f1(logs: Sequence[Counted]) -> tuple[float, float, float]:
@@ -67,7 +69,7 @@ def f1(logs: Sequence[Counted]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Multiple(AbstractExperiment):
-    """Three effects on different joints, and two on one joint."""
+    """Three effects on different joints, two on one joint, and three on a worn arm."""
 
     row: ClassVar[type] = Counted
 
@@ -83,7 +85,7 @@ class Multiple(AbstractExperiment):
 
     def run(self, folder: Path, task: str, seed: int, *names: str) -> Iterable[Counted]:
         """Draw, diagnose, judge one log."""
-        case = draw_case(seed, names, same_joint=task == "two")
+        case = several(seed, names) if task == "worn" else draw_case(seed, names, same_joint=task == "two")
         started = time.perf_counter()
         diagnosis = diagnose(case.log, case.robot)
         yield count(task, seed, case, diagnosis, time.perf_counter() - started)

@@ -2,8 +2,9 @@
 
 import time
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
-from experiments.cases import SIZES, Scene, draw_effect, draw_scene, excess, felt, scene_of
+from experiments.cases import SIZES, Case, Scene, draw_effect, draw_scene, excess, felt, scene_of
 from experiments.confusion import claims, matches
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
@@ -117,9 +118,10 @@ def wear(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
     return made
 
 
-def sized(draw: np.random.Generator, scene: Scene, name: str) -> Hidden:
-    """An anomaly; what gears have is drawn wider than elsewhere."""
-    j = int(draw.choice(felt(scene, name)))
+def sized(draw: np.random.Generator, scene: Scene, name: str, taken: Collection[str | None] = ()) -> Hidden:
+    """An anomaly on a joint that none of `taken` has; what gears have is drawn wider than elsewhere."""
+    free = [j for j in felt(scene, name) if scene.robot.joints[j] not in taken]
+    j = int(draw.choice(free))
     one = draw_effect(draw, scene, name, j)
     wider: dict[str, Any] = {
         "backlash": lambda: {"gap": _drawn(draw, 1e-3, 2e-2)} | _teeth(draw),
@@ -139,9 +141,9 @@ def _teeth(draw: np.random.Generator) -> dict[str, float]:
     return {"stiffness": _drawn(draw, 1e4, 1e6), "damping_ratio": _drawn(draw, 0.02, 0.5)}
 
 
-def _substeps(anomaly: Hidden | None, rate: float) -> int:
+def _substeps(anomaly: Hidden, rate: float) -> int:
     """Steps of the physics per tick, short enough for teeth against the rotor."""
-    if anomaly is None or "damping_ratio" not in anomaly.parameters:
+    if "damping_ratio" not in anomaly.parameters:
         return 4
     swing = float(np.sqrt(anomaly.parameters["stiffness"] / anomaly.parameters["rotor"]))
     return max(4, int(np.ceil(swing / (RESOLVED * rate))))
@@ -172,40 +174,76 @@ def drawn(seed: int, name: str) -> Drawn:
     """The log of a seed with an anomaly, or none for ""."""
     for attempt in range(20):
         draw = np.random.default_rng([seed, attempt, zlib.crc32(name.encode()), 9])
-        scene = draw_scene(draw)
-        if draw.random() < 0.25:
-            scene = scene_of(scene.robot, RandomWalk(), scene.duration, scene.seed)
-        worn = wear(draw, scene)
+        scene, worn = _scene(draw)
         anomaly = sized(draw, scene, name) if name else None
-        rate, bits = float(draw.choice([200.0, 500.0, 1000.0, 2000.0])), int(draw.integers(14, 21))
-        control = Control(
-            frequency=float(draw.uniform(1.5, 4.0)),
-            damping_ratio=float(draw.uniform(0.6, 1.2)),
-            velocity_cutoff=float(draw.uniform(15, 60)),
-            knows="arm" if draw.random() < 0.7 else "nominal",
-        )
-        hiss = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
-        noise = Noise(position=1e-6, position_quantum=2 * np.pi / 2**bits, torque=tuple(hiss))
-        if scene.duration * rate > 60_000:
-            rate = 1000.0
-        options: dict[str, Any] = {"duration": scene.duration, "rate": rate, "seed": scene.seed, "control": control}
-        options |= {"noise": noise, "position_side": "motor", "substeps": _substeps(anomaly, rate)}
+        record, hiss, said = _recorder(draw, scene, [anomaly] if anomaly else [])
         try:
-            log, *twin = (
-                plant.record(scene.robot, [scene.reference], hidden, **options)
-                for hidden in ([[*worn, anomaly], worn] if anomaly else [worn])
-            )
+            log, *twin = (record(hidden) for hidden in ([[*worn, anomaly], worn] if anomaly else [worn]))
         except UsageError:
             continue
-        kind = type(scene.reference).__name__
-        said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"
-        times = beyond = 0.0
-        if anomaly:
-            both, without = excess(scene.robot, log, [anomaly], worn), excess(scene.robot, twin[0], [], worn)
-            alone = np.sqrt(np.maximum(both**2 - without**2, 0.0))
-            times, beyond = np.max(alone / np.maximum(hiss, without), axis=1).tolist()
+        times, beyond = _loudness(scene, log, twin[0], anomaly, worn, hiss) if anomaly else (0.0, 0.0)
         return Drawn(scene, log, worn, anomaly, said, times, beyond, hiss)
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
+
+
+def several(seed: int, names: Sequence[str]) -> Case:
+    """A log with these anomalies at once, each on a joint of its own and by itself above LOUD times the noise."""
+    for attempt in range(60):
+        draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode()), 9])
+        scene, worn = _scene(draw)
+        anomalies: list[Hidden] = []
+        try:
+            for name in names:
+                anomalies.append(sized(draw, scene, name, [x.joint for x in anomalies]))
+            record, hiss, said = _recorder(draw, scene, anomalies)
+            twin = record(worn)
+            loud = (_loudness(scene, record([*worn, x]), twin, x, worn, hiss)[0] for x in anomalies)
+            if min(loud) > LOUD:
+                return Case(scene.robot, record([*worn, *anomalies]), tuple(anomalies), LOUD, said)
+        except (UsageError, ValueError):  # no joint is free, or an arm that loses control
+            continue
+    raise RuntimeError(f"no loud, stable case from seed {seed} for {names}")
+
+
+def _scene(draw: np.random.Generator) -> tuple[Scene, list[Hidden]]:
+    """An arm with its motion, and its wear."""
+    scene = draw_scene(draw)
+    if draw.random() < 0.25:
+        scene = scene_of(scene.robot, RandomWalk(), scene.duration, scene.seed)
+    return scene, wear(draw, scene)
+
+
+def _recorder(
+    draw: np.random.Generator, scene: Scene, anomalies: Sequence[Hidden]
+) -> tuple[Callable[[Sequence[Hidden]], Log], np.ndarray, str]:
+    """What records the log of an arm with hidden effects; the torque sensors' noise (n,); what is to be said of it."""
+    rate, bits = float(draw.choice([200.0, 500.0, 1000.0, 2000.0])), int(draw.integers(14, 21))
+    control = Control(
+        frequency=float(draw.uniform(1.5, 4.0)),
+        damping_ratio=float(draw.uniform(0.6, 1.2)),
+        velocity_cutoff=float(draw.uniform(15, 60)),
+        knows="arm" if draw.random() < 0.7 else "nominal",
+    )
+    hiss = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
+    noise = Noise(position=1e-6, position_quantum=2 * np.pi / 2**bits, torque=tuple(hiss))
+    if scene.duration * rate > 60_000:
+        rate = 1000.0
+    options: dict[str, Any] = {"duration": scene.duration, "rate": rate, "seed": scene.seed, "control": control}
+    substeps = max([_substeps(one, rate) for one in anomalies], default=4)
+    options |= {"noise": noise, "position_side": "motor", "substeps": substeps}
+    kind = type(scene.reference).__name__
+    said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"
+    return partial(plant.record, scene.robot, [scene.reference], **options), hiss, said
+
+
+def _loudness(
+    scene: Scene, log: Log, twin: Log, anomaly: Hidden, worn: Sequence[Hidden], hiss: np.ndarray
+) -> tuple[float, float]:
+    """How many times the noise of a joint's torque an anomaly makes there at most, alone and beyond standard terms."""
+    both, without = excess(scene.robot, log, [anomaly], worn), excess(scene.robot, twin, [], worn)
+    alone = np.sqrt(np.maximum(both**2 - without**2, 0.0))
+    times, beyond = np.max(alone / np.maximum(hiss, without), axis=1).tolist()
+    return times, beyond
 
 
 class Term(NamedTuple):
@@ -245,11 +283,16 @@ def spoken(anomaly: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[
     if anomaly is not None:
         how = {match: f for f in reversed(found) if (match := matches(anomaly, f))}
         best = how.get("named", how.get("ambiguous"))
-    rest = [f for f in found if f is not best and f.effect not in STANDARD and not _usual(f)]
+    rest = beyond_wear([f for f in found if f is not best])
     if anomaly is None:
         return "none", rest
     result = "missed" if best is None else matches(anomaly, best)
     return result, rest
+
+
+def beyond_wear(found: Iterable[Finding]) -> list[Finding]:
+    """The findings that claim more than what every arm has."""
+    return [f for f in found if f.effect not in STANDARD and not _usual(f)]
 
 
 def _usual(finding: Finding) -> bool:

@@ -160,9 +160,9 @@ class AbstractEffect(abc.ABC):
         for name, bound in self.parameters.items():
             value = np.asarray(parameters[name])
             if value.dtype.kind in "fi" and (np.any(value < bound.lower) or np.any(value > bound.upper)):
-                return (
-                    f"{name} would be {np.round(value, 4)} {bound.unit}; possible: {bound.lower:g} to {bound.upper:g}"
-                )
+                unit = "" if bound.unit == "-" else f" {bound.unit}"
+                allowed = f"{bound.lower:g} to {bound.upper:g}".replace("inf", "∞")
+                return f"{name} would be {np.round(value, 4)}{unit}; possible: {allowed}"
         return ""
 
 

@@ -139,6 +139,7 @@ def decided(
         notes=(*case.notes, *made.notes, *repeats.note_of(evidence.recording), *why),
         details={
             **evidence.recording.details,
+            "torque_side": side,
             "time_taken_out_s": case.lead,
             "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),

@@ -86,8 +86,9 @@ class Columns:
         """The standard model, its links being bodies, of what is `left` (R, n) on some `rows` (R,); `least` (terms, n):
         bounds of the terms."""
         robot = self.evidence.robot
-        made = standard.fit(*self._asked(left, rows, standard.link_scales(robot), least))
-        return replace(made, theta=bodies(robot, made.theta, made.covariance))
+        motions, prior, times = self._asked(left, rows, standard.link_scales(robot), least)
+        made = standard.fit(motions, prior, times)
+        return replace(made, theta=standard.within(prior, bodies(robot, made.theta, made.covariance), made.covariance))
 
     def widest(self, left: np.ndarray, rows: np.ndarray) -> float:
         """The largest share by which links may be off beside a load, which may be any: see `maths.standard.widest`."""
@@ -315,13 +316,15 @@ def claims(
             gain = gain_of(evidence, j, more.residual + own, more.residual)
             if gain is None or gain.interval95[0] <= 0:
                 continue
+            own = np.outer(value[t, j] * columns.own[t, j], np.eye(n)[j])
+            torque = float(np.sqrt(np.mean(own[rows, j] ** 2)))
             size = Quantity(
                 float(value[t, j]), unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j]), [low, high]
             )
             facts = {"rms_of_term_N_m": {joint: torque}, "share_of_torque": {joint: torque / whole}}
             told = {"parameters": {name: size}, "gain": {joint: gain}, "evidence": facts, "group": "standard"}
             made.append((Finding(effect, joint, "named", **told), own))
-    made.sort(key=lambda x: -max(g.nmse_before - g.nmse_after for g in x[0].gain.values()))
+    made.sort(key=lambda x: -max(g.rmse_before - g.rmse_after for g in x[0].gain.values()))
     return tuple(x for x, _ in made), tuple(own for _, own in made)
 
 

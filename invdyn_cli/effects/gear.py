@@ -38,7 +38,7 @@ class Backlash(AbstractGearEffect):
 
     name = "backlash"
     title = "backlash"
-    meaning = "Play in the gear."
+    meaning = "Play in the gear: the link moves freely by this angle before the motor drives it again."
     equation = "link free of the motor within ±gap/2"
     reference = "Nordin and Gutman, Automatica 2002"
     parameters = {"gap": Parameter("rad", 1e-5, 0.1)}

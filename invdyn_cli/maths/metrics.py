@@ -12,8 +12,8 @@ BLOCK = 100
 
 
 def rms(x: np.ndarray) -> np.ndarray:
-    """Root of the mean square over time, (n,) of (T, n)."""
-    return np.sqrt(np.mean(np.square(x), axis=0))
+    """Root of the mean square over time, (n,) of (T, n), or () of (T,)."""
+    return np.asarray(np.sqrt(np.mean(np.square(x), axis=0)))
 
 
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:

@@ -152,6 +152,25 @@ def fit(motions: Sequence[Sums], prior: Prior, times: Array, share: float | None
     return Standard(bounded, half.T @ half, share, chosen, np.sqrt(noise), float(gain), float(of_inertial))
 
 
+def within(prior: Prior, theta: Array, covariance: Array) -> np.ndarray:
+    """Coefficients (p,) of which no positive one is below its bound, as likely as they can be with the inertial ones as
+    they are: links that were moved to be bodies move friction, too.
+
+    Args:
+        covariance: (p, p) of the posterior.
+    """
+    theta, free = np.array(theta, float), ~prior.inertial & (prior.scale > 0)
+    lower = np.where(prior.positive, np.minimum(prior.least, 0.0), -np.inf)
+    if np.all(theta >= lower):
+        return theta
+    scale = np.where(prior.scale > 0, prior.scale, 1.0)
+    known = np.linalg.inv(np.asarray(covariance) / np.outer(scale, scale))[np.ix_(free, free)]
+    start, least = theta[free] / scale[free], lower[free] / scale[free]
+    root = scipy.linalg.cholesky(known)
+    theta[free] = scipy.optimize.lsq_linear(root, root @ start, (least, np.inf), method="bvls").x * scale[free]
+    return theta
+
+
 def widest(motions: Sequence[Sums], prior: Prior, times: Array) -> float:
     """The largest share up to the USUAL one for which the evidence is no less than OPEN nats below the best."""
     total, shares = _total(motions), [s for s in SHARES if s <= USUAL]

@@ -190,11 +190,12 @@ def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
     meaning = text_of(finding).meaning
     if finding.status == "ambiguous":
         meaning = f"This log cannot distinguish it from {' or '.join(shortened(rivals_of(finding))) or 'others'}."
-    gain, joint = "", best_gain(finding.gain)
+    shown = exhibit.joints[exhibit.column]
+    gain, joint = "", shown if shown in finding.gain else best_gain(finding.gain)
     if joint is not None:
         one, other = (significant(x) for x in (finding.gain[joint].rmse_before, finding.gain[joint].rmse_after))
         unit = dict(zip(exhibit.joints, exhibit.units, strict=True)).get(joint, "N m")
-        gain = f"Held-out RMSE of {joint}: {one} → {other} {unit}."
+        gain = f"Held-out RMSE of {joint} in motion: {one} → {other} {unit}."
     said = figure.suptitle(plain(fill(headline, 118)) + "\n ", x=0.01, ha="left", fontsize=11, fontweight="bold")
     under = plain(" ".join(x for x in (meaning, word, gain) if x))
     figure.add_artist(

@@ -4,6 +4,7 @@ not have shown, and how to use the better model."""
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,14 @@ from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     NO_BREAK,
     STATUS_WORDS,
-    VERDICT_WORDS,
+    UNKNOWN,
     advised,
     capital,
     cause,
     causes,
     claims,
     estimates,
+    gaining,
     joints_of,
     law,
     place,
@@ -37,11 +39,12 @@ from invdyn_cli.report.wording import (
     standard_rows,
     text_of,
     units_of,
+    verdict_words,
     when,
     words,
 )
 from invdyn_cli.report.wording import picture as picture_name
-from invdyn_cli.types import Diagnosis, Finding, Gain
+from invdyn_cli.types import Diagnosis, Finding, Gain, Quantity
 
 OVERLAY_CAPTION = (
     "Measured torque beside that of the nominal and of the extended model; in print, and without JavaScript, the "
@@ -51,8 +54,9 @@ CAPTION = (
     "Measured torque minus the terms of all other effects, and the fitted term of this effect, which should follow it."
 )
 OVERVIEW_CAPTION = (
-    "Errors on held-out data. A black line is the noise floor of repeated trajectories: no model can be more accurate. "
-    "What a learner still predicts of the residual has a cause that is not named here."
+    "Errors on held-out data. A black line, if there is one, is the noise floor: how much the torque differs between "
+    "repetitions of a trajectory. A small neural network that still predicts a part of the residual shows that a cause "
+    "has no name here."
 )
 COMMAND = """\
 invdyn run data=real_log data.path=log.h5 robot.path=arm.urdf model=extended model.path=extended_model.json"""
@@ -154,13 +158,12 @@ def _title(diagnosis: Diagnosis, robot_name: str) -> str:
 
 def _verdict(diagnosis: Diagnosis) -> str:
     """A sentence such as 'Partly explained: 4 causes named, 1 ambiguous, 2 standard terms named'."""
-    word = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
     status = Counter(x.status for _, x in causes(diagnosis))
     named, open_ones, usual = status["named"], status["ambiguous"], len(in_table(diagnosis))
     counts = [f"{named} cause{'s' * (named != 1)} named"] * (named > 0)
     counts += [f"{open_ones} {'' if named else 'cause' + 's' * (open_ones != 1) + ' '}ambiguous"] * (open_ones > 0)
     counts += [f"{usual} standard term{'s' * (usual != 1)} named"] * (usual > 0)
-    return ": ".join([word, *([", ".join(counts)] if counts else [])])
+    return ": ".join([verdict_words(diagnosis), *([", ".join(counts)] if counts else [])])
 
 
 def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
@@ -171,14 +174,18 @@ def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
         items.append(f"Play {link}, log it, and diagnose both logs together: <code>data.path=[log.h5,next.h5]</code>.")
     items += map(escape, advised(diagnosis))
     left: dict[str, dict[str, None]] = {}
-    for x in failing(diagnosis):
+    for x in failing(diagnosis) if diagnosis.verdict != "explained" else ():
         left.setdefault(x.joint, {}).update(dict.fromkeys(map(words, x.points_at)))
-    for joint, names in left.items():
-        said = f"possible causes: {', '.join(names)}" if names else "no other effect in the catalogue looks like this"
-        items.append(f"{escape(joint)}: the residual is not noise (see below); {escape(said)}.")
+    if left:
+        few = {
+            joint: f" (it may be {' or '.join(names)})" for joint, names in left.items() if 0 < len(names) < FOLD_FROM
+        }
+        said = ", ".join(joint + few.get(joint, "") for joint in left)
+        items.append(escape(f"The residual is not noise on {said}: see the tests under Residual."))
     for check in diagnosis.examination.checks:
         if check.severity in ("warn", "fail") and check.advice:
             items.append(f"The log, {escape(check.check.replace('_', ' '))}: {escape(check.advice.rstrip('.'))}.")
+    items = list(dict.fromkeys(items))
     if not items:
         return "<p>There are no open questions: use the extended model.</p>" if diagnosis.model is not None else ""
     return f"<ul>{''.join(f'<li>{x}</li>' for x in items)}</ul>"
@@ -192,7 +199,9 @@ def _causes(diagnosis: Diagnosis) -> str:
         rivals = escape("; ".join(rivals_of(finding))) or "-"
         values = "<br>".join(escape(x) for x in (*estimates(finding), when(finding)) if x) or "-"
         joint = best_gain(finding.gain)
-        gain = "-" if joint is None else f"{escape(gain_text(finding.gain[joint]))}{_at(joint, finding)}"
+        where = "" if joint is None else gaining(joint, finding)
+        small = f"<small>{escape(where)}</small>" if where else ""
+        gain = "-" if joint is None else escape(gain_text(finding.gain[joint])) + small
         body += (
             f'<tr><td class="whole"><a href="#finding-{number}">{escape(capital(words(finding.effect)))}</a>'
             f'<small class="name">{escape(finding.effect)}</small></td><td class="whole">{escape(place(finding))}</td>'
@@ -207,15 +216,10 @@ def _causes(diagnosis: Diagnosis) -> str:
         "joint",
         "status",
         "estimate [95 %]",
-        f"held-out RMSE falls by [{unit}]".replace("N m", f"N{NO_BREAK}m"),
+        f"held-out RMSE in motion falls by [{unit}]".replace("N m", f"N{NO_BREAK}m"),
         "alternatives",
     )
     return table(heads, body, "words causes")
-
-
-def _at(joint: str, finding: Finding) -> str:
-    """On which joint a gain was made, if it is not obvious."""
-    return "" if joint == finding.joint else f"<small>{escape(joint)}, of {len(finding.gain)} joints</small>"
 
 
 def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[str, Path]) -> str:
@@ -232,13 +236,25 @@ def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[s
     if finding.window is not None:
         out += f"<p>It acts from {escape(when(finding))}, counted from its first sample.</p>"
     out += f'<div class="side"><div>{_parameters(finding)}</div><div>{_gains(diagnosis, finding.gain)}</div></div>'
-    if finding.alternatives:
-        sets = "; or by ".join(f"<b>{escape(x)}</b>" for x in rivals_of(finding))
-        out += f'<p class="warning">On this log, it could be replaced by {sets}; the difference is within noise.</p>'
+    out += _alternatives(finding)
     if finding.advice:
-        out += f"<p><b>To be more certain:</b> {escape(finding.advice)}</p>"
+        head = "To be more certain" if finding.status == "ambiguous" else "A log that shows it best"
+        out += f"<p><b>{head}:</b> {escape(finding.advice)}</p>"
     out += _rejected(finding.rejected)
     return out + (folded("supporting numbers", pairs(finding.evidence)) if finding.evidence else "")
+
+
+def _alternatives(finding: Finding) -> str:
+    """What could stand in the place of a cause; and whether most of what its joint misses has no name."""
+    known = rivals_of(replace(finding, alternatives=tuple(x for x in finding.alternatives if x != UNKNOWN)))
+    said = ""
+    if known:
+        sets = "; or by ".join(f"<b>{escape(x)}</b>" for x in known)
+        said = f"On this log, it could be replaced by {sets}; the difference is within noise."
+    if UNKNOWN in finding.alternatives:
+        said += " Much of what the model misses here may come from an effect that is not in the catalogue, and this "
+        said += "cause may be a part of that."
+    return f'<p class="warning">{said.strip()}</p>' if said else ""
 
 
 def _parameters(finding: Finding) -> str:
@@ -256,7 +272,7 @@ def _gains(diagnosis: Diagnosis, gains: Mapping[str, Gain]) -> str:
     for joint, x in gains.items():
         body += f"<tr><td>{escape(joint)}</td><td>{significant(x.rmse_before)}</td><td>{significant(x.rmse_after)}</td>"
         body += f"<td>{escape(gain_text(x))} {units.get(joint, 'N m')}</td></tr>"
-    heads = ("held-out RMSE", "without it", "with it", "gain [95 %]")
+    heads = ("held-out RMSE in motion", "without it", "with it", "gain [95 %]")
     return table(heads, body, "") if body else ""
 
 
@@ -298,7 +314,9 @@ def _errors(diagnosis: Diagnosis) -> str:
     heads = ("joint", *ERROR_HEADS[:-1], "unexplained")
     note = f"On held-out data; RMSE in {'; '.join(dict.fromkeys(units.values()))}. "
     note += "Friction line: offset, Coulomb and viscous friction by least squares, with the links as in the URDF. "
-    note += "Unexplained: the share of the residual that a learner predicts. "
+    note += "Standard model: these terms beside links that may be off. NMSE: squared error over the torque's variance. "
+    note += "Unexplained: the share of the residual that a small neural network predicts. Rests are included here, and "
+    note += "not in the errors of single causes. "
     note += "" if floor else "No trajectory was repeated, so there is no noise floor."
     return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
 
@@ -315,7 +333,7 @@ def _standard(diagnosis: Diagnosis) -> str:
         cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
     how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
-    about = f"correct in the URDF to about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+    about = f"off in the URDF by about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
     if not links["share"]:
         about = "left as the URDF has them, because held-out data are predicted better so."
     note = (
@@ -323,13 +341,15 @@ def _standard(diagnosis: Diagnosis) -> str:
         "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
         + about
     )
+    if diagnosis.details.get("torque_side") == "link":
+        note += " The torque was measured behind the gear: its friction is that of bearings, seals and cables, or the "
+        note += "sensor feels a part of the gear's, too."
     return table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
 
 
 def _term(term: Mapping[str, Any], number: int | None) -> str:
     """A term's value; of one that is claimed a link to its evidence."""
-    low, high = term["interval95"]
-    value = f"{significant(term['value'])} ± {significant((high - low) / 2)} {escape(term['unit'])}"
+    value = escape(quantity_text(Quantity(term["value"], term["unit"], term["interval95"])))
     return f'<a href="#finding-{number}"><b>{value}</b></a>' if term["claimed"] and number else value
 
 
@@ -362,6 +382,8 @@ def _cell(value: Any) -> str:
         return {True: "yes", False: "no", None: "-"}[value]
     if isinstance(value, float):
         return significant(value)
+    if isinstance(value, Mapping):
+        return "; ".join(map(_cell, value.values())) or "-"
     return ", ".join(map(_cell, value)) if isinstance(value, list | tuple) else str(value)
 
 

@@ -15,7 +15,7 @@ MOST_TURNS = 20
 """Changes between training and held-out data up to which they are marked."""
 
 NOTE = (
-    "Residual over the joint's own velocity, of the stretch of time in view; other samples are grey. What the extended "
+    "Residual over the joint's own velocity, of the stretch of time in view; other samples are pale. What the extended "
     "model has explained is gone from its residual."
 )
 
@@ -39,9 +39,9 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
         measured, nominal, extended = (x[:, j] for x in (signals.tau, signals.nominal, signals.extended))
         before, after = (significant(x.get(joint, {}).get("rmse")) for x in (diagnosis.baseline, diagnosis.extended))
         lines = [
-            Line("measured", measured, "ink", 3.0),
             Line("nominal model", nominal, "grey", 1.2, frames=False),
-            Line("extended model", extended, "vermillion", 1.1, frames=False),
+            Line("extended model", extended, "blue", 3.4, frames=False),
+            Line("measured", measured, "ink", 1.0),
         ]
         left = [Line("residual, nominal", measured - nominal, "grey"),
                 Line("residual, extended", measured - extended, "blue", 1.1)]  # fmt: skip
@@ -51,7 +51,7 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
         panels.append(Panel("", f"residual [{unit}]", left, marks, joint=j, height=95, zero=True))
         speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
         points = [(f"residual, {name}", signals.qd[:, j], measured - x, colour)
-                  for name, x, colour in (("nominal", nominal, "orange"), ("extended", extended, "blue"))]  # fmt: skip
+                  for name, x, colour in (("nominal", nominal, "grey"), ("extended", extended, "blue"))]  # fmt: skip
         clouds.append(Cloud(joint, speed, f"residual [{unit}]", points, joint=j))
     robot = None if diagnosis.model is None else diagnosis.model.robot
     return plots(time, panels, clouds, posture(robot, time, signals.q), "torques of the log", NOTE)

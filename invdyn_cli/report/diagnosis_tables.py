@@ -10,15 +10,16 @@ from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.quantities import best_gain, gain_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
-    VERDICT_WORDS,
     capital,
     cause,
     causes,
     estimates,
+    gaining,
     joints_of,
     place,
     standard_rows,
     units_of,
+    verdict_words,
     when,
     words,
 )
@@ -30,8 +31,9 @@ OPEN = {"ambiguous": "\nambiguous"}
 
 def verdict_line(diagnosis: Diagnosis) -> Text:
     """The verdict in a word, then the summary."""
-    word = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
-    return Text.assemble((word, VERDICT_STYLE.get(diagnosis.verdict, "bold")), f". {diagnosis.summary}".rstrip())
+    return Text.assemble(
+        (verdict_words(diagnosis), VERDICT_STYLE.get(diagnosis.verdict, "bold")), f". {diagnosis.summary}".rstrip()
+    )
 
 
 def finding_table(diagnosis: Diagnosis) -> Table:
@@ -47,7 +49,7 @@ def finding_table(diagnosis: Diagnosis) -> Table:
     for _, finding in causes(diagnosis):
         joint = best_gain(finding.gain)
         gain = "-" if joint is None else gain_text(finding.gain[joint])
-        where = f"\n{joint}, of {len(finding.gain)} joints" if joint not in (None, finding.joint) else ""
+        where = f"\n{said}" if joint is not None and (said := gaining(joint, finding)) else ""
         table.add_row(
             Text(capital(cause(finding))),
             Text.assemble(place(finding), (OPEN.get(finding.status, ""), "yellow")),
@@ -66,7 +68,7 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     if not heads:
         return None
     share = 100 * diagnosis.standard["inertials"]["share"]
-    about = f"as the URDF within about {share:.2g} %" if share else "as the URDF has them"
+    about = f"within about {share:.3g} % of the URDF" if share else "as the URDF has them"
     said = f"Standard terms of every arm; bold: also named as a cause. Links: {about}."
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)

@@ -30,7 +30,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.barh(where, np.nan_to_num(share), 0.62, color=ORANGE)
     for x, value in zip(where, share, strict=True):
         rms = diagnosis.extended.get(joints[x], {}).get("rmse", np.nan) * np.sqrt(max(value, 0) / 100)
-        said = f"{value:.0f} %: {significant(rms)} {units_of(diagnosis)[joints[x]]}"
+        said = f"{value:.0f} %" + (f": {significant(rms)} {units_of(diagnosis)[joints[x]]}" if value > 0 else "")
         shares.annotate(
             said if np.isfinite(value) else "not assessed",
             (np.nan_to_num(value), x),
@@ -43,8 +43,8 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.set_xlim(0, 160)
     shares.set_xticks([0, 25, 50, 75, 100])
     shares.grid(False, axis="y")
-    shares.set_xlabel("predictable share of the residual's variance [%], and its RMS")
-    shares.set_title("unexplained: what a learner predicts")
+    shares.set_xlabel("predictable share of the residual [%], and its RMS")
+    shares.set_title("unexplained: what a neural network predicts")
     bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
     unit = units_of(diagnosis)[joints[worst]]
@@ -76,6 +76,7 @@ def _error_bars(axes: Axes, diagnosis: Diagnosis) -> None:
         number_bars(axes, where + side, values)
     if np.isfinite(found[2]).any():
         axes.hlines(found[2], where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
+    axes.margins(y=0.12)
     axes.set_ylim(bottom=0)
     axes.grid(False, axis="x")
     axes.set_title("error of every joint")

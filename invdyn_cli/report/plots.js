@@ -257,7 +257,7 @@
         g.fillStyle = colour(m.colour); g.globalAlpha = 0.3;
         g.fillRect(area.px(a), TOP, Math.max(1.5, area.px(b) - area.px(a)), bottom - TOP); g.globalAlpha = 1;
       }
-      const begins = [...(this.d.parts.length > 1 ? this.d.parts : []).map(x => [x[0], x[1]]), ...this.d.stages];
+      const begins = [...(this.d.parts.length > 1 ? this.d.parts : []).map(x => [x[0], x[1]]), ...this.d.stages].sort((x, y) => x[1] - y[1]);
       for (const [name, at] of begins) {
         g.strokeStyle = g.fillStyle = colour("soft"); g.lineWidth = 1; g.setLineDash([2, 3]);
         g.beginPath(); g.moveTo(area.px(at), TOP); g.lineTo(area.px(at), bottom); g.stroke(); g.setLineDash([]);

@@ -48,6 +48,7 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
     ):
         bars.bar(where + side, values, 0.37, color=colour, label=label)
         number_bars(bars, where + side, values)
+    bars.margins(y=0.12)
     bars.set_ylim(bottom=0)
     crowded = len(where) * max(map(len, replay.joints)) > 110
     bars.set_xticks(where, map(plain, replay.joints), rotation=30 * crowded, ha="right" if crowded else "center")

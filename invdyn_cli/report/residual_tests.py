@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from invdyn_cli.diagnosis.decide.wording import test_words
 from invdyn_cli.report.canvas import INK, RESIDUAL, WIDTH, plain
@@ -21,9 +22,10 @@ SHOWN = 9
 """Largest number of failed tests that are drawn, those with the largest torques."""
 
 NOTE = (
-    "RMS torque of the part of the residual that each quantity explains. Bold: the test failed, because noise reaches "
-    "this value in at most one of a hundred logs, and the value is more than 0.2 % of the joint's torque. A failed "
-    "test rules out the verdict “explained”, unless its torque is small compared with the effects that were found."
+    "RMS torque of the part of the residual that each quantity explains; -: the log is too short for the test. Bold: "
+    "the test failed, because noise reaches this value in at most one of a hundred logs, and the value is more than "
+    "0.2 % of the joint's torque. A failed test rules out the verdict “explained”, unless its torque is small compared "
+    "with the effects that were found."
 )
 CAPTION = "Mean residual over the quantity of each failed test, with two standard errors (autocorrelation included)."
 
@@ -42,8 +44,8 @@ def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
         own = {x.against: x for x in diagnosis.tests if x.joint == joint}
         cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in heads)
         body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
-    out = table((f"joint [{'; '.join(dict.fromkeys(units.values()))}]", *map(test_words, heads)), body, "dense")
-    out += f'<p class="note">{escape(NOTE)}</p>'
+    out = table(("joint", *map(test_words, heads)), body, "dense")
+    out += f'<p class="note">[{"; ".join(dict.fromkeys(units.values()))}] {escape(NOTE)}</p>'
     rows = "".join(
         f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(test_words(x.against))}</td>'
         f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of the residual</td>"
@@ -76,6 +78,7 @@ def tests_figure(diagnosis: Diagnosis) -> Figure:
         axes.errorbar(over, mean, 2 * error, color=RESIDUAL, marker="o", ms=3, lw=1.2, elinewidth=0.8)
         axes.set_title(plain(f"{x.joint}: {test_words(x.against)}"))
         axes.set_xlabel(plain(x.quantity))
+        axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.set_ylabel(f"residual [{units.get(x.joint, 'N m')}]")
     for axes in panels[len(shown) :]:
         axes.remove()

@@ -19,6 +19,9 @@ STATUS_WORDS = {
     "not_observable": "not observable",
 }
 NO_BREAK = "\N{NO-BREAK SPACE}"
+UNKNOWN = ("unknown",)
+"""The alternative of a finding beside which most of what its joint misses has no name."""
+
 SHOWN_RIVALS = 2
 """Largest number of alternatives in a headline (one more if it is the last); the list has all."""
 
@@ -56,8 +59,10 @@ def law(text: EffectText) -> str:
 
 
 def capital(text: str) -> str:
-    """The text with a capital first letter, the others as they are; a symbol that begins it stays."""
-    return text if text.partition(" ")[0] in CHANNELS else text[:1].upper() + text[1:]
+    """The text with a capital first letter, the others as they are; a symbol that begins it stays, and so does an
+    option."""
+    first = text.partition(" ")[0]
+    return text if first in CHANNELS or "." in first or "=" in first else text[:1].upper() + text[1:]
 
 
 def set_words(effects: Sequence[str]) -> str:
@@ -67,8 +72,8 @@ def set_words(effects: Sequence[str]) -> str:
 
 def rivals_of(finding: Finding) -> list[str]:
     """The alternatives on this log in words, each once; its own name among them means that of another joint."""
-    said = ("the same on another joint" if x == (finding.effect,) else set_words(x) for x in finding.alternatives)
-    return list(dict.fromkeys(said))
+    special = {(finding.effect,): "the same on another joint", UNKNOWN: "an effect that is not in the catalogue"}
+    return list(dict.fromkeys(special.get(tuple(x)) or set_words(x) for x in finding.alternatives))
 
 
 def shortened(names: Sequence[str], most: int = SHOWN_RIVALS) -> list[str]:
@@ -83,9 +88,32 @@ def cause(finding: Finding) -> str:
 
 
 def advised(diagnosis: Diagnosis) -> list[str]:
-    """What would decide each ambiguous claim, a sentence each."""
-    open_ones = (x for x in claims(diagnosis) if x.status == "ambiguous" and x.advice)
-    return [f"{place(x)}, {cause(x)}: {x.advice.rstrip('.')}." for x in open_ones]
+    """What would decide the ambiguous claims, a sentence for each advice."""
+    same: dict[str, list[Finding]] = {}
+    for x in claims(diagnosis):
+        if x.status == "ambiguous" and x.advice:
+            same.setdefault(x.advice.rstrip("."), []).append(x)
+    return [
+        f"{place(found[0])}, {cause(found[0])}: {advice}."
+        if len(found) == 1
+        else f"{', '.join(f'{place(x)} ({words(x.effect)})' for x in found)}: {advice}."
+        for advice, found in same.items()
+    ]
+
+
+def gaining(joint: str, finding: Finding) -> str:
+    """On which joint a gain was made, if it is not obvious: 'joint2; 3 joints gain', joint2 the most."""
+    if joint == finding.joint:
+        return ""
+    count = len(finding.gain)
+    return joint if count == 1 else f"{joint}; {count} joints gain"
+
+
+def verdict_words(diagnosis: Diagnosis) -> str:
+    """The verdict; with a word on effects that are left but small beside what was found."""
+    said = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
+    left = diagnosis.verdict == "explained" and not all(x.passed for x in diagnosis.tests)
+    return f"{said}, except for small effects" if left else said
 
 
 def place(finding: Finding) -> str:

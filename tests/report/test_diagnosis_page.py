@@ -87,7 +87,7 @@ def test_the_first_screen_says_what_to_do(written):
     text = page(diagnosis, "lbr", [], {}, "record_next.csv")
     said = text.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
     assert '<a href="record_next.csv">' in said and "ten postures" in said
-    assert any(joint in said for joint in ("joint7: the residual is not noise",)) and "joint spring" in said
+    assert "The residual is not noise on joint7 (it may be joint spring)" in said
 
 
 def test_a_term_that_every_arm_has_stands_in_its_table(written):
@@ -96,7 +96,7 @@ def test_a_term_that_every_arm_has_stands_in_its_table(written):
     text = written[1].read_text("utf-8")
     causes, _, rest = text.partition("<h2>Standard terms</h2>")
     assert "coulomb_friction" not in causes.partition("<h2>Causes</h2>")[2]
-    assert re.search(r'<a href="#finding-\d"><b>1.50 ± ', rest.partition("<h2>")[0])
+    assert re.search(r'<a href="#finding-\d"><b>1\.5\d* N m \[', rest.partition("<h2>")[0])
 
 
 def test_links_lead_somewhere(written):

@@ -30,7 +30,7 @@ def test_terminal_says_every_cause():
     assert max(map(len, text.splitlines())) <= 100 and "…" not in text
     for x in claims(diagnosis):
         assert place(x) in text and gain_text(x.gain[best_gain(x.gain)]) in text
-    assert "2.00 N m [1.98, 2.02]" in text and "joint2, of 7 joints" in text
+    assert "2.00 N m [1.98, 2.02]" in text and "joint2; 7 joints gain" in text
 
 
 def test_what_every_arm_has_is_one_table():

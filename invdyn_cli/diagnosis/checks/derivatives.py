@@ -120,7 +120,9 @@ class DerivativeConsistency(AbstractCheck):
                 threshold={"channel": channel, "slope": self.slope, "rest": self.rest, "lag": self.lag},
                 seen=f"{channel} is {value:.3g} times {of}, {100 * rest[worst]:.2g} % rest, {lag} samples later",
                 meaning=meaning,
-                advice="data.derivatives=positions" if not clock else "the clock t of this log",
+                advice="data.derivatives=positions for a run; a diagnosis always takes them from q"
+                if not clock
+                else "the clock t of this log",
                 source="own choice: a tenth of the variance; lag: a hold and a difference quotient",
             )
         ]

@@ -104,9 +104,9 @@ class Excitation:
             yield "motion", f"it moves by {numbers['peak_to_peak']:.2g} rad only"
             return
         if seconds < self.warm:
-            yield "warming", f"{seconds:.0f} s of motion, friction takes {self.warm:.0f} s to warm up"
+            yield "warming", f"{seconds:.3g} s of motion, friction takes {self.warm:.0f} s to warm up"
         if seconds < self.drift:
-            yield "minutes", f"{seconds:.0f} s of motion, a drift takes {self.drift:.0f} s to show"
+            yield "minutes", f"{seconds:.3g} s of motion, a drift takes {self.drift:.0f} s to show"
         if numbers["reversals"] < self.reversals:
             yield "reversals", f"{numbers['reversals']} reversals: friction that has a direction looks like an offset"
         quick = speed[speed > self.rest]

@@ -4,7 +4,7 @@ A name is given only where data that did not choose it gain by it, no rival does
 its joint does not outweigh it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -135,6 +135,8 @@ def report(
             finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
         if finding.alternatives:
             finding = replace(finding, status="ambiguous")
+        open_ones = {name for one in finding.alternatives for name in one if len(one) == 1}
+        finding = replace(finding, rejected=tuple(x for x in finding.rejected if x[0] not in open_ones))
         claims.append(finding)
         shown.append(terms[i])
     claims, doubt = bodies.other_robot(claims)
@@ -145,7 +147,7 @@ def report(
         dropped += ("Gains are given in addition to what both logs share. The extended model includes that, too.",)
     elif len(inquiry.always) > len(inquiry.wear):
         dropped += ("All errors include the known effects. The extended model does not include them.",)
-    order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -_worth(claims[k])))
+    order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
     acting = tuple(whole.acting[k] for k in places)
     return Made(
@@ -212,8 +214,9 @@ def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
     return replace(rival, equal=close, why=why)
 
 
-def _worth(finding: Finding) -> float:
-    return max((g.nmse_before - g.nmse_after for g in finding.gain.values()), default=0.0)
+def lowers(findings: Iterable[Finding]) -> float:
+    """By how much the best of these findings lowers the RMSE of a joint [N m; N]."""
+    return max((g.rmse_before - g.rmse_after for f in findings for g in f.gain.values()), default=0.0)
 
 
 def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:

@@ -4,12 +4,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invdyn_cli.diagnosis.decide.findings import Made
+from invdyn_cli.diagnosis.decide.findings import Made, lowers
 from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.15
 """The residual counts as explained if the learner predicts less than this share of its variance, or less than this
 share of the nominal model's error, in N m."""
+
+MOST_SAID = 4
+"""Largest number of effects in the summary's first sentence."""
 
 FEW = 2
 """Largest number of named standard terms that are listed one by one."""
@@ -76,22 +79,33 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         return f"{first} {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     shown = [f for f in claims if not any(f is x for x in usual)]
-    said = [
-        f"{titles[f.effect]}{' (or an alternative)' if f.status == 'ambiguous' else ''}"
-        + (f" on {f.joint}" if f.joint else "")
-        for f in shown[:4]
-    ]
-    said += [f"{len(shown) - 4} more"] if len(shown) > 4 else []
+    said = _grouped(shown, titles)
+    said = said if len(said) <= MOST_SAID else [*said[:MOST_SAID], f"{len(said) - MOST_SAID} other effects"]
     if usual:
         joints = len({f.joint for f in usual})
         several = f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}"
         few = [f"{titles[f.effect]} on {f.joint}" for f in usual]
-        said += few if len(few) <= FEW else [several]
+        terms = few if len(few) <= FEW else [several]
+        said = [*terms, *said] if lowers(usual) > lowers(shown) else [*said, *terms]
     first = f"The simulation lacks {_listed(said)}. With these effects, its held-out RMS error falls from "
     first += f"{before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     return f"{first} {rest or 'The residual looks like noise.'}"
+
+
+def _grouped(findings: Sequence[Finding], titles: Mapping[str, str]) -> list[str]:
+    """Effects with their joints, in the order of the findings: 'Coulomb friction on joint1 and joint2', 'viscous
+    friction on 7 joints'."""
+    joints: dict[str, list[str]] = {}
+    for f in findings:
+        doubt = " (or an alternative)" if f.status == "ambiguous" else ""
+        joints.setdefault(titles[f.effect] + doubt, []).extend([f.joint] if f.joint else [])
+    where = {title: list(dict.fromkeys(own)) for title, own in joints.items()}
+    return [
+        title + (f" on {_listed(own) if len(own) <= FEW else f'{len(own)} joints'}" if own else "")
+        for title, own in where.items()
+    ]
 
 
 def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:

@@ -279,7 +279,7 @@ class HypothesisScorer:
         if why:
             return f"{candidate.effect.title}: {why}"
         if candidate.effect.stays_near and np.any(own**2 * candidate.precision > FARTHEST**2):
-            return f"{candidate.effect.title}: {parameters} is far from the trial value {candidate.shape}"
+            return f"{candidate.effect.title}: it does not fit with parameters near any that were tried"
         return ""
 
     def _worth(self, candidate: Candidate, own: np.ndarray) -> float:
