@@ -64,6 +64,22 @@ class Made:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Sized:
+    """The effects behind claims with their final sizes.
+
+    Attributes:
+        whole: refined on all rows; payloads and links are bodies, and windows have the edges that rests allow.
+        wanted, ends: {parameter: (value, lower, upper)} of each effect, before that and finally.
+        notes: sentences on bodies that the data want otherwise.
+    """
+
+    whole: Refined
+    wanted: list[dict[str, tuple]]
+    ends: list[dict[str, tuple]]
+    notes: tuple[str, ...]
+
+
 def report(
     inquiry: Inquiry,
     effects: Mapping[str, AbstractEffect],
@@ -75,92 +91,118 @@ def report(
 ) -> Made:
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
-    evidence, judge = inquiry.evidence, inquiry.judge
+    rows = inquiry.judge.rows
     supporting, whole, dropped = supported(inquiry, refusals)
     hypothesis = tuple(x.candidate for x in supporting)
-    chosen = exactly(inquiry, hypothesis, inquiry.chosen, judge.rows)
-    if unsure:
-        around = (*inquiry.beside(whole.acting), *unsure)
-        every = np.ones_like(judge.rows)
-        beside = refine(evidence, inquiry.model, whole.acting, every, inquiry.noise.weights, around, steps=0)
-        whole = replace(whole, unknown=beside.unknown)
-    nothing, after = refitted(inquiry, [], judge.rows), left(inquiry, hypothesis)
-    whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
-    wanted = intervals(evidence, whole)
-    whole, impossible = realisable(evidence, inquiry.model, whole, bodies.link_names(evidence.robot))
-    whole, rested = resting.edges(evidence, inquiry.model, whole)
-    ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
-    terms = [_term(inquiry, whole.acting, i) for i in range(len(whole.acting))]
+    chosen, nothing = exactly(inquiry, hypothesis, inquiry.chosen, rows), refitted(inquiry, [], rows)
+    after, sized = left(inquiry, hypothesis), _sized(inquiry, whole, unsure)
+    terms = [_term(inquiry, sized.whole.acting, i) for i in range(len(hypothesis))]
+    parts = {k: one for one in sums.standing(effects, hypothesis, sized.ends) for k in one.places}
     claims, places, shown = [], [], []
-    parts = {k: (place, one) for one in sums.standing(effects, hypothesis, ends) for place, k in enumerate(one.places)}
-    for i, candidate in enumerate(hypothesis):
-        rivals = supporting[i].rivals
-        if candidate.key in inquiry.close:
-            rivals = [_late(r, candidate, inquiry.close[candidate.key]) for r in rivals]
-        effect, joint = whole.acting[i].effect, whole.acting[i].joint
-        finding = Finding(
-            effect=effect.name,
-            joint=None if joint is None else evidence.robot.joints[joint],
-            status="named",
-            alternatives=_alternatives(rivals),
-            parameters=_quantities(effect, ends[i], _slides(evidence.robot, candidate))
-            | _chosen(evidence.robot, whole.acting[i]),
-            gain=_gains(inquiry, hypothesis, (i,), after),
-            rejected=_rejected(evidence.robot, candidate.key, rivals),
-            advice=effect.advice,
-            evidence=_facts(evidence, terms[i]) | _equals(evidence.robot, rivals),
-            group=effect.group,
-            text=effect.text,
-        )
-        if candidate.when is not None:
-            finding = _timed(finding, whole.acting[i], ends[i])
-        place, one = parts.get(i, (0, None))
-        if one is not None and place == 0:
-            finding, both = _summed(inquiry, hypothesis, whole, finding, one, after), one.places
-            terms[i] = np.sum([terms[k] for k in both], axis=0)
-            places += both
-        elif one is not None:
+    for i, x in enumerate(supporting):
+        one = parts.get(i)
+        if one is not None and i != one.places[0]:
             continue
-        else:
-            places.append(i)
-        others = sums.hidden(effects, hypothesis, i)
-        if naming.blind_to_stribeck(judge, inquiry.always, hypothesis, i, inquiry.pool):
-            others.append(StribeckFriction.name)
-        others += _special_cases(evidence, effects, whole.acting[i], ends[i])
-        finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
-        finding = bodies.told(finding, whole.acting[i], evidence.robot, wanted[i])
-        if effect is not candidate.effect and bodies.may_be_payload(wanted[i]):
-            finding = replace(finding, alternatives=(*finding.alternatives, (candidate.effect.name,)))
-        if _is_vague(finding) or not held_out(evidence):
-            finding = replace(finding, alternatives=(*finding.alternatives, ("unknown",)))
-        if finding.alternatives:
-            finding = replace(finding, status="ambiguous")
-        open_ones = {name for one in finding.alternatives for name in one if len(one) == 1}
-        finding = replace(finding, rejected=tuple(x for x in finding.rejected if x[0] not in open_ones))
-        claims.append(finding)
-        shown.append(terms[i])
+        finding = _finding(inquiry, x, sized, terms[i], after)
+        if one is not None:
+            finding = _summed(inquiry, hypothesis, sized.whole, finding, one, after)
+        own = (i,) if one is None else one.places
+        claims.append(_doubted(inquiry, effects, hypothesis, i, sized, finding))
+        shown.append(np.sum([terms[k] for k in own], axis=0))
+        places += own
     claims, doubt = bodies.other_robot(claims)
-    dropped += doubt
-    if not held_out(evidence):
-        dropped += ("No stretch of the log is long enough to be held out: all errors are those on the training data.",)
-    if evidence.reference_rows is not None:
-        dropped += ("Gains are given in addition to what both logs share. The extended model includes that, too.",)
-    elif len(inquiry.always) > len(inquiry.wear):
-        dropped += ("All errors include the known effects. The extended model does not include them.",)
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
-    acting = tuple(whole.acting[k] for k in places)
+    acting = tuple(sized.whole.acting[k] for k in places)
     return Made(
         findings=(*ordered, *unseen(effects, ordered, examination, side, position_side)),
         acting=acting,
-        intervals=tuple(ends[k] for k in places),
+        intervals=tuple(sized.ends[k] for k in places),
         terms=tuple(shown[k] for k in order),
         before=nothing.residual + inquiry.worn(nothing),
         residual=chosen.residual + inquiry.worn(chosen),
         alone=inquiry.model.residual(chosen.acting),
         whole=inquiry.model.residual(acting),
-        notes=dropped + impossible,
+        notes=(*dropped, *doubt, *_what_counts(inquiry), *sized.notes),
     )
+
+
+def _sized(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> _Sized:
+    """The final sizes of effects that were refined on all rows."""
+    evidence, model = inquiry.evidence, inquiry.model
+    if unsure:
+        around, every = (*inquiry.beside(whole.acting), *unsure), np.ones_like(inquiry.judge.rows)
+        beside = refine(evidence, model, whole.acting, every, inquiry.noise.weights, around, steps=0)
+        whole = replace(whole, unknown=beside.unknown)
+    whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
+    wanted = intervals(evidence, whole)
+    whole, notes = realisable(evidence, model, whole, bodies.link_names(evidence.robot))
+    whole, rested = resting.edges(evidence, model, whole)
+    ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
+    return _Sized(whole, wanted, ends, notes)
+
+
+def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: _Sized, term: np.ndarray, after: np.ndarray) -> Finding:
+    """A claim as a finding, before any doubt but that of its rivals; its effect adds a `term` (R, n)."""
+    evidence, candidate, i, rivals = inquiry.evidence, claimed.candidate, claimed.place, claimed.rivals
+    robot, acting = evidence.robot, sized.whole.acting[i]
+    if candidate.key in inquiry.close:
+        rivals = [_late(r, candidate, inquiry.close[candidate.key]) for r in rivals]
+    found = Finding(
+        effect=acting.effect.name,
+        joint=None if acting.joint is None else robot.joints[acting.joint],
+        status="named",
+        alternatives=_alternatives(rivals),
+        parameters=_quantities(acting.effect, sized.ends[i], _slides(robot, candidate)) | _chosen(robot, acting),
+        gain=_gains(inquiry, claimed.hypothesis, (i,), after),
+        rejected=_rejected(robot, candidate.key, rivals),
+        advice=acting.effect.advice,
+        evidence=_facts(evidence, term) | _equals(robot, rivals),
+        group=acting.effect.group,
+        text=acting.effect.text,
+    )
+    return found if candidate.when is None else _timed(found, acting, sized.ends[i])
+
+
+def _doubted(
+    inquiry: Inquiry,
+    effects: Mapping[str, AbstractEffect],
+    hypothesis: Hypothesis,
+    i: int,
+    sized: _Sized,
+    finding: Finding,
+) -> Finding:
+    """A finding with all that it may be instead; ambiguous if that is something."""
+    evidence, candidate, acting = inquiry.evidence, hypothesis[i], sized.whole.acting[i]
+    others = sums.hidden(effects, hypothesis, i)
+    if naming.blind_to_stribeck(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool):
+        others.append(StribeckFriction.name)
+    others += _special_cases(evidence, effects, acting, sized.ends[i])
+    finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
+    finding = bodies.told(finding, acting, evidence.robot, sized.wanted[i])
+    more = []
+    if acting.effect is not candidate.effect and bodies.may_be_payload(sized.wanted[i]):
+        more.append((candidate.effect.name,))
+    if _is_vague(finding) or not held_out(evidence):
+        more.append(("unknown",))
+    alternatives = (*finding.alternatives, *more)
+    if not alternatives:
+        return finding
+    possible = {name for one in alternatives for name in one if len(one) == 1}
+    rejected = tuple(x for x in finding.rejected if x[0] not in possible)
+    return replace(finding, alternatives=alternatives, status="ambiguous", rejected=rejected)
+
+
+def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
+    """Sentences on what errors are errors of, where it is not what one would think."""
+    said = ()
+    if not held_out(inquiry.evidence):
+        said = ("No stretch of the log is long enough to be held out: all errors are those on the training data.",)
+    if inquiry.evidence.reference_rows is not None:
+        said += ("Gains are given in addition to what both logs share. The extended model includes that, too.",)
+    elif len(inquiry.always) > len(inquiry.wear):
+        said += ("All errors include the known effects. The extended model does not include them.",)
+    return said
 
 
 def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:

@@ -1,8 +1,7 @@
 """The inquiry: search and exact refinement in turn, until the set of causes stays the same."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -175,14 +174,7 @@ def _searched(
     rounds at most."""
     new = evidence.role == ROLES.index("train")
     choosing = new | (evidence.role == ROLES.index("reference"))
-    measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
-    ripple = effects.get(TorqueRipple.name)
-    if isinstance(ripple, TorqueRipple) and not any(c.effect is ripple for c in evidence.candidates):
-        residual = left_by_standard(evidence, measured, choosing, wear) if wear else measured.residual
-        lines = noise.ripples(evidence, measured, residual, choosing, ripple)
-        if lines:  # nor is a ripple
-            evidence.candidates += lines
-            measured = noise.measure(evidence, new)
+    measured = _measured(evidence, effects, new, choosing, wear)
     pool = list(evidence.candidates)
     always = (*evidence.given, *known.allowed_for(pool, allowed))
     pool = [c for c in pool if not known.is_allowed(c, allowed)]
@@ -196,60 +188,108 @@ def _searched(
         begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
         usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
         always += usual
-
-    beside = partial(_beside, always, usual)
-
-    def simplified(hypothesis: Hypothesis) -> Hypothesis:
-        return naming.simplified(judge, beside(hypothesis), hypothesis, pool, usual)
-
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.load for c in pool):
         pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
     pool += [c for start in starts for c in start if c not in pool]
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
-    model = Model(evidence)
-    hypothesis = _begun(judge, pool, always, starts, most)
-    seen: list[set[tuple]] = []
-    loss = np.inf
-    loads: dict[int, list[np.ndarray]] = {}
-    for number in range(rounds):
-        pool += _sharpened(judge, always, hypothesis, pool)
-        judge.refresh()
-        seen.append({c.key for c in hypothesis})
-        around = beside(hypothesis)
-        refined = refine(evidence, model, acting_of(judge, around, hypothesis), choosing, measured.weights, around)
-        odd = unlikely(evidence, model, measured, refined)
-        if odd:
-            pool = [c for c in pool if c.key not in odd]
-            hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
-            continue
-        trials = tuple(trial_at(evidence, a, others_of(refined.acting, a)) for a in refined.acting)
-        more = [*trials, *_geared(evidence, refined.acting, loads)]
-        pool = [*pool, *(c for c in more if c not in pool)]
-        judge.refresh()
-        hypothesis = simplified(search(judge, pool, always, trials, most))
-        before, loss = loss, judge.loss((*always, *hypothesis))
-        if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
-            break
-    while True:
-        around = beside(hypothesis)
-        acting = acting_of(judge, around, hypothesis)
-        model.scanned.clear()  # gears once more from far and near, now that all of their load is known
-        chosen = refine(evidence, model, acting, choosing, measured.weights, around)
-        hypothesis, chosen, close = distinguish(judge, model, effects, around, hypothesis, chosen)
-        chosen, timed = resting.edges(evidence, model, chosen)
-        hypothesis = tuple(
-            trial_at(evidence, a) if edges else c for c, a, edges in zip(hypothesis, chosen.acting, timed, strict=True)
-        )
-        judge.refresh()
-        whole = refine(evidence, model, chosen.acting, np.ones_like(choosing), measured.weights, around)
-        odd = unlikely(evidence, model, measured, chosen) | unlikely(evidence, model, measured, whole)
-        if not odd:
-            return Inquiry(evidence, judge, model, measured, always, hypothesis, pool, chosen, whole, close, usual)
-        pool = [c for c in pool if c.key not in odd]
-        hypothesis = search(judge, pool, always, tuple(c for c in hypothesis if c.key not in odd), most)
-        hypothesis = simplified(hypothesis)
+    one = _Search(evidence, effects, choosing, measured, always, usual, most, judge, Model(evidence), pool)
+    return one.finished(one.settled(_begun(judge, pool, always, starts, most), rounds))
+
+
+def _measured(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    new: np.ndarray,
+    choosing: np.ndarray,
+    wear: Hypothesis,
+) -> noise.Noise:
+    """The noise; ripples that stand out of it are no noise, and become candidates of the evidence."""
+    measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
+    ripple = effects.get(TorqueRipple.name)
+    if not isinstance(ripple, TorqueRipple) or any(c.effect is ripple for c in evidence.candidates):
+        return measured
+    residual = left_by_standard(evidence, measured, choosing, wear) if wear else measured.residual
+    lines = noise.ripples(evidence, measured, residual, choosing, ripple)
+    evidence.candidates += lines
+    return noise.measure(evidence, new) if lines else measured
+
+
+@dataclass
+class _Search:
+    """A search on rows that choose (`choosing`), beside what is `always` there, the last of it `usual`: the standard
+    model. `pool` are the trials, which become more with what is found, and fewer by what cannot be."""
+
+    evidence: Evidence
+    effects: Mapping[str, AbstractEffect]
+    choosing: np.ndarray
+    noise: noise.Noise
+    always: Hypothesis
+    usual: Hypothesis
+    most: int
+    judge: HypothesisScorer
+    model: Model
+    pool: list[Candidate]
+
+    def settled(self, hypothesis: Hypothesis, rounds: int) -> Hypothesis:
+        """A hypothesis after refinement and search in turn, until the causes stay the same or hardly gain."""
+        seen: list[set[tuple]] = []
+        loss = np.inf
+        loads: dict[int, list[np.ndarray]] = {}
+        for number in range(rounds):
+            self.pool += _sharpened(self.judge, self.always, hypothesis, self.pool)
+            self.judge.refresh()
+            seen.append({c.key for c in hypothesis})
+            refined = self._refined(hypothesis)
+            odd = unlikely(self.evidence, self.model, self.noise, refined)
+            if odd:
+                hypothesis = self._without(odd, hypothesis)
+                continue
+            trials = tuple(trial_at(self.evidence, a, others_of(refined.acting, a)) for a in refined.acting)
+            more = [*trials, *_geared(self.evidence, refined.acting, loads)]
+            self.pool += [c for c in more if c not in self.pool]
+            self.judge.refresh()
+            hypothesis = self._simplified(search(self.judge, self.pool, self.always, trials, self.most))
+            before, loss = loss, self.judge.loss((*self.always, *hypothesis))
+            if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
+                break
+        return hypothesis
+
+    def finished(self, hypothesis: Hypothesis) -> Inquiry:
+        """The inquiry of a hypothesis: refined on the data that chose it and on all, without what is unlikely then."""
+        evidence, model, weights = self.evidence, self.model, self.noise.weights
+        while True:
+            around = _beside(self.always, self.usual, hypothesis)
+            model.scanned.clear()  # gears once more from far and near, now that all of their load is known
+            chosen = self._refined(hypothesis)
+            hypothesis, chosen, close = distinguish(self.judge, model, self.effects, around, hypothesis, chosen)
+            chosen, timed = resting.edges(evidence, model, chosen)
+            found = zip(hypothesis, chosen.acting, timed, strict=True)
+            hypothesis = tuple(trial_at(evidence, a) if edges else c for c, a, edges in found)
+            self.judge.refresh()
+            whole = refine(evidence, model, chosen.acting, np.ones_like(self.choosing), weights, around)
+            odd = {key for one in (chosen, whole) for key in unlikely(evidence, model, self.noise, one)}
+            if not odd:
+                fixed = (evidence, self.judge, model, self.noise, self.always, hypothesis, self.pool)
+                return Inquiry(*fixed, chosen, whole, close, self.usual)
+            hypothesis = self._simplified(self._without(odd, hypothesis))
+
+    def _refined(self, hypothesis: Hypothesis) -> Refined:
+        """On the data that choose, from where the columns have it."""
+        around = _beside(self.always, self.usual, hypothesis)
+        acting = acting_of(self.judge, around, hypothesis)
+        return refine(self.evidence, self.model, acting, self.choosing, self.noise.weights, around)
+
+    def _simplified(self, hypothesis: Hypothesis) -> Hypothesis:
+        around = _beside(self.always, self.usual, hypothesis)
+        return naming.simplified(self.judge, around, hypothesis, self.pool, self.usual)
+
+    def _without(self, odd: Collection[tuple], hypothesis: Hypothesis) -> Hypothesis:
+        """The search again without what cannot be."""
+        self.pool = [c for c in self.pool if c.key not in odd]
+        kept = tuple(c for c in hypothesis if c.key not in odd)
+        return search(self.judge, self.pool, self.always, kept, self.most)
 
 
 def _begun(
