@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer, parameters_of, read_all
 from invdyn_cli.diagnosis.search.likely import unlikely
+from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.diagnosis.search.windows import asked_for, at_first, left_by_standard, standing_out, terms_of
 from invdyn_cli.effects.composition import EffectInstance
@@ -44,7 +45,7 @@ class Inquiry:
     evidence: Evidence
     judge: HypothesisScorer
     model: Model
-    noise: noise.Noise
+    noise: Noise
     always: Hypothesis
     hypothesis: Hypothesis
     pool: Sequence[Candidate]
@@ -195,7 +196,7 @@ def _searched(
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
     one = _Search(evidence, effects, choosing, measured, always, usual, most, judge, Model(evidence), pool)
-    return one.finished(one.settled(_begun(judge, pool, always, starts, most), rounds))
+    return one.finished(_begun(judge, pool, always, starts, most), rounds)
 
 
 def _measured(
@@ -204,7 +205,7 @@ def _measured(
     new: np.ndarray,
     choosing: np.ndarray,
     wear: Hypothesis,
-) -> noise.Noise:
+) -> Noise:
     """The noise; ripples that stand out of it are no noise, and become candidates of the evidence."""
     measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
     ripple = effects.get(TorqueRipple.name)
@@ -224,7 +225,7 @@ class _Search:
     evidence: Evidence
     effects: Mapping[str, AbstractEffect]
     choosing: np.ndarray
-    noise: noise.Noise
+    noise: Noise
     always: Hypothesis
     usual: Hypothesis
     most: int
@@ -256,13 +257,23 @@ class _Search:
                 break
         return hypothesis
 
-    def finished(self, hypothesis: Hypothesis) -> Inquiry:
-        """The inquiry of a hypothesis: refined on the data that chose it and on all, without what is unlikely then."""
-        evidence, model, weights = self.evidence, self.model, self.noise.weights
+    def finished(self, hypothesis: Hypothesis, rounds: int) -> Inquiry:
+        """The inquiry that begins with a hypothesis: settled, refined on the data that chose it and on all, without
+        what is unlikely then. On a worn arm, where it leaves plainly less than the noise, it is settled again in
+        that."""
+        evidence, model = self.evidence, self.model
+        hypothesis, listens = self.settled(hypothesis, rounds), bool(self.usual)
         while True:
-            around = _beside(self.always, self.usual, hypothesis)
             model.scanned.clear()  # gears once more from far and near, now that all of their load is known
             chosen = self._refined(hypothesis)
+            quieter = noise.quieter(evidence, chosen.residual, self.choosing, self.noise) if listens else None
+            if quieter is not None:
+                self.noise, listens = quieter, False
+                weights, deviation = quieter.weights, quieter.deviation
+                self.judge = HypothesisScorer(evidence, self.choosing, weights, deviation, self.always, True)
+                hypothesis = self.settled(hypothesis, rounds)
+                continue
+            weights, around = self.noise.weights, _beside(self.always, self.usual, hypothesis)
             hypothesis, chosen, close = distinguish(self.judge, model, self.effects, around, hypothesis, chosen)
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)

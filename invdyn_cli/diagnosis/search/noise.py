@@ -87,6 +87,20 @@ def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: No
     return Noise(deviation, time, residual)
 
 
+def quieter(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, than: Noise) -> Noise | None:
+    """The noise that a model's residual (R, n) has on the chosen rows, for joints on which it is plainly smaller `than`
+    what was measured without that model, as beside a drive that gives less for a time; None if it is on no joint."""
+    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
+    deviation, time = than.deviation.copy(), than.time.copy()
+    for j in np.flatnonzero(than.deviation > 0):
+        used = rows & evidence.valid[:, j]
+        floor = FLOOR * max(strongest[j], strongest.max() / 5)
+        own = float(np.sqrt(np.mean(residual[used, j] ** 2) + floor**2))
+        if own < PLAINLY * than.deviation[j]:
+            deviation[j], time[j] = own, autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
+    return Noise(deviation, time, residual) if np.any(deviation < than.deviation) else None
+
+
 def _fitted(x: np.ndarray, y: np.ndarray, independent: float) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of columns x (N, k) of unit mean square for each of the targets y (N, m), and the variance
     (m,) of what they leave. Rows behind a low filter are as many `independent` samples, and may be no more than the

@@ -41,6 +41,20 @@ def test_effects_are_no_noise(quiet):
     np.testing.assert_allclose(measured(term)[2].deviation, quiet[2].deviation, rtol=0.15)
 
 
+def test_the_noise_is_what_a_right_model_leaves(quiet):
+    """A drive that gives less for half of the log is in no plain column, and was noise; of a residual that has white
+    noise alone the noise is what was put in, but for 10 %. A joint on which no less is left keeps its noise, and where
+    that is all of them nothing is quieter."""
+    evidence, rows, found = quiet
+    weaker = on(1, lambda t, q, qd, qdd: np.where(t > t.mean(), 3.0 * np.sin(3 * q), 0.0))
+    heard = measured(weaker)[2]
+    assert heard.deviation[1] > 2 * found.deviation[1]
+    quieter = noise.quieter(evidence, found.residual, rows, heard)
+    assert quieter is not None and quieter.deviation[0] == heard.deviation[0]
+    np.testing.assert_allclose(quieter.deviation[1], np.std(found.residual[rows, 1]), rtol=0.1)
+    assert noise.quieter(evidence, found.residual, rows, found) is None
+
+
 def test_weights_count_correlation(quiet):
     """A row weighs 1 / (variance x autocorrelation time); a joint without torque and motion weighs nothing."""
     found = quiet[2]
