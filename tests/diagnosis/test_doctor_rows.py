@@ -296,6 +296,16 @@ def test_an_offset_is_that_of_the_joints_that_tell_it(log, arm):
             assert "standard error" in shared[0].seen and doctor.done(examination) == ()
 
 
+def test_an_offset_that_the_others_contradict_is_none(log, arm):
+    """Four of seven joints come 11 ms late, and three tell as clearly of less, as where friction sets in late at
+    reversals: nothing is corrected."""
+    raw = log.trajectories[0]
+    early = [0.011, 0.011, 0, 0.011, 0.011, 0.007, 0.004]
+    tau = [delayed(x, raw.t, late) for x, late in zip(raw.tau.T, early, strict=True)]
+    examination = doctor.correct(changed(log, tau=np.stack(tau, axis=1)), arm, (TimeOffset(),))[1]
+    assert doctor.done(examination) == ()
+
+
 def test_the_log_is_corrected_on_the_way(log, arm):
     """Every check sees the log as those before it corrected it; rows keep their stages and where they stood."""
     raw = log.trajectories[0]

@@ -31,6 +31,8 @@ class TimeOffset(AbstractCheck):
         samples: that are normal (first order: half a sample for a controller's hold, one for the order of reading).
         least: [s] (ours: filters of drives make 1 to 4 ms, effects.md E4).
         agree: share of the offset within which a joint is that shows it clearly.
+        most: share of all joints' weights that those near it must have (ours: 0.60 where friction alone was early, 0.96
+            and more on ten logs that were shifted).
         sure: standard errors that the offset has to be from zero (ours).
         explained: share of a joint's torque that nominal torque and friction explain at its shift where it is judged.
         moved: share of what friction leaves that the motion explains then (ours: friction sets in late by itself, gear
@@ -44,6 +46,7 @@ class TimeOffset(AbstractCheck):
     samples: float = 1.5
     least: float = 0.004
     agree: float = 0.2
+    most: float = 2 / 3
     sure: float = 3.0
     explained: float = 0.8
     moved: float = 0.5
@@ -120,14 +123,15 @@ class TimeOffset(AbstractCheck):
         return max(self.samples / x.rate, self.least)
 
     def _shared(self, x: "_Shifts", log: Log) -> bool:
-        """Whether most joints have one offset, known to what is normal, and at least one of them clearly."""
+        """Whether most that is told of it is of one offset, known to what is normal, and at least one joint says so
+        clearly: friction at reversals seems to come before the motion, joint by joint, and gravity does not."""
         limit = self._limit(x)
         if len(x.offsets) < min(3, len(log.joints)) or x.error > limit:
             return False
         if self.sure * x.error > max(abs(x.common), 2 * limit):
             return False
         near = [j for j, s in x.offsets.items() if abs(s - x.common) < max(self.agree * abs(x.common), limit / 2)]
-        several = 2 * len(near) > len(x.offsets)
+        several = sum(x.weights[j] for j in near) > self.most * sum(x.weights.values())
         return abs(x.common) <= limit or (several and any(x.gains[j] > self.sharp for j in near))
 
     def _unsure(self, x: "_Shifts") -> Check:
@@ -224,17 +228,18 @@ class TimeOffset(AbstractCheck):
         if not offsets:
             return None
         common, error = _weighted_median(np.array(list(offsets.values())), np.array(list(weights.values())))
-        return _Shifts(raw.name, offsets, gains, common, error, parts[0].rate)
+        return _Shifts(raw.name, offsets, gains, weights, common, error, parts[0].rate)
 
 
 @dataclass(frozen=True)
 class _Shifts:
-    """Of one recording: joint -> seconds that its torque comes late, and how much higher the residual variance is
-    without a shift; the offset of all and its standard error [s], and the rate [Hz]."""
+    """Of one recording: joint -> seconds that its torque comes late, how much higher the residual variance is without a
+    shift, and the weight of what it says; the offset of all and its standard error [s], and the rate [Hz]."""
 
     trajectory: str
     offsets: dict[int, float]
     gains: dict[int, float]
+    weights: dict[int, float]
     common: float
     error: float
     rate: float
