@@ -37,6 +37,10 @@ LIGHTEST, SHORTEST = 0.1, 0.05
 """[kg], [m] Least mass of a link and least distance of its centre from which the scales of their errors are
 computed."""
 
+EXACT = 1e-13
+"""Least variance of the noise, as a share of the sum of squares of the largest torque that the prior allows: beside
+less noise the prior drowns in rounding (logs of a simulation without any)."""
+
 ROUNDS = 8
 """Number of iterations that estimate the noise and the coefficients in turn; four or five suffice."""
 
@@ -236,6 +240,7 @@ def _posterior(total: Sums, prior: Prior, times: np.ndarray, share: float) -> tu
     scale = prior.at(share)
     scaled = total.grams * np.append(scale, 1.0)[:, None] * np.append(scale, 1.0)
     least = 1e-12 * np.maximum(total.grams[:, -1, -1] / np.maximum(total.rows, 1), 1e-12)
+    least = np.maximum(least, EXACT * np.einsum("jpp->jp", scaled)[:, :-1].max(axis=1))
     noise = np.maximum(total.grams[:, -1, -1] / np.maximum(total.rows, 1), least)
     theta, precision = np.zeros(len(scale)), np.eye(len(scale))
     for _ in range(ROUNDS):
