@@ -75,8 +75,8 @@ def test_little_data_hold_on_another_motion(apollo4, worn):
 
 @pytest.mark.parametrize("off", [False, True])
 def test_a_log_without_noise(apollo4, worn, off):
-    """Exact torques of the nominal arm, and of one with other links, are predicted to a millionth of the largest, without
-    an error: beside no noise, what was believed does not drown in rounding."""
+    """Exact torques of the nominal arm, and of one with other links, are predicted to a millionth of the largest, with
+    no error: beside no noise, what was believed does not drown in rounding."""
     real = worn if off else apollo4
     model, (t, m) = pinocchio_model(real), sines(4, 10.0, 3)
     tau = np.array([pin.rnea(model, model.createData(), *x) for x in zip(m.q, m.qd, m.qdd, strict=True)])
