@@ -110,7 +110,7 @@ def report(
         claims.append(_doubted(inquiry, effects, hypothesis, i, sized, finding))
         shown.append(np.sum([terms[k] for k in own], axis=0))
         places += own
-    claims, doubt = bodies.other_robot(claims)
+    claims, doubt = bodies.other_robot(overlapping(claims))
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
     acting = tuple(sized.whole.acting[k] for k in places)
@@ -191,6 +191,24 @@ def _doubted(
     possible = {name for one in alternatives for name in one if len(one) == 1}
     rejected = tuple(x for x in finding.rejected if x[0] not in possible)
     return replace(finding, alternatives=alternatives, status="ambiguous", rejected=rejected)
+
+
+def overlapping(claims: Sequence[Finding]) -> list[Finding]:
+    """The claims; those that act while another of their effect does on the same joint may be of an effect that is not
+    in the catalogue: together they have a shape that none of them has."""
+
+    def at_once(one: Finding, other: Finding) -> bool:
+        if one is other or (one.effect, one.joint, one.trajectory) != (other.effect, other.joint, other.trajectory):
+            return False
+        a, b = one.window, other.window
+        return a is not None and b is not None and max(a[0], b[0]) < min(a[1], b[1])
+
+    made = []
+    for one in claims:
+        if any(at_once(one, other) for other in claims):
+            one = replace(one, status="ambiguous", alternatives=tuple(dict.fromkeys((*one.alternatives, ("unknown",)))))
+        made.append(one)
+    return made
 
 
 def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:

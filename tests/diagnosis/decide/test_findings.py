@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.findings import _special_cases, gain_of
+from invdyn_cli.diagnosis.decide.findings import _special_cases, gain_of, overlapping
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.types import Finding
 from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 
@@ -29,3 +30,23 @@ def test_stribeck_friction_that_may_be_coulombs(lowest, others):
     one = EffectInstance(EFFECTS["stribeck_friction"], 0, {"coulomb": 1.0, "static": 1.5, "velocity": 0.05})
     ends = {"coulomb": (1.0, 0.9, 1.1), "static": (1.5, 1.4, 1.6), "velocity": (0.05, lowest, 0.1)}
     assert _special_cases(evidence, EFFECTS, one, ends) == others
+
+
+@pytest.mark.parametrize(
+    ("other", "open_ones"),
+    [
+        ({"window": (5.0, 8.0)}, True),
+        ({"window": (9.5, 12.0)}, False),
+        ({"window": (5.0, 8.0), "joint": "b"}, False),
+        ({"window": (5.0, 8.0), "effect": "external_contact"}, False),
+        ({"window": (5.0, 8.0), "trajectory": "two"}, False),
+        ({"window": None}, False),
+    ],
+)
+def test_two_of_one_kind_at_once_may_be_unknown(other, open_ones):
+    """A gain that changes while it is changed already, on the same joint, is the shape of something else; one after the
+    other, elsewhere, or of different kinds they may both be true."""
+    one = Finding("torque_gain_change", "a", "named", window=(4.0, 9.0), trajectory="one")
+    found = overlapping([one, replace(one, **other)])
+    assert [f.status for f in found] == ["ambiguous" if open_ones else "named"] * 2
+    assert all((("unknown",) in f.alternatives) == open_ones for f in found)

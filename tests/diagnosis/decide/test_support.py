@@ -38,6 +38,19 @@ def of_coulomb(inquiry):
     return claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.whole, claim.left(inquiry, inquiry.hypothesis))
 
 
+def test_rows_that_judge():
+    """An effect is judged on held-out rows where it acts in several of their blocks; on all rows where it acts in one
+    alone, as a gear's play that strikes once, or hardly at all."""
+    evidence = evidence_of(log_of(raw(*moved(60.0))), ("coulomb_friction",))
+    held = claim.judged(evidence)
+    blocks = np.unique(evidence.block[held])
+    assert held.any() and not held.all() and len(blocks) >= 3
+    often, once, hardly = (np.isin(evidence.block, own).astype(float) for own in (blocks, blocks[1], ()))
+    hardly += ~held
+    for squares, expected in ((often, held), (once, np.ones_like(held)), (hardly, np.ones_like(held))):
+        np.testing.assert_array_equal(claim._judging(evidence, squares), expected)
+
+
 @pytest.mark.parametrize(("excess", "refused"), [(-20.0, True), (-5.0, False), (300.0, False)])
 def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
     """A true friction is claimed, unless an effect of an impossible size in its place lowers the loss by more than ten
