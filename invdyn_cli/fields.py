@@ -59,7 +59,8 @@ def in_words(hint: Any) -> str:
 
 
 def counts(owner: Any, group: str, *names: str) -> None:
-    """Refuse options of an object, said as `group.name`, that are no whole numbers >= 1.
+    """Refuse options of an object that are no whole numbers >= 1; they are called `group.name`, or by their name alone
+    for a `group` "", where they may stand in several places.
 
     Raises:
         UsageError: naming the first of them.
@@ -67,7 +68,7 @@ def counts(owner: Any, group: str, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
         if not (isinstance(value, int) and value >= 1):
-            raise UsageError(f"{group}.{name}={value}; allowed: a whole number >= 1")
+            raise UsageError(f"{_called(group, name)}={value}; allowed: a whole number >= 1")
 
 
 def positive(owner: Any, group: str, *names: str) -> None:
@@ -75,7 +76,11 @@ def positive(owner: Any, group: str, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
         if not value > 0:
-            raise UsageError(f"{group}.{name}={value}; allowed: a number > 0")
+            raise UsageError(f"{_called(group, name)}={value}; allowed: a number > 0")
+
+
+def _called(group: str, name: str) -> str:
+    return f"{group}.{name}" if group else name
 
 
 def made(kind: type[T], options: Mapping[str, Any], what: str) -> T:

@@ -49,6 +49,7 @@ def test_the_page_begins_with_a_csv_and_stays_short():
     assert {name: n for name, n in pages.items() if n > 150} == {}
 
 
+@pytest.mark.benchmark  # two minutes; the README's session is the suite's
 @pytest.mark.parametrize(("command", "shown"), [pair for pair in COMMANDS if pair[1]])
 def test_a_command_shows_what_the_page_says(command, shown, said):
     """Every part of the output on the page stands in the command's output, in that order, but for digits."""

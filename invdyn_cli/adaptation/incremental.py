@@ -31,8 +31,8 @@ class AbstractDescent(AbstractAdapter):
     if_diverged = "a lower adaptation.learning_rate may help"
 
     def __post_init__(self) -> None:
-        counts(self, "adaptation", "rate", "batch_size", "epochs")
-        positive(self, "adaptation", "learning_rate")
+        counts(self, "", "rate", "batch_size", "epochs")
+        positive(self, "", "learning_rate")
 
     @abc.abstractmethod
     def memory(self, weights: PyTree) -> PyTree:
