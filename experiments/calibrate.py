@@ -12,7 +12,7 @@ from experiments.worn import Worn, drawn, said_of, spoken
 from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.case import Case, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
-from invdyn_cli.diagnosis.decide.claim import Claim, left
+from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
@@ -100,7 +100,8 @@ def _without(place: int) -> tuple:
 def _found(inquiry: Inquiry, anomaly: Hidden | None) -> tuple[list[Claim], list[Claim]]:
     """The anomalies that the search found, before any is refused: the right one, and the others."""
     hypothesis = inquiry.hypothesis
-    exact, after = inquiry.whole, left(inquiry, hypothesis)
+    every, after = np.ones_like(inquiry.judge.rows), left(inquiry, hypothesis)
+    exact = exactly(inquiry, hypothesis, inquiry.whole, every)
     right, others = [], []
     for k, c in enumerate(hypothesis):
         if c.effect.group != "standard":

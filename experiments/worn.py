@@ -197,9 +197,9 @@ def several(seed: int, names: Sequence[str]) -> Case:
                 anomalies.append(sized(draw, scene, name, [x.joint for x in anomalies]))
             record, hiss, said = _recorder(draw, scene, anomalies)
             twin = record(worn)
-            loud = (_loudness(scene, record([*worn, x]), twin, x, worn, hiss)[0] for x in anomalies)
-            if min(loud) > LOUD:
-                return Case(scene.robot, record([*worn, *anomalies]), tuple(anomalies), LOUD, said)
+            faintest = min(_loudness(scene, record([*worn, x]), twin, x, worn, hiss)[0] for x in anomalies)
+            if faintest > LOUD:
+                return Case(scene.robot, record([*worn, *anomalies]), tuple(anomalies), faintest, said)
         except (UsageError, ValueError):  # no joint is free, or an arm that loses control
             continue
     raise RuntimeError(f"no loud, stable case from seed {seed} for {names}")

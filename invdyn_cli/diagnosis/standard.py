@@ -13,7 +13,8 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
 from invdyn_cli.diagnosis.decide.claim import held_out, judged
-from invdyn_cli.diagnosis.decide.findings import Made, gain_of, unit_of
+from invdyn_cli.diagnosis.decide.findings import Made, unit_of
+from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import reach
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -324,7 +325,7 @@ def claims(
             facts = {"rms_of_term_N_m": {joint: torque}, "share_of_torque": {joint: torque / whole}}
             told = {"parameters": {name: size}, "gain": {joint: gain}, "evidence": facts, "group": "standard"}
             made.append((Finding(effect, joint, "named", **told), own))
-    made.sort(key=lambda x: -max(g.rmse_before - g.rmse_after for g in x[0].gain.values()))
+    made.sort(key=lambda x: -lowers([x[0]]))
     return tuple(x for x, _ in made), tuple(own for _, own in made)
 
 

@@ -18,7 +18,7 @@ def rms(x: np.ndarray) -> np.ndarray:
 
 def rmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     """Root mean squared error per joint (n,) of torques (T, n) [N m; N]."""
-    return np.sqrt(np.mean((target - prediction) ** 2, axis=0))
+    return rms(target - prediction)
 
 
 def nmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:

@@ -67,6 +67,11 @@ class Prior:
     positive: np.ndarray
     least: np.ndarray
 
+    @property
+    def lower(self) -> np.ndarray:
+        """(p,) bounds of all coefficients, none above zero."""
+        return np.where(self.positive, np.minimum(self.least, 0.0), -np.inf)
+
     def at(self, share: float) -> np.ndarray:
         """Standard deviations (p,) for this share."""
         return np.where(self.inertial, share, 1.0) * self.scale
@@ -152,7 +157,7 @@ def fit(motions: Sequence[Sums], prior: Prior, times: Array, share: float | None
     fewer = (np.zeros(len(scale)), np.where(prior.inertial, 0.0, prior.scale))
     gains = [evidence(total, replace(prior, scale=x), times, share) for x in fewer]
     gain, of_inertial = evidence(total, prior, times, share) - np.array(gains)
-    bounded = _bounded(theta, precision, prior, scale)
+    bounded = _bounded(theta, precision, prior.lower, scale)
     return Standard(bounded, half.T @ half, share, chosen, np.sqrt(noise), float(gain), float(of_inertial))
 
 
@@ -164,14 +169,11 @@ def within(prior: Prior, theta: Array, covariance: Array) -> np.ndarray:
         covariance: (p, p) of the posterior.
     """
     theta, free = np.array(theta, float), ~prior.inertial & (prior.scale > 0)
-    lower = np.where(prior.positive, np.minimum(prior.least, 0.0), -np.inf)
-    if np.all(theta >= lower):
+    if np.all(theta >= prior.lower):
         return theta
     scale = np.where(prior.scale > 0, prior.scale, 1.0)
     known = np.linalg.inv(np.asarray(covariance) / np.outer(scale, scale))[np.ix_(free, free)]
-    start, least = theta[free] / scale[free], lower[free] / scale[free]
-    root = scipy.linalg.cholesky(known)
-    theta[free] = scipy.optimize.lsq_linear(root, root @ start, (least, np.inf), method="bvls").x * scale[free]
+    theta[free] = _bounded(theta[free], known, prior.lower[free], scale[free])
     return theta
 
 
@@ -253,17 +255,14 @@ def _posterior(total: Sums, prior: Prior, times: np.ndarray, share: float) -> tu
     return theta, noise, precision
 
 
-def _bounded(theta: np.ndarray, precision: np.ndarray, prior: Prior, scale: np.ndarray) -> np.ndarray:
-    """The likeliest coefficients none of which is below its bound, from the likeliest at all."""
-    lower = np.where(prior.positive, prior.least, -np.inf)
+def _bounded(theta: np.ndarray, precision: np.ndarray, lower: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """The likeliest coefficients none of which is below its bound, from the likeliest at all; `precision` over their
+    scales."""
     if np.all(theta >= lower):
         return theta
     root = scipy.linalg.cholesky(precision)
     safe = np.where(scale > 0, scale, 1.0)
-    found = scipy.optimize.lsq_linear(
-        root, root @ (theta / safe), (np.minimum(lower / safe, 0.0), np.inf), method="bvls"
-    )
-    return found.x * scale
+    return scipy.optimize.lsq_linear(root, root @ (theta / safe), (lower / safe, np.inf), method="bvls").x * scale
 
 
 def _squares(total: Sums, theta: np.ndarray) -> np.ndarray:

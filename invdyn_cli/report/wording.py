@@ -110,7 +110,7 @@ def gaining(joint: str, finding: Finding) -> str:
 
 
 def verdict_words(diagnosis: Diagnosis) -> str:
-    """The verdict; with a word on effects that are left but small beside what was found."""
+    """The verdict; an explained log on which residual tests still fail is explained except for small effects."""
     said = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
     left = diagnosis.verdict == "explained" and not all(x.passed for x in diagnosis.tests)
     return f"{said}, except for small effects" if left else said

@@ -4,17 +4,18 @@ A name is given only where data that did not choose it gain by it, no rival does
 its joint does not outweigh it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.decide import bodies, claim, sums
-from invdyn_cli.diagnosis.decide.claim import exactly, held_out, judged, left, refitted
+from invdyn_cli.diagnosis.decide.claim import exactly, held_out, left, refitted
+from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
+from invdyn_cli.diagnosis.decide.not_shown import unseen
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.coordinates import EDGES
@@ -43,8 +44,6 @@ SLIDING = {
     "1/rev": "rad/m",
 }
 """Units at a joint that turns, and at one that slides."""
-
-DRAWS = 1000
 
 
 @dataclass(frozen=True)
@@ -234,25 +233,6 @@ def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], aft
     return {name: gain for name, gain in gains.items() if gain is not None}
 
 
-def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -> Gain | None:
-    """Held-out error of a joint, where it moves, from the residuals (R, n) before and after; None where it is the same.
-    What friction holds at rest is no gain and no loss. The interval comes from blocks drawn with replacement."""
-    rows = judged(evidence)
-    rows = own if np.any(own := rows & evidence.valid[:, j]) else rows
-    numbers, of = np.unique(evidence.block[rows], return_inverse=True)
-    draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
-    b, a, tau = (x[rows, j] for x in (before, after, evidence.tau))
-    rms = [float(np.sqrt(np.mean(x**2))) for x in (b, a)]
-    if abs(rms[0] - rms[1]) < 1e-3 * max(rms[0], 1e-12):
-        return None
-    per_block = [np.bincount(of, x**2, len(numbers)) for x in (b, a)]
-    size = draws @ np.bincount(of, minlength=len(numbers))
-    step = np.sqrt(draws @ per_block[0] / size) - np.sqrt(draws @ per_block[1] / size)
-    variance = max(float(np.var(tau)), 1e-300)
-    low, high = np.quantile(step, [0.025, 0.975])
-    return Gain(rms[0], rms[1], rms[0] ** 2 / variance, rms[1] ** 2 / variance, (float(low), float(high)))
-
-
 def _special_cases(
     evidence: Evidence, effects: Mapping[str, AbstractEffect], one: EffectInstance, ends: Mapping[str, tuple]
 ) -> list[str]:
@@ -272,11 +252,6 @@ def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
         return rival
     why = "fits as well" if close else "fits worse on the same samples, both by their exact formulas"
     return replace(rival, equal=close, why=why)
-
-
-def lowers(findings: Iterable[Finding]) -> float:
-    """By how much the best of these findings lowers the RMSE of a joint [N m; N]."""
-    return max((g.rmse_before - g.rmse_after for f in findings for g in f.gain.values()), default=0.0)
 
 
 def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
@@ -405,43 +380,3 @@ def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) ->
     unseen = (x for x in made.findings[count:] if (x.effect, x.joint) not in claimed)
     together = (*made.findings[:count], *found, *unseen)
     return replace(made, findings=together, terms=(*made.terms, *terms))
-
-
-def unseen(
-    effects: Mapping[str, AbstractEffect],
-    claims: Sequence[Finding],
-    examination: Examination,
-    side: str,
-    position_side: str,
-) -> list[Finding]:
-    """What this log could not have shown: no claims, but where not to look for absence."""
-    claimed = {(f.effect, f.joint) for f in claims}
-    out = [
-        Finding(
-            name,
-            None,
-            "not_observable",
-            advice=f"a torque measured at the {' or '.join(s for s in e.sides if s != 'unknown')} side",
-            evidence={"why": f"a torque measured at the {side} does not contain it"},
-        )
-        for name, e in effects.items()
-        if side not in e.sides
-    ]
-    out += [
-        Finding(
-            name,
-            None,
-            "not_observable",
-            advice="angles of the motor, or on both sides of the gear",
-            evidence={"why": f"angles measured at the {position_side} do not contain it"},
-        )
-        for name, e in effects.items()
-        if position_side not in e.position_sides and side in e.sides
-    ]
-    for joint, numbers in examination.excitation.items():
-        for name, why in cannot_show(numbers.get("lacks", {}), effects).items():
-            if (name, joint) in claimed or name in {f.effect for f in out if f.joint is None}:
-                continue
-            advice = effects[name].advice
-            out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))
-    return out

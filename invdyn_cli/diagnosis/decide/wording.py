@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invdyn_cli.diagnosis.decide.findings import Made, lowers
+from invdyn_cli.diagnosis.decide.findings import Made
+from invdyn_cli.diagnosis.decide.gain import lowers
 from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.15

@@ -50,8 +50,7 @@ class Noise:
 
 def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
     """The noise of the chosen rows (R,) bool."""
-    n = evidence.dofs
-    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
+    n, floor = evidence.dofs, _floor(evidence, rows)
     deviation, time, residual = np.zeros(n), np.ones(n), np.zeros(evidence.tau.shape)
     for j in range(n):
         used = rows & evidence.valid[:, j]
@@ -71,9 +70,15 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread / loud))
         residual[:, j] = targets[:, best] - x @ theta[:, best]
         variance = spread[best] / loud[best]
-        deviation[j] = np.sqrt(variance + (FLOOR * max(strongest[j], strongest.max() / 5)) ** 2)
+        deviation[j] = np.sqrt(variance + floor[j] ** 2)
         time[j] = autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
     return Noise(deviation, time, residual)
+
+
+def _floor(evidence: Evidence, rows: np.ndarray) -> np.ndarray:
+    """(n,) torque below which nothing is known on the chosen rows (FLOOR)."""
+    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
+    return FLOOR * np.maximum(strongest, strongest.max() / 5)
 
 
 def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: Noise) -> Noise:
@@ -90,12 +95,11 @@ def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: No
 def quieter(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, than: Noise) -> Noise | None:
     """The noise that a model's residual (R, n) has on the chosen rows, for joints on which it is plainly smaller `than`
     what was measured without that model, as beside a drive that gives less for a time; None if it is on no joint."""
-    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
+    floor = _floor(evidence, rows)
     deviation, time = than.deviation.copy(), than.time.copy()
     for j in np.flatnonzero(than.deviation > 0):
         used = rows & evidence.valid[:, j]
-        floor = FLOOR * max(strongest[j], strongest.max() / 5)
-        own = float(np.sqrt(np.mean(residual[used, j] ** 2) + floor**2))
+        own = float(np.sqrt(np.mean(residual[used, j] ** 2) + floor[j] ** 2))
         if own < PLAINLY * than.deviation[j]:
             deviation[j], time[j] = own, autocorrelation_time(np.where(used, residual[:, j], 0.0)[rows])
     return Noise(deviation, time, residual) if np.any(deviation < than.deviation) else None

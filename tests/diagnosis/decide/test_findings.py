@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.findings import _special_cases, gain_of, overlapping
+from invdyn_cli.diagnosis.decide.findings import _special_cases, overlapping
+from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.types import Finding
