@@ -85,15 +85,16 @@ def believed(
         return reduce(lambda one, other: other if other.beats(one, used) else one, of)
 
     def grown(found: Hypothesis) -> Belief:
-        own = told(noise, links, found).noise
+        own, seen = told(noise, links, found).noise, {frozenset(found)}
         for _ in range(2 * most):
             bases = [told(own, x, found) for x in shares]
             more = [(x, one) for x in bases for one in _more(evidence, rows, noise, x, always, pool, most)]
             fewer = [(x, found[:i] + found[i + 1 :]) for x in bases for i in range(len(found))]
             chosen = best([best(bases), *(told(x.noise, x.links, one) for x, one in more + fewer)])
-            if chosen.found is found:
+            if frozenset(chosen.found) in seen:  # again: two noises may each prefer the other's hypothesis
                 break
             found, own = chosen.found, chosen.noise
+            seen.add(frozenset(found))
         return chosen
 
     return best([grown(start) for start in starts])
