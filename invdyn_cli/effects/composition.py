@@ -126,13 +126,18 @@ def link_torque(
     q, bodies, before = motion.q, identity([a for a in acting if a.when is None]), identity(acting)
     for one in gears:
         assert one.joint is not None
+        load, carried = ("load", before, one.joint), ("inertia", bodies, one.joint)
         before = *before, identity([one])
         if before not in kept:
-            carried = bodies, one.joint
+            if load not in kept:
+                kept[load] = _moving(robot, acting, motion, stretch)[one.joint]
             if carried not in kept:
                 kept[carried] = inertia_column(robot, q, one.joint)[one.joint]
-            kept[before] = _behind(one, motion, _moving(robot, acting, motion, stretch), kept[carried], stretch.rate)
-        motion = kept[before]
+            motion = _behind(one, motion, kept[load], kept[carried], stretch.rate)
+            if one is not gears[-1]:
+                kept[before] = motion
+        else:
+            motion = kept[before]
     return _moving(robot, acting, motion, stretch)
 
 
@@ -151,14 +156,14 @@ def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stre
     return torque
 
 
-def _behind(one: EffectInstance, motion: Motion, torque: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
-    """The motion (n, T) of the links behind a compliant gear that transmits the torque (n, T) and carries the inertia
+def _behind(one: EffectInstance, motion: Motion, load: np.ndarray, inertia: np.ndarray, rate: float) -> Motion:
+    """The motion (n, T) of the links behind a compliant gear that transmits the load (T,) and carries the inertia
     (T,)."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
     inertia = np.maximum(
         inertia, max(LEAST * np.abs(inertia).max(), LEAST_INERTIA)
     )  # on the way to other inertials there may be none
-    b, b2 = one.effect.deflection(one.parameters, torque[one.joint], inertia, rate)
+    b, b2 = one.effect.deflection(one.parameters, load, inertia, rate)
     b1 = np.gradient(b) * rate
     own = (np.arange(len(motion.q)) == one.joint)[:, None]
     return Motion(motion.q + own * b, motion.qd + own * b1, motion.qdd + own * b2)

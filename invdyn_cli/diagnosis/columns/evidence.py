@@ -118,20 +118,28 @@ class Evidence:
         return out
 
     def logged(self, acting: Sequence[EffectInstance], columns: np.ndarray) -> np.ndarray:
-        """Torque (m, R, n) that reaches the joints as it is logged, behind the channels among `acting`: at the full
-        rate again, since rows are so few that a slope between them is none."""
-        out, filter = columns, self.recording.filter
-        through = [a for a in channels(acting) if a.effect.invertible]
-        for j in {a.joint for a in through if len(columns) and a.joint is not None}:
+        """Torque (m, R, n) that reaches the joints as it is logged, behind the channels among `acting`."""
+        out = columns
+        for j in {a.joint for a in channels(acting) if a.effect.invertible and a.joint is not None}:
             out = out.copy() if out is columns else out
-            for number, piece in enumerate(self.recording.pieces):
-                at = np.flatnonzero(self.piece == number)
-                if self.reference_rows is not None and self.reference_rows[at].any():
-                    continue
-                fine = scipy.signal.resample_poly(columns[:, at, j].T, filter.keep, 1, padtype="line")
-                t = piece.t[filter.rows(len(piece.t))[0] :][: len(fine)]
-                fine = channel(through, j, fine, Span(piece.trajectory, t, filter.rate))
-                out[:, at, j] = np.asarray(fine)[:: filter.keep].T
+            out[:, :, j] = self.logged_on(j, acting, columns[:, :, j])
+        return out
+
+    def logged_on(self, joint: int, acting: Sequence[EffectInstance], columns: np.ndarray) -> np.ndarray:
+        """The same (m, R) of one joint: at the full rate again, since rows are so few that a slope between them is
+        none."""
+        through = [a for a in channels(acting) if a.effect.invertible and a.joint == joint]
+        if not through or not len(columns):
+            return columns
+        out, filter = columns.copy(), self.recording.filter
+        for number, piece in enumerate(self.recording.pieces):
+            at = np.flatnonzero(self.piece == number)
+            if self.reference_rows is not None and self.reference_rows[at].any():
+                continue
+            fine = scipy.signal.resample_poly(columns[:, at].T, filter.keep, 1, padtype="line")
+            t = piece.t[filter.rows(len(piece.t))[0] :][: len(fine)]
+            fine = channel(through, joint, fine, Span(piece.trajectory, t, filter.rate))
+            out[:, at] = np.asarray(fine)[:: filter.keep].T
         return out
 
     def on_rows(self, name: str) -> np.ndarray:

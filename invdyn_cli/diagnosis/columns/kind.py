@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
-from invdyn_cli.effects.composition import EffectInstance, link_torque
+from invdyn_cli.effects.composition import EffectInstance, identity, link_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractEffect, JointState, Parameters
 
@@ -69,9 +69,10 @@ def nominal(states: Sequence[JointState]) -> np.ndarray:
 def change(evidence: Evidence, acting: EffectInstance, beside: Beside = ()) -> np.ndarray:
     """(n, R) torque change by an effect that acts on several joints, together with others."""
     robot, recording = evidence.robot, evidence.recording
-    changes = []
-    for piece, states in zip(recording.pieces, evidence.states, strict=True):
+    key, changes = ("change", identity(beside)), []
+    common = evidence.kept.setdefault(key, [{} for _ in recording.pieces])
+    for piece, states, kept in zip(recording.pieces, evidence.states, common, strict=True):
         stretch = recording.stretch(piece)
-        before = link_torque(robot, beside, piece.motion, stretch) if beside else nominal(states)
-        changes.append(link_torque(robot, (*beside, acting), piece.motion, stretch) - before)
+        before = link_torque(robot, beside, piece.motion, stretch, kept) if beside else nominal(states)
+        changes.append(link_torque(robot, (*beside, acting), piece.motion, stretch, kept) - before)
     return filtered(recording, changes)

@@ -10,7 +10,8 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
-from invdyn_cli.diagnosis.search.exact import Refined, refine
+from invdyn_cli.diagnosis.search.composed import Refined
+from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
 from invdyn_cli.effects.composition import EffectInstance

@@ -18,8 +18,9 @@ from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.not_shown import unseen
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.search import naming, resting
+from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
-from invdyn_cli.diagnosis.search.exact import Refined, refine
+from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.likely import is_plain

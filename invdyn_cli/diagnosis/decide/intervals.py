@@ -7,8 +7,8 @@ import numpy as np
 import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES, with_parameters
-from invdyn_cli.diagnosis.search.exact import Refined
 from invdyn_cli.effects.composition import EffectInstance
 
 BOUNDLESS = 1e100

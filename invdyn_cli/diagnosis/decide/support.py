@@ -9,7 +9,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.search import naming
-from invdyn_cli.diagnosis.search.exact import Refined
+from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 
 OUTWEIGHED = 1.0

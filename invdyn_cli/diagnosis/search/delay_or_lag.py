@@ -13,7 +13,8 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.columns.evidence import slow
 from invdyn_cli.diagnosis.search import naming
-from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.search.composed import Model, Refined
+from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths.statistics import autocorrelation_time

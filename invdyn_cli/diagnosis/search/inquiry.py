@@ -11,9 +11,10 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.gears import load_on
 from invdyn_cli.diagnosis.search import events, naming, noise, resting
 from invdyn_cli.diagnosis.search.believed import believed
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
-from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer, parameters_of, read_all
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise

@@ -4,8 +4,8 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import noise, realisable
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.events import EDGE
-from invdyn_cli.diagnosis.search.exact import Model, Refined
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.joints import JointState
 

@@ -13,8 +13,9 @@ import numpy as np
 import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import precision_of
-from invdyn_cli.diagnosis.search.exact import Model, Refined, moved
+from invdyn_cli.diagnosis.search.exact import moved
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent

@@ -13,8 +13,8 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import passing_columns, passing_torque
 from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates
-from invdyn_cli.diagnosis.search.exact import Model, Refined
 from invdyn_cli.effects.composition import EffectInstance, joint_terms
 from invdyn_cli.interfaces import JointState
 

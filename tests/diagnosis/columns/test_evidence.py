@@ -9,7 +9,7 @@ from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns.candidates import gather, kind_of, passing_candidate
 from invdyn_cli.diagnosis.columns.evidence import BLOCK
 from invdyn_cli.diagnosis.columns.gears import YIELD
-from invdyn_cli.diagnosis.search.exact import Model
+from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState

@@ -7,7 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.links import with_links
-from invdyn_cli.diagnosis.search.exact import Model
+from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import link_scales

@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.decide.intervals import intervals
-from invdyn_cli.diagnosis.search.exact import Model, refine
+from invdyn_cli.diagnosis.search.composed import Model
+from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.load import MASS

@@ -10,7 +10,8 @@ from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide.intervals import intervals
-from invdyn_cli.diagnosis.search.exact import Model, Refined, refine
+from invdyn_cli.diagnosis.search.composed import Model, Refined
+from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.realisable import realisable
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance

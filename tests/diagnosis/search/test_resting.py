@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.search.exact import Model, Refined
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.resting import edges
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
