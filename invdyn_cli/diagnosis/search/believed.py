@@ -71,10 +71,21 @@ def believed(
     shares = [replace(links, precision=links.precision / share**2) for share in SMALLER]
     used = np.sum(rows[:, None] & evidence.valid, axis=0)
 
-    def told(own: Noise, links: Candidate, found: Hypothesis) -> Belief:
-        """A hypothesis, fitted with a first guess of its noise."""
+    made: list[tuple[Noise, Candidate, HypothesisScorer]] = []
+
+    def scorer_of(own: Noise, links: Candidate) -> HypothesisScorer:
+        """The scorer in a noise beside links of a size; made once for many hypotheses."""
+        for one, size, scorer in made:
+            if one is own and size is links:
+                return scorer
         scorer = HypothesisScorer(evidence, rows, own.weights, own.deviation, (*always, links), True)
         scorer.refresh()
+        made.append((own, links, scorer))
+        return scorer
+
+    def told(own: Noise, links: Candidate, found: Hypothesis) -> Belief:
+        """A hypothesis, fitted with a first guess of its noise."""
+        scorer = scorer_of(own, links)
         every = (*scorer.always, *found)
         theta = scorer.quick(every)[1]
         left = beside(evidence, evidence.residual(every, theta), rows, noise)
@@ -88,34 +99,27 @@ def believed(
         own, seen = told(noise, links, found).noise, {frozenset(found)}
         for _ in range(2 * most):
             bases = [told(own, x, found) for x in shares]
-            more = [(x, one) for x in bases for one in _more(evidence, rows, noise, x, always, pool, most)]
+            scorers = [[scorer_of(y, x.links) for y in (x.noise, noise)] for x in bases]
+            more = [(x, one) for x, by in zip(bases, scorers, strict=True) for one in _more(by, x, pool, most)]
             fewer = [(x, found[:i] + found[i + 1 :]) for x in bases for i in range(len(found))]
             chosen = best([best(bases), *(told(x.noise, x.links, one) for x, one in more + fewer)])
             if frozenset(chosen.found) in seen:  # again: two noises may each prefer the other's hypothesis
                 break
             found, own = chosen.found, chosen.noise
+            made.clear()
             seen.add(frozenset(found))
         return chosen
 
     return best([grown(start) for start in starts])
 
 
-def _more(
-    evidence: Evidence,
-    rows: np.ndarray,
-    noise: Noise,
-    base: Belief,
-    always: Hypothesis,
-    pool: Sequence[Candidate],
-    most: int,
-) -> list[Hypothesis]:
-    """The hypothesis with one more of a few possible trials: those that gain most at its own noise, and at the smallest
-    `noise`."""
+def _more(scorers: Sequence[HypothesisScorer], base: Belief, pool: Sequence[Candidate], most: int) -> list[Hypothesis]:
+    """The hypothesis with one more of a few possible trials: those that gain most by each of these scorers, in its own
+    noise and in the smallest."""
     if len(base.found) >= most:
         return []
     free, chosen = free_beside(base.found, pool), dict[tuple, Candidate]()
-    for own in (base.noise, noise):
-        scorer = HypothesisScorer(evidence, rows, own.weights, own.deviation, (*always, base.links), True)
+    for scorer in scorers:
         chosen |= {c.key: c for c in _best(scorer, (*scorer.always, *base.found), free)}
     return [(*base.found, c) for c in chosen.values()]
 

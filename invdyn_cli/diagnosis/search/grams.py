@@ -1,16 +1,37 @@
 """Gram matrices of the evidence's tables, from which everything in a search is computed."""
 
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 
 FOLDS = 8
 """Number of parts of the blocks, each of which is held out in turn."""
 
 SPARE = 128
 """Number of columns for which there is space before matrices are copied."""
+
+Kind = tuple[int, int, int]
+"""How many joints candidates act on, and how many fixed and free columns they have on each."""
+
+
+@dataclass
+class Alike:
+    """Candidates of one kind, and what of them neither a hypothesis nor a noise changes."""
+
+    members: list[Candidate] = field(default_factory=list)
+    joints: list[list[int]] = field(default_factory=list)
+    columns: list[list[tuple[int, ...]]] = field(default_factory=list)
+    squares: list[list[np.ndarray]] = field(default_factory=list)
+    precision: list[np.ndarray] = field(default_factory=list)
+
+    @cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Joints (N, J), columns (N, J, m), squares (N, J, m, m) and precision (N, free)."""
+        return tuple(np.array(x) for x in (self.joints, self.columns, self.squares, self.precision))
 
 
 class Grams:
@@ -22,6 +43,7 @@ class Grams:
         folds: (B,) the fold of each block.
         parts: of every joint (F, C, C), by fold.
         totals: the same of all folds (C, C).
+        alike: the candidates that were placed, by kind.
     """
 
     def __init__(self, evidence: Evidence, rows: np.ndarray) -> None:
@@ -32,6 +54,8 @@ class Grams:
         self.folds = np.arange(len(self.blocks)) % min(FOLDS, len(self.blocks))
         self.parts: list[np.ndarray] = [np.empty((self.folds.max() + 1, 0, 0))] * evidence.dofs
         self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
+        self.alike: dict[Kind, Alike] = {}
+        self._places: dict[Candidate, tuple[Kind, int]] = {}
         self._evidence, self._room = evidence, list(self.parts)
         self._fold = np.full(len(rows), -1)
         for fold, block in zip(self.folds, self.blocks, strict=True):
@@ -69,3 +93,18 @@ class Grams:
             room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
             self.parts[j] = room[:, :count, :count]
             self.totals[j] = self.parts[j].sum(0)
+
+    def place(self, c: Candidate) -> tuple[Kind, int]:
+        """A candidate's kind and its number there."""
+        if c not in self._places:
+            columns = [(*fixed, *free) for fixed, free in c.columns.values()]
+            kind = len(columns), len(columns[0]) - len(c.precision), len(c.precision)
+            alike = self.alike.setdefault(kind, Alike())
+            vars(alike).pop("arrays", None)
+            alike.joints.append(list(c.columns))
+            alike.columns.append(columns)
+            alike.squares.append([self.totals[j][np.ix_(x, x)] for j, x in zip(c.columns, columns, strict=True)])
+            alike.precision.append(c.precision)
+            alike.members.append(c)
+            self._places[c] = kind, len(alike.members) - 1
+        return self._places[c]

@@ -1,14 +1,14 @@
 """The scorer of hypotheses: losses of any set of causes from Gram matrices of the chosen rows, in a millisecond."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out
 from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, inverted
-from invdyn_cli.diagnosis.search.grams import Grams
+from invdyn_cli.diagnosis.search.grams import Grams, Kind
 from invdyn_cli.diagnosis.search.shared_part import Equations, Hypothesis, Shared, columns_of, precision_of
 from invdyn_cli.effects.friction import REVERSAL_COLUMNS
 
@@ -27,6 +27,8 @@ CANCELLED = 3.0
 """Largest torque of an effect on a joint, as a multiple of the RMS of the nominal model's residual there: a larger one
 can only be cancelled by other effects, and then neither is known."""
 
+EPSILON = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -41,22 +43,6 @@ class Verdict:
     def blocks(self) -> np.ndarray:
         """Held-out loss (B,) of each block."""
         return self.rows.sum(0)
-
-
-@dataclass
-class _Alike:
-    """Candidates with as many fixed and free columns on as many joints, and what of them no hypothesis changes."""
-
-    joints: list[list[int]] = field(default_factory=list)
-    columns: list[list[tuple[int, ...]]] = field(default_factory=list)
-    square: list[np.ndarray] = field(default_factory=list)
-    precision: list[np.ndarray] = field(default_factory=list)
-    price: list[float] = field(default_factory=list)
-
-    @cached_property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """The same as arrays: (N, J), (N, J, m), (N, m, m), (N, free), (N,)."""
-        return tuple(np.array(getattr(self, f.name)) for f in fields(self))
 
 
 class HypothesisScorer:
@@ -98,8 +84,7 @@ class HypothesisScorer:
         self._shared: dict[Hypothesis, Shared] = {}
         self._freedom: dict[Candidate, float] = {}
         self._prices: dict[Candidate, float] = {}
-        self._alike: dict[tuple[int, int, int], _Alike] = {}
-        self._places: dict[Candidate, tuple[tuple[int, int, int], int]] = {}
+        self._weighed: dict[Kind, tuple[np.ndarray, np.ndarray]] = {}
         self.tried = 0
 
     def refresh(self) -> None:
@@ -150,9 +135,9 @@ class HypothesisScorer:
         losses, own_factors = np.empty(len(candidates)), [np.zeros(0)] * len(candidates)
         before = float(found.squares[0] - first @ found.shared[0] - theta @ found.own[0]) + self.price(base)
         for kind, (members, numbers) in self._grouped(candidates).items():
-            arrays = self._alike[kind].arrays
-            square = shared.projected(kind, *arrays[:3])[numbers]
-            joints, columns, own, precision, price = (x[numbers] for x in arrays)
+            (joints, columns, _, precision), (own, price) = self.grams.alike[kind].arrays, self._priced(kind)
+            square = shared.projected(kind, joints, columns, own)[numbers]
+            joints, columns, own, precision, price = (x[numbers] for x in (joints, columns, own, precision, price))
             _, fixed, free = kind
             at = joints[:, :, None]
             cross, moment = crossed[at, :, columns].sum(1), towards[at, columns].sum(1)
@@ -170,32 +155,29 @@ class HypothesisScorer:
             losses[members] = before - gain + price
         return losses, own_factors
 
-    def _grouped(self, candidates: Sequence[Candidate]) -> dict[tuple, tuple[list[int], list[int]]]:
+    def _grouped(self, candidates: Sequence[Candidate]) -> dict[Kind, tuple[list[int], list[int]]]:
         """Groups of similar candidates, and their numbers in each group."""
-        groups: dict[tuple, tuple[list[int], list[int]]] = {}
+        groups: dict[Kind, tuple[list[int], list[int]]] = {}
         for i, c in enumerate(candidates):
-            kind, number = self._places.get(c) or self._placed(c)
+            kind, number = self.grams.place(c)
             members, numbers = groups.setdefault(kind, ([], []))
             members.append(i)
             numbers.append(number)
         return groups
 
-    def _placed(self, c: Candidate) -> tuple[tuple[int, int, int], int]:
-        """Add a candidate to its group of similar ones; returns its position."""
-        columns = [(*fixed, *free) for fixed, free in c.columns.values()]
-        kind = len(columns), len(columns[0]) - len(c.precision), len(c.precision)
-        alike = self._alike.setdefault(kind, _Alike())
-        vars(alike).pop("arrays", None)
-        alike.joints.append(list(c.columns))
-        alike.columns.append(columns)
-        squares = [
-            self.weights[j] * self.grams.totals[j][np.ix_(x, x)] for j, x in zip(c.columns, columns, strict=True)
-        ]
-        alike.square.append(np.sum(squares, axis=0))
-        alike.precision.append(c.precision)
-        alike.price.append(self.price((c,)))
-        self._places[c] = kind, len(alike.price) - 1
-        return self._places[c]
+    def _priced(self, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
+        """Of candidates that are alike, their weighted squares (N, m, m) and prices (N,)."""
+        alike = self.grams.alike[kind]
+        if kind not in self._weighed or len(self._weighed[kind][1]) < len(alike.members):
+            joints, _, squares, precision = alike.arrays
+            square = np.einsum("nj,njab->nab", self.weights[joints], squares)
+            own, size = square[:, kind[1] :, kind[1] :], kind[2]
+            prior = precision[:, :, None] * np.eye(size)
+            known = np.trace(np.linalg.pinv(own + prior, rcond=size * EPSILON) @ own, axis1=1, axis2=2)
+            freedom = np.where(precision.any(1), known, size).tolist()
+            self._freedom |= dict(zip(alike.members, freedom, strict=True))
+            self._weighed[kind] = square, np.array([self.price((c,)) for c in alike.members])
+        return self._weighed[kind]
 
     def _crossed(
         self, shared: Shared, own: Hypothesis, through: np.ndarray, first: np.ndarray, theta: np.ndarray

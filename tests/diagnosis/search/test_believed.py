@@ -18,7 +18,7 @@ def test_growing_ends_where_it_was_before(monkeypatch):
     pool = [c for c in evidence.candidates if c.effect.name in ("torque_delay", "joint_spring")]
     grown, more = [], believed._more
     monkeypatch.setattr(believed.Belief, "beats", lambda self, other, rows: len(self.found) != len(other.found))
-    monkeypatch.setattr(believed, "_more", lambda *x: (grown.append((x[3].links, frozenset(x[3].found))), more(*x))[1])
+    monkeypatch.setattr(believed, "_more", lambda *x: (grown.append((x[1].links, frozenset(x[1].found))), more(*x))[1])
     believed.believed(evidence, rows, least, (), links, pool, [()], 6)
     assert len(grown) > len(believed.SMALLER)
     assert len({(id(x), found) for x, found in grown}) == len(grown)
