@@ -141,7 +141,7 @@ def _teeth(draw: np.random.Generator) -> dict[str, float]:
     return {"stiffness": _drawn(draw, 1e4, 1e6), "damping_ratio": _drawn(draw, 0.02, 0.5)}
 
 
-def _substeps(anomaly: Hidden, rate: float) -> int:
+def substeps_for(anomaly: Hidden, rate: float) -> int:
     """Steps of the physics per tick, short enough for teeth against the rotor."""
     if "damping_ratio" not in anomaly.parameters:
         return 4
@@ -229,7 +229,7 @@ def _recorder(
     if scene.duration * rate > 60_000:
         rate = 1000.0
     options: dict[str, Any] = {"duration": scene.duration, "rate": rate, "seed": scene.seed, "control": control}
-    substeps = max([_substeps(one, rate) for one in anomalies], default=4)
+    substeps = max([substeps_for(one, rate) for one in anomalies], default=4)
     options |= {"noise": noise, "position_side": "motor", "substeps": substeps}
     kind = type(scene.reference).__name__
     said = f"{scene.robot.dofs} joints, {kind} {scene.duration:g} s, {rate:g} Hz, {bits} bit, {control.knows}"

@@ -22,6 +22,7 @@ from invdyn_cli.errors import LogError
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
 from invdyn_cli.log import Log, Window
 from invdyn_cli.maths import metrics
+from invdyn_cli.maths.threads import one_blas_thread
 from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Diagnosis, Robot, Signals
@@ -57,10 +58,11 @@ def diagnose(
     """
     compiled.drop_many()
     options = options or Options()
-    case = prepared(log, robot, windows, reference, options, effects, progress)
-    if isinstance(case, Diagnosis):
-        return case
-    return decided(case, *searched(case, progress), options, learner, seed, progress)
+    with one_blas_thread():
+        case = prepared(log, robot, windows, reference, options, effects, progress)
+        if isinstance(case, Diagnosis):
+            return case
+        return decided(case, *searched(case, progress), options, learner, seed, progress)
 
 
 def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard.Columns]:

@@ -14,6 +14,7 @@ from invdyn_cli.functions.arrays import Arrays
 from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.log import Log
+from invdyn_cli.maths.threads import one_blas_thread
 from invdyn_cli.recording.channels import in_newton_metres, ordered
 from invdyn_cli.report import check_figures, check_page, check_plots
 from invdyn_cli.report.check_terminal import shown
@@ -105,5 +106,6 @@ def examine(log: Log, robot: Robot | None, *, correct: bool = True) -> CheckResu
     """Check all trajectories of a log together; nothing is corrected where `correct` is False."""
     notes = list(robot.notes) if robot else [NO_ROBOT]
     log = in_newton_metres(ordered(log, robot, notes))
-    corrected, examination, marks = located(log, robot, correct=correct)
+    with one_blas_thread():
+        corrected, examination, marks = located(log, robot, correct=correct)
     return CheckResult(log, robot, examination, corrected, marks, tuple(notes))

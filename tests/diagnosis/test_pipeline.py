@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
-from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.diagnosis import diagnose, pipeline
 from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.errors import LogError
+from invdyn_cli.functions import checking
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
@@ -55,6 +58,25 @@ def loaded(robot, rubbing):
 
 
 FRICTION = {("viscous_friction", f"axis{i}") for i in (1, 2, 3)}
+
+
+def test_linear_algebra_of_a_diagnosis_has_one_thread(monkeypatch, robot, loaded):
+    """Two threads for small matrices wait for other processes' cores; what the caller has set is left as it was."""
+    seen: list[set[int]] = []
+
+    def look(*_, **__):
+        seen.append({x["num_threads"] for x in threadpool_info() if x["user_api"] == "blas"})
+        raise LogError("enough")
+
+    monkeypatch.setattr(pipeline, "prepared", look)
+    monkeypatch.setattr(checking, "located", look)
+    with threadpool_limits(2, user_api="blas"):
+        for start in (diagnose, checking.examine):
+            with pytest.raises(LogError, match="enough"):
+                start(loaded, robot)
+        with pytest.raises(LogError, match="enough"):
+            look()
+    assert seen == [{1}, {1}, {2}]
 
 
 def test_several_effects_at_once(loaded, robot):
