@@ -93,7 +93,7 @@ def solve(
         scale = np.maximum(scale, floor * max(scale[0], 1e-300))
         preconditioner = possible @ directions / scale
         gram, moment = _accumulate(design, dataset, preconditioner, progress)
-        values, vectors = scipy.linalg.eigh(gram)
+        values, vectors = np.linalg.eigh(gram)
         real = values > values[-1] * len(values) * np.finfo(float).eps
         root = np.sqrt(np.where(real, values, 0))
         left, singular_values, right = scipy.linalg.svd((root[:, None] * vectors.T) @ (scale[:, None] * directions.T))

@@ -50,7 +50,7 @@ def offsets(robot: Robot, recording: Recording) -> tuple[np.ndarray, np.ndarray]
             continue
         used = scale > 1e-9 * scale.max()
         x = x[:, used] / scale[used]
-        values, vectors = scipy.linalg.eigh(x.T @ x)
+        values, vectors = np.linalg.eigh(x.T @ x)
         kept = values > 1e-11 * values[-1]
         inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
         theta = inverse @ (x.T @ tau[j])
