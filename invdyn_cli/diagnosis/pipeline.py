@@ -9,6 +9,7 @@ import numpy as np
 from invdyn_cli import compiled
 from invdyn_cli.diagnosis import extension, gains, repeats, standard, wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
+from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide import findings, unexplained, wording
 from invdyn_cli.diagnosis.decide.claim import judged
@@ -76,7 +77,8 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     columns = standard.columns_of(case.evidence, side)
     fitted = None if case.compares else wear.plain(columns)
     if fitted is not None:
-        return asked(*wear.beside(columns, fitted, wear.weights_of(case.evidence))), columns
+        return asked(*wear.beside(columns, fitted)), columns
+    add_loaded(case.evidence)
     inquiry = asked(case.evidence)
     fitted = None if case.compares else wear.of(columns, inquiry)
     if fitted is not None:

@@ -103,23 +103,19 @@ def plain(columns: Columns) -> Standard | None:
     return fitted if np.sum(worn & moves) >= max(2, np.ceil(PLAINLY * moves.sum())) else None
 
 
-def weights_of(evidence: Evidence) -> np.ndarray:
-    """(n,) 1 / (noise variance x autocorrelation time) of every row of the arm."""
-    return measure(evidence, evidence.role == ROLES.index("train")).weights
-
-
 def _asked_for(fitted: Standard) -> Standard | None:
     return fitted if min(fitted.gain, fitted.of_inertial) > 0 and fitted.share > WORN else None
 
 
 def beside(
-    columns: Columns, wear: Standard, weights: np.ndarray, acting: Sequence[EffectInstance] = ()
+    columns: Columns, wear: Standard, weights: np.ndarray | None = None, acting: Sequence[EffectInstance] = ()
 ) -> tuple[Evidence, Hypothesis, Hypothesis]:
     """The evidence with links as the standard model has them, `worn_links`, and the anomalies among what was found that
-    last, as trials there; `weights` (n,) are the inverse of a row's noise variance."""
+    last, as trials there; `weights` (n,) are the inverse of a row's noise variance, if it is known."""
     evidence, found = columns.evidence, [a for a in acting if a.when is None]
     changed = np.asarray(evidence.robot.inertial) + wear.theta[: len(columns.links)].reshape(-1, 10)
-    links = worn_links(columns, weights, wear.share)
     worn = with_links(evidence, changed)
+    weights = measure(worn, worn.role == ROLES.index("train")).weights if weights is None else weights
+    links = worn_links(columns, weights, wear.share)
     start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
     return worn, links, tuple(start)

@@ -38,6 +38,16 @@ def gather(
 ) -> Evidence:
     """The evidence of a recording for all effects without a time window that this torque side and position side
     show."""
+    evidence = gather_unloaded(robot, recording, effects, side, position_side)
+    add_loaded(evidence)
+    return evidence
+
+
+def gather_unloaded(
+    robot: Robot, recording: Recording, effects: Sequence[AbstractEffect], side: str, position_side: str
+) -> Evidence:
+    """The same without the candidates of effects that depend on the torque that a joint transmits, which other links
+    change; the evidence's `loaded` are these effects."""
     evidence = started(robot, recording)
     falls = np.linalg.norm(robot.gravity) > 0
     shown = [e for e in effects if side in e.sides and position_side in e.position_sides and not e.passing]
@@ -45,9 +55,20 @@ def gather(
     shown = [e for e in shown if falls or not e.turns_gravity]
     order = list(KINDS.values())
     shown.sort(key=lambda e: order.index(kind_of(e)) if kind_of(e).at_once else len(order))
-    for kind, own in groupby(shown, kind_of):
-        evidence.candidates += kind.gathered(evidence, list(own))
+    evidence.loaded = tuple(e for e in shown if e.loaded)
+    _add(evidence, [e for e in shown if not e.loaded])
     return evidence
+
+
+def add_loaded(evidence: Evidence) -> None:
+    """Make the candidates of the effects that `gather_unloaded` has left out, where nobody has."""
+    if not any(c.effect.loaded for c in evidence.candidates):
+        _add(evidence, evidence.loaded)
+
+
+def _add(evidence: Evidence, effects: Sequence[AbstractEffect]) -> None:
+    for kind, own in groupby(effects, kind_of):
+        evidence.candidates += kind.gathered(evidence, list(own))
 
 
 def trial_at(evidence: Evidence, acting: EffectInstance, beside: Sequence[EffectInstance] = ()) -> Candidate:

@@ -91,6 +91,7 @@ class Evidence:
         kept: what candidates are made from and is dear to compute.
         base: of every piece what the nominal torque (n, T) has more than that of `robot`, if that has other links.
         given: part of every hypothesis, and no finding.
+        loaded: effects whose candidates depend on the torque that a joint transmits, made or not.
     """
 
     robot: Robot
@@ -108,6 +109,7 @@ class Evidence:
     kept: dict[tuple, list] = field(default_factory=dict)
     base: list[np.ndarray] | None = None
     given: tuple[Candidate, ...] = ()
+    loaded: tuple[AbstractEffect, ...] = ()
 
     def residual(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) residual of the logged torque minus the nominal one, for candidates with these coefficients."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import kind_of
+from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.columns.kind import nominal
 from invdyn_cli.effects.rigid import rigid_torque
@@ -27,6 +27,5 @@ def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
         kept={key: value for key, value in evidence.kept.items() if key[0] == "grams"},
         candidates=[c for c in evidence.candidates if not c.effect.loaded],
     )
-    again = [c for c in evidence.candidates if c.effect.loaded]
-    made.candidates += [kind_of(c.effect).candidate(made, c.effect, c.joint, c.shape) for c in again]
+    add_loaded(made)
     return made
