@@ -167,7 +167,7 @@ class Evidence:
         last = first + len(columns)
         room = table if table.base is None else table.base
         if last > room.shape[1]:
-            room = np.empty((len(table), last + SPARE))
+            room = np.empty((len(table), last + SPARE), order="F")  # columns are written, and taken, one by one
             room[:, :first] = table
         for number, x in enumerate(columns, start=first):
             room[:, number] = x
