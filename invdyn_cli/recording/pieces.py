@@ -49,7 +49,7 @@ class Preparation:
     sharpness: float = 60.0
     max_gap: float = 0.1
     train_share: float = 0.7
-    longest: float = 900.0
+    longest: float = 450.0
     stretch: float = 20.0
 
 
@@ -181,7 +181,7 @@ def prepare(
         cut = list(_thinned(cut, options.longest / total, options.stretch))
         notes.append(
             f"The log is {total:.0f} s long. Only stretches of {options.stretch:g} s, spread evenly over it, are used: "
-            f"{options.longest:g} s in total."
+            f"{options.longest:g} s in total (diagnosis.conditioning.longest)."
         )
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
     if not cut:
