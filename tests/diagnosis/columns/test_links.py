@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.columns.candidates import gather
+from invdyn_cli.diagnosis.columns.candidates import add_loaded, gather, gather_unloaded
 from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -37,6 +37,24 @@ def test_columns_are_those_of_the_other_links(both, name):
     assert len(trials[0]) == len(trials[1]) > 0
     for c in trials[1]:
         same = candidate(made, name, c.joint, **c.shape)
+        for j, (fixed, free) in c.columns.items():
+            own = [x.tables[j][:, [*at[0], *at[1]]] for x, at in ((made, same.columns[j]), (truth, (fixed, free)))]
+            np.testing.assert_allclose(*own, atol=1e-9 * np.abs(own[1]).max())
+
+
+def test_loaded_candidates_wait_for_the_links(both):
+    """Without what depends on the links' weight the evidence has only the others; with these links it then has the same
+    trials and columns as one that had them from the start, and nothing is added twice."""
+    truth = both[1]
+    effects = [EFFECTS[name] for name in (*NAMES, "base_tilt")]
+    evidence = gather_unloaded(arm(), truth.recording, effects, "unknown", "unknown")
+    assert {c.effect.name for c in evidence.candidates} == {"coulomb_friction", "base_tilt"}
+    made = with_links(evidence, np.asarray(truth.robot.inertial))
+    count = len(made.candidates)
+    add_loaded(made)
+    assert len(made.candidates) == count == len(truth.candidates)
+    for c in (c for c in truth.candidates if c.effect.loaded):
+        same = candidate(made, c.effect.name, c.joint, **c.shape)
         for j, (fixed, free) in c.columns.items():
             own = [x.tables[j][:, [*at[0], *at[1]]] for x, at in ((made, same.columns[j]), (truth, (fixed, free)))]
             np.testing.assert_allclose(*own, atol=1e-9 * np.abs(own[1]).max())
