@@ -75,6 +75,9 @@ class AbstractEffect(abc.ABC):
     """Whether it also acts on other joints than its own (and the one that shares its gear)."""
     is_local: ClassVar[bool] = True
     """Whether it must improve the prediction on its own joint; if not, on the arm as a whole."""
+    adds: ClassVar[bool] = True
+    """Whether it adds a torque, its own or that of changed bodies; if not, it changes what is logged or how links
+    move."""
     yields: ClassVar[bool] = False
     """Whether it lets a link move relative to its motor, in proportion to the load."""
     stays_near: ClassVar[bool] = False
@@ -213,6 +216,7 @@ class AbstractChannelEffect(AbstractEffect):
     """An effect between the logged torque of a joint and what the joint receives."""
 
     point = "channel"
+    adds = False
     stays_near = True
 
     def is_ordinary(self, shape: Parameters) -> bool:
@@ -286,6 +290,7 @@ class AbstractMotionEffect(AbstractEffect):
     """An effect between the logged and the true motion."""
 
     point = "motion"
+    adds = False
     reaches_others = True
     is_local = False
 
@@ -307,6 +312,7 @@ class AbstractGearEffect(AbstractEffect):
     """An effect between motor and link, that lets the link move against the motor whose angle is logged."""
 
     point = "gear"
+    adds = False
     loaded = True
     reaches_others = True
     yields = True

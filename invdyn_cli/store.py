@@ -261,7 +261,7 @@ def write_metrics(record: RunRecord, path: Path) -> None:
 def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) -> None:
     """Write diagnosis.json, whole or not at all; `files` names what lies beside it (model, urdf, mjcf, report).
 
-    "summary", "replay", "notes" and "details" stand beside what the schema requires.
+    "summary", "unclaimed", "replay", "notes" and "details" stand beside what the schema requires.
     """
     tree = {
         "schema": DIAGNOSIS_SCHEMA,
@@ -270,6 +270,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "log_checks": examination_as_dict(diagnosis.examination),
         "findings": [_finding_tree(x) for x in diagnosis.findings],
         "standard": diagnosis.standard,
+        "unclaimed": [_finding_tree(x) for x in diagnosis.unclaimed],
         "residual_tests": _tests_tree(diagnosis.tests),
         "baseline": diagnosis.baseline,
         "baselines": {"urdf": diagnosis.baseline, **diagnosis.baselines} if diagnosis.baselines else {},

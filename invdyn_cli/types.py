@@ -319,7 +319,7 @@ class Finding:
 
     Attributes:
         effect, joint: its name, as in the library of effects, and the joint it acts on, None for the whole arm.
-        status: "named", "ambiguous", "not_excited" or "not_observable" (the last two are no claims).
+        status: "named", "ambiguous", "not_excited", "not_observable" or "unclaimed" (the last three are no claims).
         alternatives: sets of effects, each of which would replace it on this data.
         parameters, gain: by name; by joint.
         trajectory, window: of an effect in a time window.
@@ -418,7 +418,8 @@ class Diagnosis:
             (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
         standard: the standard terms in the written model, {joint: {"coulomb": {"effect", "value", "unit",
             "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
-        tests: of what the extended model leaves, joint by joint.
+        unclaimed: effects in the written model that are not claimed: with them it predicts held-out data better.
+        tests: of what the claims and the standard terms leave, joint by joint.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.
         summary: the verdict in two sentences.
@@ -445,4 +446,5 @@ class Diagnosis:
     details: Mapping[str, Any] = field(default_factory=dict)
     baselines: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     standard: Mapping[str, Any] = field(default_factory=dict)
+    unclaimed: tuple[Finding, ...] = ()
     tests: tuple[ResidualTest, ...] = ()

@@ -11,8 +11,8 @@ from invdyn_cli.diagnosis import extension, gains, repeats, standard, wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.decide import findings, unexplained, wording
-from invdyn_cli.diagnosis.decide.claim import judged
+from invdyn_cli.diagnosis.decide import findings, unclaimed, unexplained, wording
+from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
@@ -26,7 +26,7 @@ from invdyn_cli.maths import metrics
 from invdyn_cli.maths.threads import one_blas_thread
 from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES
-from invdyn_cli.types import Diagnosis, Robot, Signals
+from invdyn_cli.types import Diagnosis, Finding, Robot, Signals
 
 
 def diagnose(
@@ -115,7 +115,8 @@ def decided(
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
     progress(0.9, "model")
-    model = _written(case, more)
+    written, unnamed = (more, ()) if case.compares else _fuller(inquiry, columns, made, more, unsure)
+    model = _written(case, written)
     again, why = _replay(model, case, progress) if options.replay else (None, ())
     rest = made.residual if case.compares else more.residual  # of a change, beside what both logs show
     tests = residual_tests(evidence, rest, effects.values(), more.acting)
@@ -129,16 +130,17 @@ def decided(
         examination=case.examination,
         findings=made.findings,
         baseline=_scores(evidence, more.before),
-        extended=_scores(evidence, more.residual),
+        extended=_scores(evidence, written.residual),
         baselines={name: _scores(evidence, x) for name, x in more.baselines.items()},
-        standard=standard.told(evidence, more, named),
+        standard=standard.told(evidence, written, named),
+        unclaimed=unnamed,
         tests=tests,
         noise_floor=None
         if floor is None
         else {j: {"rmse": float(x)} for j, x in zip(robot.joints, floor, strict=True)},
         unexplained=shares,
         model=model,
-        signals=_signals(evidence, made, more),
+        signals=_signals(evidence, made, written),
         replay=again,
         notes=(*case.notes, *made.notes, *repeats.note_of(evidence.recording), *why),
         details={
@@ -154,6 +156,27 @@ def decided(
     )
     diagnosis = diagnosis if case.gained is None else gains.beside(diagnosis, case.gained)
     return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
+
+
+def _fuller(
+    inquiry: Inquiry, columns: standard.Columns, made: findings.Made, more: standard.Beside, unsure: Hypothesis
+) -> tuple[standard.Beside, tuple[Finding, ...]]:
+    """The standard model beside all torques that were found, claimed or not, and the findings that are not, where
+    held-out data are predicted better so: of each joint with what acts on it, and of all joints together; else beside
+    the claims alone (docs/decisions/048)."""
+    evidence, found = inquiry.evidence, unclaimed.unclaimed(inquiry, made)
+    if not held_out(evidence):
+        return more, ()
+    before = standard.errors(evidence, more.residual)
+    while found:
+        every, told = unclaimed.together(inquiry, made, found, unsure)
+        fuller = standard.beside(columns, evidence, every)
+        worse = standard.errors(evidence, fuller.residual) >= before
+        kept = tuple(c for c in found if c.effect.reaches_others or c.joint is None or not worse[c.joint])
+        if len(kept) == len(found):
+            return (more, ()) if np.mean(standard.errors(evidence, fuller.residual) - before) >= 0 else (fuller, told)
+        found = kept
+    return more, ()
 
 
 def _written(case: Case, more: standard.Beside) -> ExtendedModel:

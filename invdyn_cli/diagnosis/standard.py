@@ -13,9 +13,10 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
 from invdyn_cli.diagnosis.decide.claim import held_out, judged
-from invdyn_cli.diagnosis.decide.findings import Made, unit_of
+from invdyn_cli.diagnosis.decide.findings import Made
 from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import reach
+from invdyn_cli.diagnosis.decide.quantities import unit_of
 from invdyn_cli.effects.actuator import RotorInertia, TorqueOffset
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
@@ -262,7 +263,8 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
     found = columns.fit(whole, every, least)
     if evidence.reference_rows is None and held_out(evidence):
         plain = columns.without_links(learned, chosen, choosing, least)
-        if _error(evidence, chosen - columns.of(plain.theta)) < _error(evidence, chosen - columns.of(learned.theta)):
+        linked, free = (errors(evidence, chosen - columns.of(x.theta)) for x in (learned, plain))
+        if np.mean(free - linked) < 0:
             learned, found = plain, columns.without_links(found, whole, every, least)
     asked = learned.gain > 0
     half = columns.reach(found, whole, every)
@@ -286,10 +288,9 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
     )
 
 
-def _error(evidence: Evidence, residual: np.ndarray) -> float:
-    """Mean logarithm of the joints' squared residuals (R, n) on the held-out rows."""
-    squares = np.mean(residual[judged(evidence)] ** 2, axis=0)
-    return float(np.mean(np.log(np.maximum(squares, 1e-300))))
+def errors(evidence: Evidence, residual: np.ndarray) -> np.ndarray:
+    """(n,) logarithm of each joint's squared residuals (R, n) on the held-out rows."""
+    return np.log(np.maximum(np.mean(residual[judged(evidence)] ** 2, axis=0), 1e-300))
 
 
 def claims(

@@ -16,6 +16,7 @@ from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_plots import diagnosis_plots
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
 from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
+from invdyn_cli.report.model_sections import standard_section, unclaimed_section
 from invdyn_cli.report.overlay import OVERLAY
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
 from invdyn_cli.report.replay_figure import REPLAY
@@ -36,7 +37,6 @@ from invdyn_cli.report.wording import (
     law,
     place,
     rivals_of,
-    standard_rows,
     text_of,
     units_of,
     verdict_words,
@@ -44,7 +44,7 @@ from invdyn_cli.report.wording import (
     words,
 )
 from invdyn_cli.report.wording import picture as picture_name
-from invdyn_cli.types import Diagnosis, Finding, Gain, Quantity
+from invdyn_cli.types import Diagnosis, Finding, Gain
 
 OVERLAY_CAPTION = (
     "Measured torque beside that of the nominal and of the extended model; in print, and without JavaScript, the "
@@ -128,7 +128,8 @@ def page(
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
         ("What to do next", _to_do(diagnosis, record_next) if usable else ""),
         ("Causes", _causes(diagnosis)),
-        ("Standard terms", _standard(diagnosis)),
+        ("Standard terms", standard_section(diagnosis)),
+        ("Also in the extended model", unclaimed_section(diagnosis)),
         ("Torques over time", over_time),
         ("Residual", tests_section(diagnosis, drawn.get(RESIDUAL_TESTS))),
         ("Improvement", picked + _errors(diagnosis)),
@@ -319,38 +320,6 @@ def _errors(diagnosis: Diagnosis) -> str:
     note += "not in the errors of single causes. "
     note += "" if floor else "No trajectory was repeated, so there is no noise floor."
     return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
-
-
-def _standard(diagnosis: Diagnosis) -> str:
-    """The terms of every joint in the written model, named or not."""
-    rows, heads = standard_rows(diagnosis)
-    if not heads:
-        return ""
-    links, body = diagnosis.standard["inertials"], ""
-    numbers = {(x.effect, x.joint): k + 1 for k, x in enumerate(claims(diagnosis))}
-    for joint, terms in rows.items():
-        cells = [_term(x, numbers.get((x.get("effect"), joint))) if x else "-" for x in map(terms.get, heads)]
-        cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
-        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
-    how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
-    about = f"off in the URDF by about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
-    if not links["share"]:
-        about = "left as the URDF has them, because held-out data are predicted better so."
-    note = (
-        "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
-        "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
-        + about
-    )
-    if diagnosis.details.get("torque_side") == "link":
-        note += " The torque was measured behind the gear: its friction is that of bearings, seals and cables, or the "
-        note += "sensor feels a part of the gear's, too."
-    return table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
-
-
-def _term(term: Mapping[str, Any], number: int | None) -> str:
-    """A term's value; of one that is claimed a link to its evidence."""
-    value = escape(quantity_text(Quantity(term["value"], term["unit"], term["interval95"])))
-    return f'<a href="#finding-{number}"><b>{value}</b></a>' if term["claimed"] and number else value
 
 
 def _checks(diagnosis: Diagnosis) -> str:

@@ -86,6 +86,13 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     return table
 
 
+def unclaimed_line(diagnosis: Diagnosis) -> Text | None:
+    """'Also in the extended model, without being claimed: base tilt; …'; None where there is nothing."""
+    said = [words(x.effect) + (f" on {x.joint}" if x.joint else "") for x in diagnosis.unclaimed]
+    head = "Also in the extended model, without being claimed, because held-out data are predicted better so"
+    return Text(f"{head}: {'; '.join(said)}.", "dim") if said else None
+
+
 def unseen_line(diagnosis: Diagnosis) -> str:
     """'This log cannot show: Stribeck friction (joint3, joint4), …', nothing where nothing was hidden."""
     hidden: dict[str, list[str]] = {}

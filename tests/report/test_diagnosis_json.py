@@ -51,10 +51,10 @@ def written(diagnosis, folder):
 
 @pytest.mark.parametrize("make", [make_diagnosis, nothing_found, log_unusable])
 def test_keys_are_those_of_the_schema(make, tmp_path):
-    """The file has exactly the keys of the schema and four additions, down to parameters, gains and checks."""
+    """The file has exactly the keys of the schema and five additions, down to parameters, gains and checks."""
     diagnosis = make()
     tree = written(diagnosis, tmp_path)
-    assert set(tree) == DESIGN | {"summary", "replay", "notes", "details"}
+    assert set(tree) == DESIGN | {"summary", "unclaimed", "replay", "notes", "details"}
     assert tree["schema"] == "invdyn-diagnosis/1" and tree["files"] == FILES
     assert set(tree["log_checks"]) == {"usable", "as_recorded", "checks", "corrections", "excitation"}
     assert all(set(x) == {f.name for f in fields(Check)} for x in tree["log_checks"]["checks"])

@@ -8,7 +8,8 @@ from rich.console import Console
 
 from invdyn_cli.diagnosis.decide.wording import in_table, summary
 from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
-from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, verdict_line
+from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, unclaimed_line, verdict_line
+from invdyn_cli.report.model_sections import unclaimed_section
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import cause, claims, estimates, headline_of, joints_of, place, rivals_of, when
@@ -31,6 +32,26 @@ def test_terminal_says_every_cause():
     for x in claims(diagnosis):
         assert place(x) in text and gain_text(x.gain[best_gain(x.gain)]) in text
     assert "2.00 N m [1.98, 2.02]" in text and "joint2; 7 joints gain" in text
+
+
+UNCLAIMED = (
+    Finding("base_tilt", None, "unclaimed", parameters={"angle": Quantity(0.031, "rad", [0.02, 0.04])}),
+    Finding("joint_spring", "joint3", "unclaimed", parameters={"stiffness": Quantity(0.25, "N m/rad", [0.2, 0.3])}),
+)
+
+
+def test_what_is_not_claimed_is_told():
+    """Effects in the model that nobody claims are a line on the terminal, a table of their own on the page, and counted
+    in the summary; they are no causes. Without them there is neither."""
+    diagnosis = replace(make_diagnosis(), unclaimed=UNCLAIMED)
+    assert "without being claimed" in printed(unclaimed_line(diagnosis))
+    assert "base tilt; joint spring on joint3." in " ".join(printed(unclaimed_line(diagnosis), width=80).split())
+    said = unclaimed_section(diagnosis)
+    assert all(x in said for x in ("Base tilt", "joint3", "[0.2", "No claims are made"))
+    assert claims(diagnosis) == claims(make_diagnosis())
+    titles = {name: e.title for name, e in CATALOGUE.items()}
+    assert "With these effects and 2 more that are not claimed, its" in summary(diagnosis, titles)
+    assert unclaimed_line(make_diagnosis()) is None and unclaimed_section(make_diagnosis()) == ""
 
 
 def test_what_every_arm_has_is_one_table():

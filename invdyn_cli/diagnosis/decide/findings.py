@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.decide.claim import exactly, held_out, left, refitted
 from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.not_shown import unseen
+from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.composed import Refined
@@ -26,34 +27,26 @@ from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.likely import is_plain
 from invdyn_cli.diagnosis.search.realisable import realisable
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.effects.description import driver_name
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import AbstractEffect
-from invdyn_cli.types import Examination, Finding, Gain, Quantity, Robot
+from invdyn_cli.types import Examination, Finding, Gain, Robot
 
 VAGUE = 0.1
 """Of a ripple's cycles, by which they may be unknown."""
 
-SLIDING = {
-    "N m": "N",
-    "N m/rad": "N/m",
-    "N m s/rad": "N s/m",
-    "N m s²/rad²": "N s²/m²",
-    "kg m²": "kg",
-    "rad": "m",
-    "rad/s": "m/s",
-    "1/rev": "rad/m",
-}
-"""Units at a joint that turns, and at one that slides."""
-
 
 @dataclass(frozen=True)
 class Made:
-    """Findings, the effects behind the claims among them with their terms (R, n), and residuals (R, n): `before` of the
-    nominal model, `residual` of the effects fitted on the data that chose them, both beside what is allowed for;
-    `alone` and `whole` of the effects without that, fitted on the data that chose them and on all."""
+    """Findings, the effects behind the claims among them with their terms (R, n), and residuals (R, n).
+
+    Attributes:
+        hypothesis: the effects behind the claims, as the search tried them.
+        before: of the nominal model; `residual` of the effects fitted on the data that chose them, both beside what is
+            allowed for; `alone` and `whole` of the effects without that, fitted on the data that chose them and on all.
+    """
 
     findings: tuple[Finding, ...]
+    hypothesis: Hypothesis
     acting: tuple[EffectInstance, ...]
     intervals: tuple[Mapping[str, tuple], ...]
     terms: tuple[np.ndarray, ...]
@@ -65,7 +58,7 @@ class Made:
 
 
 @dataclass(frozen=True)
-class _Sized:
+class Sized:
     """The effects behind claims with their final sizes.
 
     Attributes:
@@ -95,7 +88,7 @@ def report(
     supporting, whole, dropped = supported(inquiry, refusals)
     hypothesis = tuple(x.candidate for x in supporting)
     chosen, nothing = exactly(inquiry, hypothesis, inquiry.chosen, rows), refitted(inquiry, [], rows)
-    after, sized = left(inquiry, hypothesis), _sized(inquiry, whole, unsure)
+    after, sized = left(inquiry, hypothesis), sizes(inquiry, whole, unsure)
     terms = [_term(inquiry, sized.whole.acting, i) for i in range(len(hypothesis))]
     parts = {k: one for one in sums.standing(effects, hypothesis, sized.ends) for k in one.places}
     claims, places, shown = [], [], []
@@ -116,6 +109,7 @@ def report(
     acting = tuple(sized.whole.acting[k] for k in places)
     return Made(
         findings=(*ordered, *unseen(effects, ordered, examination, side, position_side)),
+        hypothesis=hypothesis,
         acting=acting,
         intervals=tuple(sized.ends[k] for k in places),
         terms=tuple(shown[k] for k in order),
@@ -127,7 +121,7 @@ def report(
     )
 
 
-def _sized(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> _Sized:
+def sizes(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> Sized:
     """The final sizes of effects that were refined on all rows."""
     evidence, model = inquiry.evidence, inquiry.model
     if unsure:
@@ -139,10 +133,10 @@ def _sized(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> _Sized:
     whole, notes = realisable(evidence, model, whole, bodies.link_names(evidence.robot))
     whole, rested = resting.edges(evidence, model, whole)
     ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
-    return _Sized(whole, wanted, ends, notes)
+    return Sized(whole, wanted, ends, notes)
 
 
-def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: _Sized, term: np.ndarray, after: np.ndarray) -> Finding:
+def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndarray, after: np.ndarray) -> Finding:
     """A claim as a finding, before any doubt but that of its rivals; its effect adds a `term` (R, n)."""
     evidence, candidate, i, rivals = inquiry.evidence, claimed.candidate, claimed.place, claimed.rivals
     robot, acting = evidence.robot, sized.whole.acting[i]
@@ -153,7 +147,7 @@ def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: _Sized, term: np.nda
         joint=None if acting.joint is None else robot.joints[acting.joint],
         status="named",
         alternatives=_alternatives(rivals),
-        parameters=_quantities(acting.effect, sized.ends[i], _slides(robot, candidate)) | _chosen(robot, acting),
+        parameters=quantities(robot, acting.effect, candidate.joint, sized.ends[i]) | tried(robot, acting),
         gain=_gains(inquiry, claimed.hypothesis, (i,), after),
         rejected=_rejected(robot, candidate.key, rivals),
         advice=acting.effect.advice,
@@ -169,7 +163,7 @@ def _doubted(
     effects: Mapping[str, AbstractEffect],
     hypothesis: Hypothesis,
     i: int,
-    sized: _Sized,
+    sized: Sized,
     finding: Finding,
 ) -> Finding:
     """A finding with all that it may be instead; ambiguous if that is something."""
@@ -271,46 +265,16 @@ def _term(inquiry: Inquiry, acting: Sequence[EffectInstance], i: int) -> np.ndar
     return inquiry.model.without(inquiry.whole, others) - inquiry.model.without(inquiry.whole, acting)
 
 
-def _quantities(effect: AbstractEffect, ends: Mapping[str, tuple], slides: bool) -> dict[str, Quantity]:
-    return {
-        name: Quantity(_plain(value), unit_of(effect, name, slides), [_plain(low), _plain(high)])
-        for name, (value, low, high) in ends.items()
-        if name in effect.parameters
-    }
-
-
-def _chosen(robot: Robot, acting: EffectInstance) -> dict[str, Quantity]:
-    """What a search chose and nothing refined: parameters that are one of a few values, and the joint that drives the
-    gear of a coupled effect, by its name."""
-    units = {name: acting.effect.parameters[name].unit for name in acting.effect.chosen}
-    chosen = {name: Quantity(_plain(acting.parameters[name]), unit) for name, unit in units.items()}
-    return chosen | {name: Quantity(joint, "") for name, joint in driver_name(acting, robot).items()}
-
-
 def _timed(finding: Finding, acting: EffectInstance, ends: Mapping[str, tuple]) -> Finding:
     """A finding with its window, seconds from the trajectory's first sample."""
     assert acting.when is not None
-    edges = [[_plain(x) for x in ends[name][1:]] for name in EDGES]
+    edges = [[plain(x) for x in ends[name][1:]] for name in EDGES]
     return replace(
         finding,
         trajectory=acting.when.trajectory,
         window=(acting.when.start, acting.when.end),
         evidence={**finding.evidence, "window_interval95": edges},
     )
-
-
-def unit_of(effect: AbstractEffect, name: str, slides: bool) -> str:
-    """The unit of a parameter at a joint that turns, or slides."""
-    unit = effect.parameters[name].unit
-    return SLIDING.get(unit, unit) if slides and name != "phase" else unit
-
-
-def _slides(robot: Robot, candidate: Candidate) -> bool:
-    return not candidate.effect.changes_inertials and candidate.joint is not None and robot.prismatic[candidate.joint]
-
-
-def _plain(value: Any) -> Any:
-    return np.asarray(value, float).tolist()
 
 
 def _alternatives(rivals: Sequence[naming.Rival]) -> tuple[tuple[str, ...], ...]:
@@ -323,7 +287,7 @@ def _equals(robot: Robot, rivals: Sequence[naming.Rival]) -> dict[str, Any]:
         {
             "effect": r.candidate.effect.name,
             "joint": None if r.candidate.joint is None else robot.joints[r.candidate.joint],
-            "parameters": {k: _plain(v) for k, v in r.parameters.items()},
+            "parameters": {k: plain(v) for k, v in r.parameters.items()},
         }
         for r in rivals
         if r.equal
@@ -357,7 +321,7 @@ def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: sums.Sum
         finding,
         effect=effect.name,
         alternatives=(tuple(effect.sum_of), *finding.alternatives),
-        parameters=_quantities(effect, level, _slides(inquiry.evidence.robot, hypothesis[one.places[0]])),
+        parameters=quantities(inquiry.evidence.robot, effect, hypothesis[one.places[0]].joint, level),
         gain=_gains(inquiry, hypothesis, one.places, after),
         advice=effect.advice,
         text=effect.text,

@@ -88,7 +88,8 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         few = [f"{titles[f.effect]} on {f.joint}" for f in usual]
         terms = few if len(few) <= FEW else [several]
         said = [*terms, *said] if lowers(usual) > lowers(shown) else [*said, *terms]
-    first = f"The simulation lacks {_listed(said)}. With these effects, its held-out RMS error falls from "
+    more = f" and {len(diagnosis.unclaimed)} more that are not claimed" if diagnosis.unclaimed else ""
+    first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error falls from "
     first += f"{before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."

@@ -1,0 +1,60 @@
+"""What the search found and nobody claims: it may be part of the written model, without a name (docs/decisions/048)."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import Candidate
+from invdyn_cli.diagnosis.decide.claim import exactly
+from invdyn_cli.diagnosis.decide.findings import Made, sizes
+from invdyn_cli.diagnosis.decide.quantities import quantities, tried
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.types import Finding
+
+
+def unclaimed(inquiry: Inquiry, made: Made) -> Hypothesis:
+    """The torques that were found and always act, but those in whose place a claim stands."""
+    lasting = (c for c in inquiry.hypothesis if c.effect.adds and c.when is None)
+    return tuple(c for c in lasting if not any(_in_place(c, x) for x in made.hypothesis))
+
+
+def together(
+    inquiry: Inquiry, made: Made, more: Hypothesis, unsure: Hypothesis = ()
+) -> tuple[Made, tuple[Finding, ...]]:
+    """The effects of all claims and `more`, fitted together; and the latter, with status "unclaimed". `unsure` as in
+    `findings.report`."""
+    hypothesis, rows = (*made.hypothesis, *more), inquiry.judge.rows
+    chosen = exactly(inquiry, hypothesis, inquiry.chosen, rows)
+    whole = exactly(inquiry, hypothesis, inquiry.whole, np.ones_like(rows))
+    sized, keys = sizes(inquiry, whole, unsure), {c.key for c in more}
+    robot, acting = inquiry.evidence.robot, sized.whole.acting
+    findings = tuple(
+        Finding(
+            effect=one.effect.name,
+            joint=None if one.joint is None else robot.joints[one.joint],
+            status="unclaimed",
+            parameters=quantities(robot, one.effect, one.joint, ends) | tried(robot, one),
+            group=one.effect.group,
+            text=one.effect.text,
+        )
+        for before, one, ends in zip(whole.acting, acting, sized.ends, strict=True)
+        if before.key in keys
+    )
+    fuller = replace(
+        made,
+        hypothesis=hypothesis,
+        acting=acting,
+        intervals=tuple(sized.ends),
+        residual=chosen.residual + inquiry.worn(chosen),
+        whole=inquiry.model.residual(acting),
+    )
+    return fuller, findings
+
+
+def _in_place(one: Candidate, claimed: Candidate) -> bool:
+    """Whether a claim stands for a candidate: it is the same effect on the same joint, or one of them has the other as
+    a special case."""
+    names = {one.effect.name, claimed.effect.name}
+    alike = len(names) == 1 or claimed.effect.name in one.effect.contains or one.effect.name in claimed.effect.contains
+    return one.joint == claimed.joint and alike

@@ -1,0 +1,56 @@
+"""The sections of a diagnosis page on what the extended model has beside the causes."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from invdyn_cli.report.html import table
+from invdyn_cli.report.quantities import quantity_text
+from invdyn_cli.report.tables import significant
+from invdyn_cli.report.wording import capital, claims, estimates, place, standard_rows, units_of, words
+from invdyn_cli.types import Diagnosis, Quantity
+
+
+def standard_section(diagnosis: Diagnosis) -> str:
+    """The terms of every joint in the written model, named or not."""
+    rows, heads = standard_rows(diagnosis)
+    if not heads:
+        return ""
+    links, body = diagnosis.standard["inertials"], ""
+    numbers = {(x.effect, x.joint): k + 1 for k, x in enumerate(claims(diagnosis))}
+    for joint, terms in rows.items():
+        cells = [_term(x, numbers.get((x.get("effect"), joint))) if x else "-" for x in map(terms.get, heads)]
+        cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
+        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
+    how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
+    about = f"off in the URDF by about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+    if not links["share"]:
+        about = "left as the URDF has them, because held-out data are predicted better so."
+    note = (
+        "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
+        "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
+        + about
+    )
+    if diagnosis.details.get("torque_side") == "link":
+        note += " The torque was measured behind the gear: its friction is that of bearings, seals and cables, or the "
+        note += "sensor feels a part of the gear's, too."
+    return table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
+
+
+def _term(term: Mapping[str, Any], number: int | None) -> str:
+    """A term's value; of one that is claimed a link to its evidence."""
+    value = escape(quantity_text(Quantity(term["value"], term["unit"], term["interval95"])))
+    return f'<a href="#finding-{number}"><b>{value}</b></a>' if term["claimed"] and number else value
+
+
+def unclaimed_section(diagnosis: Diagnosis) -> str:
+    """The effects in the written model that are not claimed."""
+    body = ""
+    for x in diagnosis.unclaimed:
+        values = "<br>".join(map(escape, estimates(x)))
+        body += f"<tr><td>{escape(capital(words(x.effect)))}</td><td>{escape(place(x))}</td><td>{values}</td></tr>"
+    note = (
+        "No claims are made: each of these torques may stand for another effect. They are in the extended model, "
+        "because it predicts held-out data better with them. Residual tests are made without them."
+    )
+    return table(("effect", "joint", "estimate [95 %]"), body, "words") + f'<p class="note">{note}</p>' if body else ""

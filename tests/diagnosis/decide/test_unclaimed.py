@@ -1,0 +1,81 @@
+"""What the search found and nobody claims is in the written model if held-out data are predicted better with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.arms import random_arm
+from invdyn_cli.diagnosis.case import Options, prepared
+from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
+from invdyn_cli.diagnosis.pipeline import decided, searched
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import record
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
+
+NOBODY = (Refusal("nothing", lambda _: 0.0, 1.0),)
+"""A table that refuses every claim."""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """A three-joint arm."""
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(random_arm(np.random.default_rng(4), 3))
+    return load_urdf(path)
+
+
+@pytest.fixture(scope="module")
+def load():
+    """A payload, its mass drawn at random."""
+    return Hidden("payload", None, {"mass": float(np.random.default_rng(5).uniform(0.5, 1.0)), "com": [0.02, 0.0, 0.1]})
+
+
+def recorded(robot, *trajectories):
+    """A log with a recording for every list of hidden effects."""
+    noise, references = Noise(position=1e-6, torque=0.02), [Multisine(base=0.1), Multisine(base=0.13)]
+    logs = [
+        record(robot, [references[i]], hidden, noise=noise, duration=20.0, seed=i)
+        for i, hidden in enumerate(trajectories)
+    ]
+    named = [replace(x.trajectories[0], name=f"run_{i}") for i, x in enumerate(logs)]
+    return replace(logs[0], trajectories=tuple(named))
+
+
+def diagnosed(log, robot, tables, windows=None):
+    """The diagnoses of a log that is searched once, with each of these tables of refusals."""
+    case = prepared(log, robot, windows, None, Options(replay=False), EFFECTS)
+    inquiry, columns = searched(case)
+    return [decided(case, inquiry, columns, Options(replay=False), refusals=x) for x in tables]
+
+
+def rmse(diagnosis):
+    """(n,) held-out errors of the written model [N m]."""
+    return np.array([x["rmse"] for x in diagnosis.extended.values()])
+
+
+def test_a_refused_payload_stays_in_the_model(robot, load):
+    """Whether it is claimed or refused, the model has the payload, its mass within 5 % (the noise is a permille of the
+    torque), and predicts as well."""
+    with_name, without = diagnosed(recorded(robot, [load]), robot, [REFUSALS, NOBODY])
+    assert "payload" in {f.effect for f in with_name.findings if f.status in ("named", "ambiguous")}
+    assert not any(f.status in ("named", "ambiguous") for f in without.findings)
+    found = {f.effect: f for f in without.unclaimed}
+    assert found["payload"].status == "unclaimed"
+    assert found["payload"].parameters["mass"].value == pytest.approx(load.parameters["mass"], rel=0.05)
+    assert "payload" in {one.effect.name for one in without.model.acting}
+    np.testing.assert_allclose(rmse(without), rmse(with_name), rtol=0.1)
+
+
+def test_what_misleads_is_left_out(robot, load):
+    """A payload of the recording that chooses, which the one that judges lacks, is not in the model."""
+    log = recorded(robot, [load], [])
+    windows = {"train": [("run_0", 0.0, np.inf)], "test": [("run_1", 0.0, np.inf)]}
+    (diagnosis,) = diagnosed(log, robot, [NOBODY], windows)
+    assert diagnosis.unclaimed == ()
+    assert "payload" not in {one.effect.name for one in diagnosis.model.acting}
+    usual = np.array([x["rmse"] for x in diagnosis.baselines["standard"].values()])
+    assert np.mean(np.log(rmse(diagnosis))) <= np.mean(np.log(usual)) + 1e-9
