@@ -416,9 +416,10 @@ class Diagnosis:
         baseline, extended: held-out {joint: {"rmse", "nmse"}} of the nominal and the extended model.
         baselines: the same of what a user would try first: "friction", a line of offset, Coulomb and viscous friction
             (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
-        standard: the standard terms in the written model, {joint: {"coulomb": {"effect", "value", "unit",
+        standard: the standard terms beside the claims, {joint: {"coulomb": {"effect", "value", "unit",
             "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
-        unclaimed: effects in the written model that are not claimed: with them it predicts held-out data better.
+        unclaimed: effects in the written model that are not claimed: with them it predicts held-out data better. What
+            one has as a special case (evidence "in_place_of") it takes over from the standard terms.
         tests: of what the claims and the standard terms leave, joint by joint.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.

@@ -132,7 +132,7 @@ def decided(
         baseline=_scores(evidence, more.before),
         extended=_scores(evidence, written.residual),
         baselines={name: _scores(evidence, x) for name, x in more.baselines.items()},
-        standard=standard.told(evidence, written, named),
+        standard=standard.told(evidence, more, named),
         unclaimed=unnamed,
         tests=tests,
         noise_floor=None

@@ -48,9 +48,12 @@ def unclaimed_section(diagnosis: Diagnosis) -> str:
     body = ""
     for x in diagnosis.unclaimed:
         values = "<br>".join(map(escape, estimates(x)))
-        body += f"<tr><td>{escape(capital(words(x.effect)))}</td><td>{escape(place(x))}</td><td>{values}</td></tr>"
+        less = " or ".join(map(words, x.evidence.get("in_place_of", ())))
+        name = escape(capital(words(x.effect))) + (f"<small>in place of {escape(less)}</small>" if less else "")
+        body += f'<tr><td class="whole">{name}</td><td>{escape(place(x))}</td><td>{values}</td></tr>'
     note = (
         "No claims are made: each of these torques may stand for another effect. They are in the extended model, "
-        "because it predicts held-out data better with them. Residual tests are made without them."
+        "because it predicts held-out data better with them. Standard terms, causes and residual tests on this page "
+        "are without them."
     )
     return table(("effect", "joint", "estimate [95 %]"), body, "words") + f'<p class="note">{note}</p>' if body else ""

@@ -36,7 +36,13 @@ def test_terminal_says_every_cause():
 
 UNCLAIMED = (
     Finding("base_tilt", None, "unclaimed", parameters={"angle": Quantity(0.031, "rad", [0.02, 0.04])}),
-    Finding("joint_spring", "joint3", "unclaimed", parameters={"stiffness": Quantity(0.25, "N m/rad", [0.2, 0.3])}),
+    Finding(
+        "presliding_hysteresis",
+        "joint3",
+        "unclaimed",
+        parameters={"coulomb": Quantity(0.25, "N m", [0.2, 0.3])},
+        evidence={"in_place_of": ("coulomb_friction",)},
+    ),
 )
 
 
@@ -45,9 +51,11 @@ def test_what_is_not_claimed_is_told():
     in the summary; they are no causes. Without them there is neither."""
     diagnosis = replace(make_diagnosis(), unclaimed=UNCLAIMED)
     assert "without being claimed" in printed(unclaimed_line(diagnosis))
-    assert "base tilt; joint spring on joint3." in " ".join(printed(unclaimed_line(diagnosis), width=80).split())
+    assert "base tilt; presliding hysteresis on joint3." in " ".join(
+        printed(unclaimed_line(diagnosis), width=80).split()
+    )
     said = unclaimed_section(diagnosis)
-    assert all(x in said for x in ("Base tilt", "joint3", "[0.2", "No claims are made"))
+    assert all(x in said for x in ("Base tilt", "joint3", "[0.2", "in place of Coulomb friction", "No claims are made"))
     assert claims(diagnosis) == claims(make_diagnosis())
     titles = {name: e.title for name, e in CATALOGUE.items()}
     assert "With these effects and 2 more that are not claimed, its" in summary(diagnosis, titles)

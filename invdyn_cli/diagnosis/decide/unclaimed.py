@@ -14,8 +14,9 @@ from invdyn_cli.types import Finding
 
 
 def unclaimed(inquiry: Inquiry, made: Made) -> Hypothesis:
-    """The torques that were found and always act, but those in whose place a claim stands."""
-    lasting = (c for c in inquiry.hypothesis if c.effect.adds and c.when is None)
+    """The torques that were found and always act, but standard terms, which the model has anyway, and those in whose
+    place a claim stands."""
+    lasting = (c for c in inquiry.hypothesis if c.effect.adds and c.effect.group != "standard" and c.when is None)
     return tuple(c for c in lasting if not any(_in_place(c, x) for x in made.hypothesis))
 
 
@@ -35,6 +36,7 @@ def together(
             joint=None if one.joint is None else robot.joints[one.joint],
             status="unclaimed",
             parameters=quantities(robot, one.effect, one.joint, ends) | tried(robot, one),
+            evidence={"in_place_of": one.effect.contains},
             group=one.effect.group,
             text=one.effect.text,
         )

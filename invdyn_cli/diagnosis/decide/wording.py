@@ -81,7 +81,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     usual = in_table(diagnosis)
     shown = [f for f in claims if not any(f is x for x in usual)]
     said = _grouped(shown, titles)
-    said = said if len(said) <= MOST_SAID else [*said[:MOST_SAID], f"{len(said) - MOST_SAID} other effects"]
+    said = said if len(said) <= MOST_SAID + 1 else [*said[:MOST_SAID], f"{len(said) - MOST_SAID} other effects"]
     if usual:
         joints = len({f.joint for f in usual})
         several = f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}"
