@@ -96,21 +96,28 @@ def believed(
         return reduce(lambda one, other: other if other.beats(one, used) else one, of)
 
     def grown(found: Hypothesis) -> Belief:
-        own, seen = told(noise, links, found).noise, {frozenset(found)}
+        """Steps to the best of what has one more or one less. What a step back leads away from is not tried again: two
+        hypotheses may each beat the other in its own noise."""
+        own, seen = told(noise, links, found).noise, {_keys(found)}
         for _ in range(2 * most):
             bases = [told(own, x, found) for x in shares]
             scorers = [[scorer_of(y, x.links) for y in (x.noise, noise)] for x in bases]
             more = [(x, one) for x, by in zip(bases, scorers, strict=True) for one in _more(by, x, pool, most)]
+            more = [(x, one) for x, one in more if _keys(one) not in seen]
             fewer = [(x, found[:i] + found[i + 1 :]) for x in bases for i in range(len(found))]
             chosen = best([best(bases), *(told(x.noise, x.links, one) for x, one in more + fewer)])
-            if frozenset(chosen.found) in seen:  # again: two noises may each prefer the other's hypothesis
+            if _keys(chosen.found) == _keys(found):
                 break
             found, own = chosen.found, chosen.noise
             made.clear()
-            seen.add(frozenset(found))
+            seen.add(_keys(found))
         return chosen
 
     return best([grown(start) for start in starts])
+
+
+def _keys(found: Hypothesis) -> frozenset[tuple]:
+    return frozenset(c.key for c in found)
 
 
 def _more(scorers: Sequence[HypothesisScorer], base: Belief, pool: Sequence[Candidate], most: int) -> list[Hypothesis]:
