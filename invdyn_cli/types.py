@@ -418,8 +418,7 @@ class Diagnosis:
             (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
         standard: the standard terms beside the claims, {joint: {"coulomb": {"effect", "value", "unit",
             "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
-        unclaimed: effects in the written model that are not claimed: with them it predicts held-out data better. What
-            one has as a special case (evidence "in_place_of") it takes over from the standard terms.
+        unclaimed: effects in the written model that are not claimed, and there take the place of "in_place_of".
         tests: of what the claims and the standard terms leave, joint by joint.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.

@@ -77,7 +77,7 @@ def claims(folder: Path) -> list[tuple]:
 def test_names_the_cause_and_the_joint(diagnosed):
     """diagnosis.json, with the keys of its schema, names the hidden effect, its joint and its size, nothing else."""
     tree = json.loads((diagnosed[0] / "diagnosis.json").read_text())
-    assert set(tree) == KEYS | {"summary", "replay", "notes", "details"}
+    assert set(tree) == KEYS | {"summary", "unclaimed", "replay", "notes", "details"}
     assert tree["schema"] == "invdyn-diagnosis/1" and tree["verdict"] == "explained"
     assert claims(diagnosed[0]) == [("coulomb_friction", JOINT, "named")]
     assert tree["findings"][0]["parameters"]["coulomb"]["value"] == pytest.approx(COULOMB, rel=0.02)
