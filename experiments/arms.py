@@ -1,6 +1,21 @@
-"""Arms that nobody tuned for: serial arms drawn at random, as URDF text."""
+"""Arms that nobody tuned for: serial arms drawn at random, as URDF text and as robots."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.types import Robot
+
+
+def random_robot(draw: np.random.Generator, joints: int, base_rpy: Sequence[float] | None = None) -> Robot:
+    """The robot of `random_arm`, its base turned by roll, pitch and yaw [rad]."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(random_arm(draw, joints))
+        return load_urdf(path, base_rpy=base_rpy)
 
 
 def random_arm(draw: np.random.Generator, joints: int) -> str:

@@ -4,11 +4,9 @@ What is hidden is known here alone; nothing in this file shares code with what l
 of the torque that the joint has anyway, so that they suit every arm.
 """
 
-import tempfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports]
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.log import Log
 from invdyn_cli.robots import load_urdf, pinocchio_model
 from invdyn_cli.simulation import plant
@@ -67,10 +65,7 @@ def draw_scene(draw: np.random.Generator, joints: int | None = None) -> Scene:
         robot = load_urdf("apollo_arm")
     else:
         tilted = list(draw.uniform([-1.5, -1.5, 0], [1.5, 1.5, 0])) if draw.random() < 1 / 3 else None
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "arm.urdf"
-            path.write_text(random_arm(draw, joints or int(draw.integers(3, 8))))
-            robot = load_urdf(path, base_rpy=tilted)
+        robot = random_robot(draw, joints or int(draw.integers(3, 8)), tilted)
     kind = draw.choice(3, p=[0.6, 0.25, 0.15])
     speed = draw.uniform(0.3, 0.6)
     reference = (

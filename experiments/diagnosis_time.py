@@ -19,9 +19,11 @@ from experiments.cases import scene_of
 from experiments.worn import STANDARD, sized, substeps_for, wear
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.errors import UsageError, shortened
+from invdyn_cli.fields import counts
 from invdyn_cli.files import write_file
 from invdyn_cli.log import Log
 from invdyn_cli.logfile import write_log
+from invdyn_cli.report.wording import CLAIMS
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.control import Control
@@ -79,8 +81,7 @@ class DiagnosisTime(AbstractExperiment):
 
     def plan(self, rows: Sequence[Timed]) -> Iterable[tuple]:
         """A job per log; long logs are timed once."""
-        if self.repetitions < 1:
-            raise UsageError(f"repetitions={self.repetitions}; allowed: a whole number >= 1")
+        counts(self, "", "repetitions")
         for name in chosen("only", self.only, CASES):
             yield name, self.seed, self.repetitions if CASES[name].duration < 100 else 1
 
@@ -97,9 +98,7 @@ class DiagnosisTime(AbstractExperiment):
         both = [(timed(ours), timed(by_hand)) for _ in range(repetitions)]
         found = json.loads((into / "diagnosis.json").read_text())["findings"]
         named = tuple(
-            f"{x['effect']}@{x['joint']}"
-            for x in found
-            if x["status"] in ("named", "ambiguous") and x["effect"] not in STANDARD
+            f"{x['effect']}@{x['joint']}" for x in found if x["status"] in CLAIMS and x["effect"] not in STANDARD
         )
         (seconds, memory), (by_hand_seconds, _) = (tuple(zip(*x, strict=True)) for x in zip(*both, strict=True))
         yield Timed(name, CASES[name].duration, named, seconds, memory, by_hand_seconds)

@@ -8,7 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis import doctor, gains, known
 from invdyn_cli.diagnosis.columns import hold
-from invdyn_cli.diagnosis.columns.candidates import gather_unloaded
+from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.effects.actuator import TorqueGainError
 from invdyn_cli.effects.composition import EffectInstance
@@ -120,7 +120,7 @@ def prepared(
     recording, changed = known.taken_out(recording, robot, facts, gravity="gravity" in log.compensated)
     recording, lead = hold.remove_common_delay(changed, recording, log.torque_side)
     progress(0.25, "columns")
-    evidence = gather_unloaded(changed, recording, list(pool.values()), log.torque_side, log.position_side)
+    evidence = gather(changed, recording, list(pool.values()), log.torque_side, log.position_side)
     evidence.given = known.timed(evidence, facts)
     return Case(
         log=log,

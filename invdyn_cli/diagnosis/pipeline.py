@@ -131,7 +131,9 @@ def decided(
         findings=made.findings,
         baseline=_scores(evidence, more.before),
         extended=_scores(evidence, written.residual),
-        baselines={name: _scores(evidence, x) for name, x in more.baselines.items()},
+        baselines={
+            name: _scores(evidence, x) for name, x in standard.baselines(columns, evidence, more.before).items()
+        },
         standard=standard.told(evidence, more, named),
         unclaimed=unnamed,
         tests=tests,
@@ -171,10 +173,10 @@ def _fuller(
     while found:
         every, told = unclaimed.together(inquiry, made, found, unsure)
         fuller = standard.beside(columns, evidence, every)
-        worse = standard.errors(evidence, fuller.residual) >= before
-        kept = tuple(c for c in found if c.effect.reaches_others or c.joint is None or not worse[c.joint])
+        gain = before - standard.errors(evidence, fuller.residual)
+        kept = tuple(c for c in found if c.effect.reaches_others or c.joint is None or gain[c.joint] > 0)
         if len(kept) == len(found):
-            return (more, ()) if np.mean(standard.errors(evidence, fuller.residual) - before) >= 0 else (fuller, told)
+            return (fuller, told) if np.mean(gain) > 0 else (more, ())
         found = kept
     return more, ()
 

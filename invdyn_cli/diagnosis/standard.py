@@ -178,8 +178,6 @@ class Beside:
         asked: whether the log asks for more than the findings.
         intervals: like `acting`, {parameter: (value, lower, upper)}.
         residual: (R, n) what is left on all rows after a fit on those that chose.
-        baselines: {"friction", "standard"}: (R, n) what a friction line and the standard model alone leave, fitted on
-            the rows that chose.
         before: (R, n) what the nominal model leaves.
         learned, found: the standard model beside the findings, of what chose and of all rows.
         reach: (p,) half of the 95 % interval of each coefficient of `found`.
@@ -192,7 +190,6 @@ class Beside:
     asked: bool
     intervals: tuple[Mapping[str, tuple], ...]
     residual: np.ndarray
-    baselines: Mapping[str, np.ndarray]
     before: np.ndarray
     learned: Standard
     found: Standard
@@ -249,14 +246,27 @@ def std_of(fitted: Standard) -> np.ndarray:
     return np.sqrt(np.diag(fitted.covariance))
 
 
+def _choosing(evidence: Evidence) -> np.ndarray:
+    """The rows (R,) bool that choose, the reference's among them."""
+    choosing = evidence.role == ROLES.index("train")
+    return choosing if evidence.reference_rows is None else choosing | evidence.reference_rows
+
+
+def baselines(columns: Columns, evidence: Evidence, before: np.ndarray) -> dict[str, np.ndarray]:
+    """(R, n) what a friction line and the standard model alone leave of what the nominal model does (`before`), fitted
+    on the rows that choose."""
+    choosing = _choosing(evidence)
+    fitted = {"friction": columns.line(before, choosing), "standard": columns.fit(before, choosing).theta}
+    return {name: before - columns.of(theta) for name, theta in fitted.items()}
+
+
 def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
     """The standard model beside what was found; where a reference is, what it shows as well."""
     before, chosen, whole, acting, intervals = made.before, made.residual, made.whole, made.acting, made.intervals
-    choosing = evidence.role == ROLES.index("train")
+    choosing = _choosing(evidence)
     if evidence.reference_rows is not None:  # beside which what was found is a change
-        before, chosen, choosing = evidence.residual((), np.zeros(0)), made.alone, choosing | evidence.reference_rows
+        before, chosen = evidence.residual((), np.zeros(0)), made.alone
     least = least_of(columns, acting)
-    alone, friction = columns.of(columns.fit(before, choosing).theta), columns.of(columns.line(before, choosing))
     columns = columns.behind(acting)
     learned = columns.fit(chosen, choosing, least)
     every = np.ones_like(choosing)
@@ -275,10 +285,6 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
         asked=asked,
         intervals=tuple(ends),
         residual=chosen - columns.of(learned.theta) if asked else chosen,
-        baselines={
-            "friction": before - friction,
-            "standard": before - alone,
-        },
         before=before,
         learned=learned,
         found=found,

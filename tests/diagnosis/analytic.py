@@ -1,21 +1,18 @@
 """Logs of a motion that is known exactly, with torques written down by the test: no simulator, no controller."""
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
-from invdyn_cli.diagnosis.columns.candidates import gather
+from invdyn_cli.diagnosis.columns import candidates
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.pieces import Preparation, Recording, prepare
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Diagnosis, Motion, Robot
 from tests.diagnosis.sick import motion
 
@@ -26,10 +23,7 @@ Term = Callable[[np.ndarray, Motion], np.ndarray]
 @lru_cache
 def arm() -> Robot:
     """A three-joint arm."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "arm.urdf"
-        path.write_text(random_arm(np.random.default_rng(0), 3))
-        return load_urdf(path)
+    return random_robot(np.random.default_rng(0), 3)
 
 
 def on(joint: int, term: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]) -> Term:
@@ -72,6 +66,13 @@ def log_of(*trajectories: RawTrajectory) -> Log:
 def recording_of(log: Log, windows: Mapping | None = None, **options) -> Recording:
     """Made ready, each joint as if it carried a kg m^2."""
     return prepare(log, np.ones(arm().dofs), windows, Preparation(**options))
+
+
+def gather(*recorded) -> Evidence:
+    """The evidence of `candidates.gather` with all its candidates, as a robot with these links has them."""
+    evidence = candidates.gather(*recorded)
+    candidates.add_loaded(evidence)
+    return evidence
 
 
 def evidence_of(log: Log, names: Sequence[str], windows: Mapping | None = None, **options) -> Evidence:

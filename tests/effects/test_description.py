@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.description import ExtendedModel, as_dict, from_dict, period_of
 from invdyn_cli.errors import UsageError
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Motion
 from tests.effects.drawn import joint_of, parameters
 
@@ -23,11 +22,9 @@ PASSING = tuple(name for name, effect in EFFECTS.items() if effect.passing)
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory):
+def robot():
     """An arm of two joints: what compiles fast."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(3), 2))
-    return load_urdf(path)
+    return random_robot(np.random.default_rng(3), 2)
 
 
 @pytest.fixture(scope="module")

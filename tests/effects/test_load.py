@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.cases import inverse_dynamics
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.rigid import rigid_torque
@@ -19,11 +19,9 @@ BODIES = named(AbstractBodyEffect)
 
 
 @pytest.fixture(scope="module", params=["upright", "tilted"])
-def robot(request, tmp_path_factory):
+def robot(request):
     """An arm of three joints, its base upright, or nearly on its side."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(3), 3))
-    return load_urdf(path, base_rpy=None if request.param == "upright" else [1.3, -0.4, 0.0])
+    return random_robot(np.random.default_rng(3), 3, None if request.param == "upright" else [1.3, -0.4, 0.0])
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.extension import exported
 from invdyn_cli.diagnosis.search.events import places
 from invdyn_cli.diagnosis.search.judge import parameters_of
@@ -26,7 +25,7 @@ from invdyn_cli.joints import SimulatorTerms
 from invdyn_cli.models.extended import Extended
 from invdyn_cli.report.wording import law
 from invdyn_cli.types import Array
-from tests.diagnosis.analytic import arm, log_of, moved, raw, recording_of
+from tests.diagnosis.analytic import arm, gather, log_of, moved, raw, recording_of
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, Span, TimeWindow, channel, link_torque, weight
 from invdyn_cli.effects.rigid import rigid_torque
-from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.robots import pinocchio_model
 from invdyn_cli.types import Motion
 from tests.effects.drawn import parameters
 
@@ -21,11 +21,9 @@ HERE = Span("run", T, RATE)
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory):
+def robot():
     """An arm of four joints."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(5), 4))
-    return load_urdf(path)
+    return random_robot(np.random.default_rng(5), 4)
 
 
 @pytest.fixture(scope="module")

@@ -36,18 +36,9 @@ def kind_of(effect: AbstractEffect) -> AbstractKind[Any]:
 def gather(
     robot: Robot, recording: Recording, effects: Sequence[AbstractEffect], side: str, position_side: str = "unknown"
 ) -> Evidence:
-    """The evidence of a recording for all effects without a time window that this torque side and position side
-    show."""
-    evidence = gather_unloaded(robot, recording, effects, side, position_side)
-    add_loaded(evidence)
-    return evidence
-
-
-def gather_unloaded(
-    robot: Robot, recording: Recording, effects: Sequence[AbstractEffect], side: str, position_side: str
-) -> Evidence:
-    """The same without the candidates of effects that depend on the torque that a joint transmits, which other links
-    change; the evidence's `loaded` are these effects."""
+    """The evidence of a recording for all effects without a time window that this torque side and position side show.
+    Those that depend on the torque that a joint transmits, which other links change, are its `loaded` effects; their
+    candidates are made by `add_loaded`."""
     evidence = started(robot, recording)
     falls = np.linalg.norm(robot.gravity) > 0
     shown = [e for e in effects if side in e.sides and position_side in e.position_sides and not e.passing]
@@ -61,7 +52,7 @@ def gather_unloaded(
 
 
 def add_loaded(evidence: Evidence) -> None:
-    """Make the candidates of the effects that `gather_unloaded` has left out, where nobody has."""
+    """Make the candidates of the effects that `gather` has left out, where nobody has."""
     if not any(c.effect.loaded for c in evidence.candidates):
         _add(evidence, evidence.loaded)
 

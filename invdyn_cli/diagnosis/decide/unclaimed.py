@@ -4,20 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import exactly
 from invdyn_cli.diagnosis.decide.findings import Made, sizes
 from invdyn_cli.diagnosis.decide.quantities import quantities, tried
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.diagnosis.search.steps import free_beside
 from invdyn_cli.types import Finding
 
 
 def unclaimed(inquiry: Inquiry, made: Made) -> Hypothesis:
-    """The torques that were found and always act, but standard terms, which the model has anyway, and those in whose
-    place a claim stands."""
-    lasting = (c for c in inquiry.hypothesis if c.effect.adds and c.effect.group != "standard" and c.when is None)
-    return tuple(c for c in lasting if not any(_in_place(c, x) for x in made.hypothesis))
+    """The torques that were found, always act and have a place beside the claims, but standard terms, which the model
+    has anyway."""
+    lasting = [c for c in inquiry.hypothesis if c.effect.adds and c.effect.group != "standard" and c.when is None]
+    return tuple(free_beside(made.hypothesis, lasting))
 
 
 def together(
@@ -52,11 +52,3 @@ def together(
         whole=inquiry.model.residual(acting),
     )
     return fuller, findings
-
-
-def _in_place(one: Candidate, claimed: Candidate) -> bool:
-    """Whether a claim stands for a candidate: it is the same effect on the same joint, or one of them has the other as
-    a special case."""
-    names = {one.effect.name, claimed.effect.name}
-    alike = len(names) == 1 or claimed.effect.name in one.effect.contains or one.effect.name in claimed.effect.contains
-    return one.joint == claimed.joint and alike

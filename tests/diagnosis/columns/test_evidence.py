@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.columns.candidates import gather, kind_of, passing_candidate
+from invdyn_cli.diagnosis.columns.candidates import kind_of, passing_candidate
 from invdyn_cli.diagnosis.columns.evidence import BLOCK
 from invdyn_cli.diagnosis.columns.gears import YIELD
 from invdyn_cli.diagnosis.search.composed import Model
@@ -15,7 +15,7 @@ from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.simulation.references import PickPlace
 from invdyn_cli.types import Motion
-from tests.diagnosis.analytic import arm, candidate, column, evidence_of, log_of, moved, on, raw, recording_of
+from tests.diagnosis.analytic import arm, candidate, column, evidence_of, gather, log_of, moved, on, raw, recording_of
 
 
 def test_samples_at_rest_do_not_enter():

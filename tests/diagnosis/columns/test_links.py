@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.columns.candidates import add_loaded, gather, gather_unloaded
+from invdyn_cli.diagnosis.columns import candidates
 from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import link_scales
-from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, raw
+from tests.diagnosis.analytic import arm, candidate, evidence_of, gather, log_of, moved, raw
 
 NAMES = ("load_dependent_friction", "torque_gain_error", "backlash", "coulomb_friction")
 
@@ -29,17 +29,22 @@ def both():
     )
 
 
+def compare(made, truth, trials):
+    """The trials of one evidence have the same columns in another, on every joint."""
+    for c in trials:
+        same = candidate(made, c.effect.name, c.joint, **c.shape)
+        for j, (fixed, free) in c.columns.items():
+            own = [x.tables[j][:, [*at[0], *at[1]]] for x, at in ((made, same.columns[j]), (truth, (fixed, free)))]
+            np.testing.assert_allclose(*own, atol=1e-9 * np.abs(own[1]).max())
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_columns_are_those_of_the_other_links(both, name):
     """Every trial of every effect has the columns of a robot that has these links, on every joint."""
     made, truth = both
     trials = [[c for c in x.candidates if c.effect.name == name] for x in both]
     assert len(trials[0]) == len(trials[1]) > 0
-    for c in trials[1]:
-        same = candidate(made, name, c.joint, **c.shape)
-        for j, (fixed, free) in c.columns.items():
-            own = [x.tables[j][:, [*at[0], *at[1]]] for x, at in ((made, same.columns[j]), (truth, (fixed, free)))]
-            np.testing.assert_allclose(*own, atol=1e-9 * np.abs(own[1]).max())
+    compare(made, truth, trials[1])
 
 
 def test_loaded_candidates_wait_for_the_links(both):
@@ -47,17 +52,13 @@ def test_loaded_candidates_wait_for_the_links(both):
     trials and columns as one that had them from the start, and nothing is added twice."""
     truth = both[1]
     effects = [EFFECTS[name] for name in (*NAMES, "base_tilt")]
-    evidence = gather_unloaded(arm(), truth.recording, effects, "unknown", "unknown")
+    evidence = candidates.gather(arm(), truth.recording, effects, "unknown", "unknown")
     assert {c.effect.name for c in evidence.candidates} == {"coulomb_friction", "base_tilt"}
     made = with_links(evidence, np.asarray(truth.robot.inertial))
     count = len(made.candidates)
-    add_loaded(made)
+    candidates.add_loaded(made)
     assert len(made.candidates) == count == len(truth.candidates)
-    for c in (c for c in truth.candidates if c.effect.loaded):
-        same = candidate(made, c.effect.name, c.joint, **c.shape)
-        for j, (fixed, free) in c.columns.items():
-            own = [x.tables[j][:, [*at[0], *at[1]]] for x, at in ((made, same.columns[j]), (truth, (fixed, free)))]
-            np.testing.assert_allclose(*own, atol=1e-9 * np.abs(own[1]).max())
+    compare(made, truth, [c for c in truth.candidates if c.effect.loaded])
 
 
 def test_what_is_logged_beside_the_nominal_torque_stays(both):

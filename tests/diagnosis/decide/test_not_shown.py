@@ -7,11 +7,10 @@ import pytest
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.checks.excitation import Excitation
-from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.decide.not_shown import unseen
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Examination, Finding, Motion
-from tests.diagnosis.analytic import arm, log_of, moved, raw, recording_of
+from tests.diagnosis.analytic import arm, gather, log_of, moved, raw, recording_of
 
 GEARS = {"backlash", "joint_elasticity"}
 

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.diagnosis.case import Options, prepared
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
@@ -21,11 +20,9 @@ NOBODY = (Refusal("nothing", lambda _: 0.0, 1.0),)
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory):
+def robot():
     """A three-joint arm."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(4), 3))
-    return load_urdf(path)
+    return random_robot(np.random.default_rng(4), 3)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.diagnosis.search.exact import refine
@@ -15,7 +14,7 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from invdyn_cli.effects.load import MASS
 from invdyn_cli.interfaces import JointState
-from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw, recording_of
+from tests.diagnosis.analytic import arm, candidate, evidence_of, gather, log_of, moved, on, raw, recording_of
 
 
 def acting(*given) -> list[EffectInstance]:

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.transmission import TorqueRipple
-from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, nothing, on, raw, recording_of
+from tests.diagnosis.analytic import arm, evidence_of, gather, log_of, moved, nothing, on, raw, recording_of
 
 NAMES = [n for n in EFFECTS if n != "torque_ripple"]
 SIGMA = 0.1

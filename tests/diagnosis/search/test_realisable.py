@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search.composed import Model, Refined
@@ -17,7 +16,7 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.types import Motion, Robot
-from tests.diagnosis.analytic import arm, log_of, moved, raw, recording_of
+from tests.diagnosis.analytic import arm, gather, log_of, moved, raw, recording_of
 
 NOISE = 0.02
 """[N m] of the torque."""
