@@ -9,6 +9,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
 from invdyn_cli.diagnosis.checks.fits import correlation, left, slope
 from invdyn_cli.diagnosis.checks.samples import Samples, gather
+from invdyn_cli.diagnosis.checks.unit_factors import CLOCKS, DEGREE, POSITIONS, RATES, SCALES, TURNS, nearest
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.maths.metrics import rms
@@ -16,43 +17,12 @@ from invdyn_cli.recording.rows import each, is_series, median_step
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
-DEGREE = 180 / np.pi
-RPM = 30 / np.pi
-RATES = {
-    DEGREE: "degrees per second",
-    1 / DEGREE: "rad/s that were converted from degrees once too often",
-    DEGREE**2: "degrees per second, converted twice",
-    RPM: "revolutions per minute",
-    1 / RPM: "rad/s that were converted from revolutions per minute once too often",
-    1 / (2 * np.pi): "revolutions per second",
-    1e3: "mrad/s (or the clock is in ms)",
-    1e-3: "krad/s (or the clock is off by 1000)",
-}
-"""Logged over SI for velocities and accelerations of joints that turn."""
-
-POSITIONS = {1 / DEGREE: "radians that were converted from degrees once too often", 1 / (2 * np.pi): "revolutions"}
-"""Logged over SI for positions too small to be seen by their limits; degrees are seen by these."""
-
-SCALES = {
-    1e3: "milliradians",
-    200 / np.pi: "gradians",
-    60 * DEGREE: "minutes of arc",
-    3600 * DEGREE: "seconds of arc",
-    **{2**k / (2 * np.pi): f"encoder counts, 2^{k} for a turn" for k in range(10, 25)},
-}
-"""Logged over SI for positions that are too large for degrees."""
-
-TURNS = {2 * np.pi: "revolutions"}
-"""qd over dq/dt where q, and not qd, is in another unit; qd in such a unit there is none."""
-
 CLEAR = 0.98
 """Share of a slow joint's logged velocity that the derivative of its position has to explain: noise then bends their
 ratio by no more than `MotionUnits.within`."""
 
 SECOND = 0.1
 """The same of a logged acceleration, which is filtered harder."""
-
-CLOCKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
 @dataclass(frozen=True)
@@ -117,7 +87,7 @@ class MotionUnits(AbstractCheck):
         found = []
         for raw in log.trajectories:
             ratio = log.rate * median_step(raw.t)
-            factor = _nearest(ratio, CLOCKS, 0.1)
+            factor = nearest(ratio, CLOCKS, 0.1)
             if factor and is_series(raw):
                 seen = f"the median step is {median_step(raw.t):.4g} at a nominal {log.rate:g} Hz"
                 found.append(self._seen("t", raw.name, ratio, factor, CLOCKS[factor], seen))
@@ -229,7 +199,7 @@ class MotionUnits(AbstractCheck):
         joints that are beyond; others may have it, too."""
         ratios = 1 / _rates(stretches(log), "qd", self.slow)
         own = ratios[which & np.isfinite(ratios)]
-        factor = _nearest(float(np.median(own)), SCALES, self.within) if len(own) else None
+        factor = nearest(float(np.median(own)), SCALES, self.within) if len(own) else None
         if factor not in able or factor is None or np.mean(np.abs(own / factor - 1) < self.within) < self.most:
             return None
         joints = which | (turning & (np.abs(ratios / factor - 1) < self.within))
@@ -244,7 +214,7 @@ class MotionUnits(AbstractCheck):
             return None
         rates = _rates(stretches(log), "qd", self.slow)[which]
         rate = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else None
-        able = [k for k in able if rate is None or _nearest(rate * k, RATES | {1.0: "rad/s"}, self.within)]
+        able = [k for k in able if rate is None or nearest(rate * k, RATES | {1.0: "rad/s"}, self.within)]
         sets = (turning,) if which[turning].all() else (turning, which)
         fits = [(*_judged(gather(_scaled(log, k, one), robot, 1024)), k, one) for k in able for one in sets]
         most = max((count for _, count, *_ in fits), default=0)
@@ -271,7 +241,7 @@ class MotionUnits(AbstractCheck):
                 if not len(ratios):
                     continue
                 ratio = float(np.median(ratios))
-                factor = _nearest(ratio, RATES | TURNS, self.within)
+                factor = nearest(ratio, RATES | TURNS, self.within)
                 if not factor or np.mean(np.abs(ratios / factor - 1) < self.within) < self.most:
                     found += self._odd(log, robot, name, channel, every)
                     continue
@@ -295,7 +265,7 @@ class MotionUnits(AbstractCheck):
         near = np.abs(ratios - 1) < self.within
         found = []
         for j in np.flatnonzero(np.isfinite(ratios) & ~near):
-            factor = _nearest(float(ratios[j]), RATES | TURNS, self.within)
+            factor = nearest(float(ratios[j]), RATES | TURNS, self.within)
             others = near[np.isfinite(ratios) & (np.arange(len(ratios)) != j)]
             if factor is None or channel != "qd" or not len(others) or others.mean() < 0.5:
                 continue
@@ -360,14 +330,6 @@ def _rates(parts: Sequence[Stretch], channel: str, slow: float = 0.0) -> np.ndar
     slopes = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])
     follows = np.array([correlation(y, x) ** 2 > CLEAR for y, x in zip(logged.T, own.T, strict=True)])
     return np.where(moving | follows, slopes, np.nan)
-
-
-def _nearest(ratio: float, table: Mapping[float, str], within: float) -> float | None:
-    """The factor of the table that a ratio equals within a relative distance."""
-    if not np.isfinite(ratio):
-        return None
-    best = min(table, key=lambda k: abs(ratio / k - 1))
-    return best if abs(ratio / best - 1) < within else None
 
 
 def _alike(x: np.ndarray | None, q: np.ndarray, which: np.ndarray) -> bool:

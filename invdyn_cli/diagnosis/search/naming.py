@@ -25,7 +25,7 @@ from invdyn_cli.interfaces import Parameters
 DOUBT = 0.005
 """Probability that a rival is equally good on another draw of the log's blocks, above which it is not rejected."""
 
-SURE = 4.0
+SPECIAL = 4.0
 """Standard errors by which a general effect must be better than its special case: its more flexible shape fits many
 other errors."""
 
@@ -83,7 +83,7 @@ def _simplified(
                 simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
                 step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
                 extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
-                unsure = step.sum() + extra < SURE * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
+                unsure = step.sum() + extra < SPECIAL * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
                 if unsure or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
         if (

@@ -33,7 +33,7 @@ FAR = 100.0
 """Multiple of the cost by chance above which inconsistent inertials indicate another effect: the weights of the noise
 may be wrong by some factor, and a slightly wrong model makes ten times chance (`make confusion`)."""
 
-SURE = 2.0
+NEGATIVE = 2.0
 """Standard errors by which a mass must be below zero to be reported as negative."""
 
 
@@ -204,8 +204,8 @@ def _sentence(
     why = ""
     for body in bodies:
         mass, error = _row(before, body)[0], float(np.linalg.norm(before.unknown[:, body.places[0]]))
-        if mass < -SURE * error:
-            why = f" (a mass of {mass:.3g} ± {SURE * error:.1g} kg)"
+        if mass < -NEGATIVE * error:
+            why = f" (a mass of {mass:.3g} ± {NEGATIVE * error:.1g} kg)"
     return (
         f"The best-fit inertials of {' and '.join(b.name for b in bodies)} are not physically consistent{why}. The "
         f"nearest consistent ones fit significantly worse: they cost {cost:.3g} noise variances (by chance at most "
