@@ -28,8 +28,8 @@ ONE_SIZE = 0.75
 a true one; columns are approximations."""
 
 EVIDENCE = 250.0
-"""Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted
-(docs/decisions/045)."""
+"""Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted, counting
+only the share that it saves where the arm moves (docs/decisions/045, 046)."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,11 @@ REFUSALS = (
         ONE_SIZE,
         lambda _: "it has another size beyond standstill than around it, where friction has no simple formula",
     ),
-    Refusal("evidence beside the standard model", lambda x: x.evidence if x.inquiry.wear else np.inf, EVIDENCE),
+    Refusal(
+        "evidence beside the standard model, where the arm moves",
+        lambda x: x.slow_evidence if x.inquiry.wear else np.inf,
+        EVIDENCE,
+    ),
     Refusal(
         "delay over the sampling period",
         lambda x: x.delay / x.inquiry.evidence.recording.period,

@@ -89,3 +89,22 @@ def test_an_effect_has_one_size(true, expected, figure):
     share = getattr(one, figure)
     assert share == pytest.approx(expected, abs=0.35)  # three standard deviations of the blocks are added
     assert (share < support.ONE_SIZE) == (true < 1)
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(1.0, 3.0), (1.0, 1.0), (3.0, 1.0)])
+def test_evidence_is_what_is_saved_where_the_arm_moves(slow, fast):
+    """Two waves of these amplitudes are explained, one far below and one far above a quarter of the joint's band. The
+    share of their squares that is slow is the share of the evidence that counts."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(40.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
+    inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
+    one = of_coulomb(inquiry)
+    t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
+    made = sum(size * np.sin(2 * np.pi * share * cutoff * t) for size, share in ((slow, 0.05), (fast, 0.8)))
+    after = 0.001 * np.random.default_rng(0).normal(size=evidence.valid.shape)
+    before = after.copy()
+    before[:, 0] += made
+    one = replace(one, after=after)
+    one.__dict__.update(before=before, evidence=1000.0)  # cached: made up here
+    expected = 1000.0 * slow**2 / (slow**2 + fast**2)
+    assert one.slow_evidence == pytest.approx(expected, abs=50.0)  # rests cut the waves, which mixes them a little
