@@ -1,7 +1,7 @@
 """The size of the link errors of a worn arm, and the anomalies with which its search begins: both at once.
 
 Links with unlimited errors imitate a payload, a tilt or an encoder offset, and a size of link errors that was chosen
-without the anomaly is too large. Therefore each anomaly is tried with every size, and the marginal likelihood decides
+without the anomaly is wrong. Therefore each anomaly is tried with every size, and the marginal likelihood decides
 (MacKay 1992): its price for links is the ratio of prior to posterior volume. The noise is estimated anew for each
 hypothesis, from its residual with its autocorrelation.
 """
@@ -18,9 +18,9 @@ from invdyn_cli.diagnosis.search.noise import Noise, beside
 from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.steps import free_beside
 
-SMALLER = (1.0, 0.3, 0.1, 0.03)
-"""Sizes of link errors that are tried with an anomaly, as shares of the size without any anomaly."""
-
+SIZES = (3.0, 1.0, 0.3, 0.1, 0.03)
+"""Sizes of link errors that are tried with an anomaly, as multiples of the size that was fitted without it: that is too
+large where links took up what the anomaly does, and too small where other effects took up what links do."""
 
 SHORTLIST = 3
 """Number of trials whose evidence is computed: those with the largest gain at the noise of the present hypothesis, and
@@ -68,7 +68,7 @@ def believed(
         pool: trials of anomalies.
         most: anomalies at most.
     """
-    shares = [replace(links, precision=links.precision / share**2) for share in SMALLER]
+    shares = [replace(links, precision=links.precision / share**2) for share in SIZES]
     used = np.sum(rows[:, None] & evidence.valid, axis=0)
 
     made: list[tuple[Noise, Candidate, HypothesisScorer]] = []
