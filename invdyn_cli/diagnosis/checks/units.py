@@ -8,7 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
 from invdyn_cli.diagnosis.checks.fits import correlation, left, slope
-from invdyn_cli.diagnosis.checks.samples import Samples, gather
+from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.diagnosis.checks.unit_factors import CLOCKS, DEGREE, POSITIONS, RATES, SCALES, TURNS, nearest
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
@@ -116,13 +116,13 @@ class MotionUnits(AbstractCheck):
             sure = beyond.sum() >= max(1, 0.3 * turning.sum()) and (robot is not None or beyond.sum() > 1)
             if robot is not None:
                 one = replace(log, trajectories=(raw,))
-                some = [_agreement(gather(_scaled(one, DEGREE, which), robot, 1024)) for which in (turning, beyond)]
+                some = [_judged(one, robot, DEGREE, which)[0] for which in (turning, beyond)]
                 if not beyond[turning].all() and some[1] > max(some[0], 0.5) + 0.1:
                     found += [
                         self._single(log, raw.name, int(j), float(reach[j]), some) for j in np.flatnonzero(beyond)
                     ]
                     continue
-                sure = sure and not some[0] < _agreement(gather(one, robot, 1024)) - 0.05
+                sure = sure and not some[0] < _judged(one, robot, 1.0, turning)[0] - 0.05
             joint = log.joints[int(np.argmax(np.where(turning, reach / limit, 0)))]
             against = "the limits" if robot is not None else f"{self.turns:.3g} rad"
             seen = f"{beyond.sum()} joints go beyond {against}, {joint} to {reach[log.joints.index(joint)]:.4g}; "
@@ -132,7 +132,7 @@ class MotionUnits(AbstractCheck):
         if found or robot is None or not log.trajectories:
             return found
         scales = (1.0, *POSITIONS)
-        tried = {k: _agreement(gather(_scaled(log, k, turning), robot, 1024)) for k in scales}
+        tried = {k: _judged(log, robot, k, turning)[0] for k in scales}
         best = max(tried, key=lambda k: tried[k])
         if best != 1.0 and tried[best] > 0.9 and 1 - tried[1.0] > self.better * (1 - tried[best]):
             seen = (
@@ -216,7 +216,7 @@ class MotionUnits(AbstractCheck):
         rate = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else None
         able = [k for k in able if rate is None or nearest(rate * k, RATES | {1.0: "rad/s"}, self.within)]
         sets = (turning,) if which[turning].all() else (turning, which)
-        fits = [(*_judged(gather(_scaled(log, k, one), robot, 1024)), k, one) for k in able for one in sets]
+        fits = [(*_judged(log, robot, k, one), k, one) for k in able for one in sets]
         most = max((count for _, count, *_ in fits), default=0)
         fits = [(fit, k, one) for fit, count, k, one in fits if count > 0.7 * most]
         if not fits:
@@ -291,9 +291,7 @@ class MotionUnits(AbstractCheck):
             return None
         if np.nanmax(np.abs(one.trajectories[0].q[:, j])) > np.maximum(abs(robot.lower[j]), abs(robot.upper[j])):
             return True
-        logged, turned = (
-            _agreement(gather(_scaled(one, x, np.arange(robot.dofs) == j), robot, 1024)) for x in (1.0, DEGREE)
-        )
+        logged, turned = (_judged(one, robot, x, np.arange(robot.dofs) == j)[0] for x in (1.0, DEGREE))
         return None if abs(turned - logged) < 0.1 else bool(turned > logged)
 
     def _seen(
@@ -340,19 +338,13 @@ def _alike(x: np.ndarray | None, q: np.ndarray, which: np.ndarray) -> bool:
     return bool(1 / 3 < ratio < 3)
 
 
-def _scaled(log: Log, factor: float, turning: np.ndarray) -> Log:
-    """The log with positions of turning joints divided by a factor."""
-    by = np.where(turning, factor, 1.0)
-    return each(log, lambda raw: replace(raw, q=raw.q / by))
-
-
-def _agreement(samples: Samples | None) -> float:
-    """Mean over joints of the squared correlation of torque and nominal torque, friction taken out; 0 without data."""
-    return _judged(samples)[0]
-
-
-def _judged(samples: Samples | None) -> tuple[float, int]:
-    """The same, and the number of joints whose nominal torque varies enough to count."""
+def _judged(log: Log, robot: Robot, factor: float, which: np.ndarray) -> tuple[float, int]:
+    """Mean over joints of the squared correlation of torque and nominal torque, friction taken out, with the positions
+    of some joints (n,) divided by a factor; 0 without data. And the number of joints whose nominal torque varies enough
+    to count."""
+    by = np.where(which, factor, 1.0)  # filters and derivatives are linear
+    parts = tuple(replace(x, q=x.q / by, qd=x.qd / by, qdd=x.qdd / by) for x in stretches(log))
+    samples = gather(log, robot, 1024, parts)
     if samples is None:
         return 0.0, 0
     squares = []
