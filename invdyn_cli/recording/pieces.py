@@ -49,7 +49,7 @@ class Preparation:
     sharpness: float = 60.0
     max_gap: float = 0.1
     train_share: float = 0.7
-    longest: float = 450.0
+    longest: float = 270.0
     stretch: float = 20.0
 
 
