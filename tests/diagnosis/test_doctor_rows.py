@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import doctor
+from invdyn_cli.diagnosis.checks import offset
 from invdyn_cli.diagnosis.checks.channels import Saturation
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.checks.values import Outliers
@@ -304,6 +305,17 @@ def test_an_offset_that_the_others_contradict_is_none(log, arm):
     tau = [delayed(x, raw.t, late) for x, late in zip(raw.tau.T, early, strict=True)]
     examination = doctor.correct(changed(log, tau=np.stack(tau, axis=1)), arm, (TimeOffset(),))[1]
     assert doctor.done(examination) == ()
+
+
+@pytest.mark.parametrize(("gain", "shared"), [(1.05, False), (1.2, True)])
+def test_an_offset_that_one_joint_tells_is_a_late_drive(gain, shared, log):
+    """A joint that tells more than all others together comes 9 ms late. The others lean to its side, as friction has
+    them; unless one of them says so clearly, too, it is the joint's own delay."""
+    offsets = {0: 0.009, 1: 0.004, 2: 0.009, 3: 0.003, 4: 0.004, 5: 0.006}
+    gains = {0: 10.0, 1: 1.05, 2: gain, 3: 1.0, 4: 1.01, 5: 1.03}
+    weights = {0: 3.8, 1: 0.7, 2: 0.1, 3: 0.1, 4: 0.1, 5: 0.3}
+    shifts = offset._Shifts("one", offsets, gains, weights, 0.0083, 0.0012, 1000.0)
+    assert TimeOffset()._shared(shifts, log) == shared
 
 
 def test_the_log_is_corrected_on_the_way(log, arm):

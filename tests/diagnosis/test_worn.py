@@ -87,7 +87,7 @@ def test_links_may_be_farther_off_than_was_fitted():
     least = noise.measure(evidence, rows)
     (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.02)
     pool = [c for c in evidence.candidates if c.effect.name == "joint_spring"]
-    found = believed(evidence, rows, least, (), links, pool, [()], 3)
+    found, _ = believed(evidence, rows, least, (), links, pool, [()], 3)
     assert [c.key for c in found.found] == [("joint_spring", 0)]
     assert found.links.precision[0] < links.precision[0]
 

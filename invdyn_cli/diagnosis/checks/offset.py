@@ -123,16 +123,19 @@ class TimeOffset(AbstractCheck):
         return max(self.samples / x.rate, self.least)
 
     def _shared(self, x: "_Shifts", log: Log) -> bool:
-        """Whether most that is told of it is of one offset, known to what is normal, and at least one joint says so
-        clearly: friction at reversals seems to come before the motion, joint by joint, and gravity does not."""
+        """Whether most that is told of it is of one offset, known to what is normal, and at least two joints say so
+        clearly, because one may have a late drive: friction at reversals seems to come before the motion, joint by
+        joint, and gravity does not."""
         limit = self._limit(x)
         if len(x.offsets) < min(3, len(log.joints)) or x.error > limit:
             return False
         if self.sure * x.error > max(abs(x.common), 2 * limit):
             return False
+        if abs(x.common) <= limit:
+            return True
         near = [j for j, s in x.offsets.items() if abs(s - x.common) < max(self.agree * abs(x.common), limit / 2)]
-        several = sum(x.weights[j] for j in near) > self.most * sum(x.weights.values())
-        return abs(x.common) <= limit or (several and any(x.gains[j] > self.sharp for j in near))
+        most = sum(x.weights[j] for j in near) > self.most * sum(x.weights.values())
+        return most and sum(x.gains[j] > self.sharp for j in near) >= min(2, len(x.offsets))
 
     def _unsure(self, x: "_Shifts") -> Check:
         """Too few joints tell an offset, or they do not agree on one; the value is what they say together."""

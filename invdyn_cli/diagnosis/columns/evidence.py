@@ -271,6 +271,17 @@ def slow(evidence: Evidence, x: np.ndarray, joint: int) -> np.ndarray:
     return out
 
 
+def slow_share(evidence: Evidence, before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> float:
+    """Of what residuals (R, n) `after` have less than `before`, in units of the noise with these `weights` (n,), the
+    share where the arm moves, 0 to 1. Above, what goes with the noise of encoders looks like a delay or a spring."""
+    saved = np.zeros(2)
+    for j in np.flatnonzero(weights):
+        for sign, x in ((1.0, before), (-1.0, after)):
+            moving = x[:, j] * evidence.valid[:, j]
+            saved += sign * weights[j] * np.array([np.sum(slow(evidence, moving, int(j)) ** 2), np.sum(moving**2)])
+    return float(np.clip(saved[0] / max(saved[1], 1e-300), 0.0, 1.0))
+
+
 def _last_block(t: np.ndarray, length: float) -> int:
     """Number of the last block of a piece: an incomplete one belongs to the one before."""
     return max(0, int((t[-1] - t[0] + 1e-9) // length) - 1)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow, slow_share
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
@@ -99,7 +99,7 @@ class Claim:
         """Of what it makes where the arm moves (`slow`), the share that may be saved there, at most: an effect has one
         size at all frequencies. Above, a controller answers to the noise of encoders, and the logged motion has that
         noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
-        return _one_size(*self._slow)
+        return self._one_size(lambda x, j: slow(self.inquiry.evidence, x, j))
 
     @cached_property
     def fast_gain(self) -> float:
@@ -112,23 +112,19 @@ class Claim:
             moving = speed[evidence.valid[:, j], j]
             return x * (speed[:, j] > np.quantile(moving, SLOWEST)) if len(moving) else x
 
-        return _one_size(*self._part(beyond))
+        return self._one_size(beyond)
 
-    @cached_property
-    def _slow(self) -> tuple[np.ndarray, float]:
-        return self._part(lambda x, j: slow(self.inquiry.evidence, x, j))
-
-    def _part(self, part: Callable[[np.ndarray, int], np.ndarray]) -> tuple[np.ndarray, float]:
-        """Of a part of a joint's torque (R,): what this candidate saves of it in each block (B,), and what it makes, in
-        noise variances."""
+    def _one_size(self, part: Callable[[np.ndarray, int], np.ndarray]) -> float:
+        """Of the part of a joint's torque (R,) that this candidate makes, the share that may be saved, at most."""
         evidence, joints = self.inquiry.evidence, np.flatnonzero(self._own)
         after, change = (
             np.stack([part((x * evidence.valid)[:, j], int(j)) for j in joints], axis=1)
             for x in (self.after, self.before - self.after)
         )
         weights = self.inquiry.noise.weights[joints]
-        saved = (2 * after + change) * change @ weights
-        return np.bincount(evidence.block, saved), float(np.sum(change**2 @ weights))
+        saved, made = (2 * after + change) * change @ weights, change**2 @ weights
+        each = np.bincount(evidence.block, saved)
+        return float((saved.sum() + DEVIATIONS * np.sqrt(len(each)) * np.std(each)) / max(made.sum(), 1e-300))
 
     @cached_property
     def rivals(self) -> list[naming.Rival]:
@@ -151,9 +147,9 @@ class Claim:
 
     @cached_property
     def slow_evidence(self) -> float:
-        """Of its evidence, the share that it saves where the arm moves (`slow`)."""
-        every = self._part(lambda x, _: x)[0].sum()
-        return self.evidence * float(np.clip(self._slow[0].sum() / max(every, 1e-300), 0.0, 1.0))
+        """Of its evidence, the share that it saves where the arm moves."""
+        weights = self.inquiry.noise.weights * self._own
+        return self.evidence * slow_share(self.inquiry.evidence, self.before, self.after, weights)
 
     @cached_property
     def acts_at_rest(self) -> bool:
@@ -196,11 +192,6 @@ class Claim:
     @property
     def _own(self) -> np.ndarray:
         return np.array([j in self.candidate.columns for j in range(self.inquiry.evidence.dofs)])
-
-
-def _one_size(saved: np.ndarray, made: float) -> float:
-    """The share of what is made that may be saved, at most, if blocks saved these (B,)."""
-    return float((saved.sum() + DEVIATIONS * np.sqrt(len(saved)) * np.std(saved)) / max(made, 1e-300))
 
 
 def judged(evidence: Evidence) -> np.ndarray:

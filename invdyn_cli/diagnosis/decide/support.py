@@ -10,6 +10,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
+from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 
 OUTWEIGHED = 1.0
@@ -26,10 +27,6 @@ of its encoders, the motion follows, and the noise of the regressor correlates w
 ONE_SIZE = 0.75
 """Least share of what an effect makes where the arm moves, slowly or beyond standstill, that may be saved there: 1 for
 a true one; columns are approximations."""
-
-EVIDENCE = 250.0
-"""Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted, counting
-only the share that it saves where the arm moves (docs/decisions/045, 046)."""
 
 
 @dataclass(frozen=True)

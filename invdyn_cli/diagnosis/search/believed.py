@@ -13,6 +13,7 @@ from functools import reduce
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search.feigned import feigned
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.noise import Noise, beside
 from invdyn_cli.diagnosis.search.shared_part import precision_of
@@ -53,12 +54,12 @@ def believed(
     noise: Noise,
     always: Hypothesis,
     links: Candidate,
-    pool: Sequence[Candidate],
+    pool: list[Candidate],
     starts: Sequence[Hypothesis],
     most: int,
-) -> Belief:
+) -> tuple[Belief, list[Candidate]]:
     """The share of largest evidence, and the anomalies that are added one by one to each of `starts`, as long as the
-    evidence grows; the best of these.
+    evidence grows; the best of these, found again without what is `feigned`; and the pool without that.
 
     Args:
         rows: (R,) bool, those that choose.
@@ -99,7 +100,7 @@ def believed(
         """Steps to the best of what has one more or one less. What a step back leads away from is not tried again: two
         hypotheses may each beat the other in its own noise."""
         own, seen = told(noise, links, found).noise, {_keys(found)}
-        for _ in range(2 * most):
+        for _ in range(max(1, 2 * most)):
             bases = [told(own, x, found) for x in shares]
             scorers = [[scorer_of(y, x.links) for y in (x.noise, noise)] for x in bases]
             more = [(x, one) for x, by in zip(bases, scorers, strict=True) for one in _more(by, x, pool, most)]
@@ -113,7 +114,14 @@ def believed(
             seen.add(_keys(found))
         return chosen
 
-    return best([grown(start) for start in starts])
+    while True:
+        one = best([grown(start) for start in starts])
+        scorer = scorer_of(one.noise, one.links)
+        odd = feigned(scorer, scorer.always, one.found)
+        if not odd:
+            return one, pool
+        pool = [c for c in pool if c.key not in odd]
+        starts = [tuple(c for c in one.found if c.key not in odd)]
 
 
 def _keys(found: Hypothesis) -> frozenset[tuple]:

@@ -15,6 +15,7 @@ from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import refine
+from invdyn_cli.diagnosis.search.feigned import feigned
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer, parameters_of, read_all
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise
@@ -187,7 +188,7 @@ def _searched(
     if wear:
         usual = terms_of(pool, wear)
         pool = [c for c in pool if c.effect.group != "standard"]
-        begun = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        begun, pool = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
         usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
         always += usual
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
@@ -244,7 +245,7 @@ class _Search:
             self.judge.refresh()
             seen.append({c.key for c in hypothesis})
             refined = self._refined(hypothesis)
-            odd = unlikely(self.evidence, self.model, self.noise, refined)
+            odd = unlikely(self.evidence, self.model, self.noise, refined) | self._feigned(hypothesis)
             if odd:
                 hypothesis = self._without(odd, hypothesis)
                 continue
@@ -282,10 +283,15 @@ class _Search:
             self.judge.refresh()
             whole = refine(evidence, model, chosen.acting, np.ones_like(self.choosing), weights, around)
             odd = {key for one in (chosen, whole) for key in unlikely(evidence, model, self.noise, one)}
+            odd |= self._feigned(hypothesis)
             if not odd:
                 fixed = (evidence, self.judge, model, self.noise, self.always, hypothesis, self.pool)
                 return Inquiry(*fixed, chosen, whole, close, self.usual)
             hypothesis = self._simplified(self._without(odd, hypothesis))
+
+    def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:
+        around = _beside(self.always, self.usual, hypothesis)
+        return feigned(self.judge, around, hypothesis) if self.usual else set()
 
     def _refined(self, hypothesis: Hypothesis) -> Refined:
         """On the data that choose, from where the columns have it."""

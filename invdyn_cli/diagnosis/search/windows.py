@@ -66,7 +66,7 @@ def asked_for(
     always = (*evidence.given, *known.allowed_for(pool, allowed), *terms_of(pool, wear))
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
     rows = evidence.role == ROLES.index("train")
-    begun = believed(evidence, rows, measured, always, wear[0], pool, [start], most).found
+    begun = believed(evidence, rows, measured, always, wear[0], pool, [start], most)[0].found
     return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
 
 

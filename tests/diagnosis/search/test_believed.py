@@ -25,6 +25,6 @@ def test_a_step_back_is_not_the_end(monkeypatch):
 
     monkeypatch.setattr(believed.Belief, "beats", lambda self, other, rows: (name(self), name(other)) in wins)
     monkeypatch.setattr(believed, "_more", lambda *x: (visited.append(name(x[1])), more(*x))[1])
-    found = believed.believed(evidence, rows, least, (), links, pool, [()], 6)
+    found, _ = believed.believed(evidence, rows, least, (), links, pool, [()], 6)
     assert name(found) == "joint_spring"
     assert visited[:: len(believed.SIZES)] == ["", "torque_delay", "", "joint_spring"]

@@ -1,0 +1,30 @@
+"""Anomalies of a worn arm that only the noise of encoders asks for. They are taken out of the search: what gains by
+that on many joints is found before what is there."""
+
+import numpy as np
+
+from invdyn_cli.diagnosis.columns.evidence import slow_share
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+
+EVIDENCE = 250.0
+"""Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted, counting
+only the share that it saves where the arm moves (docs/decisions/045, 046)."""
+
+MOSTLY = 0.5
+"""That share, below which an anomaly of less evidence is feigned."""
+
+
+def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> set[tuple]:
+    """The keys of the anomalies among `found` whose evidence is less, and mostly not where the arm moves."""
+    evidence, every, odd = scorer.evidence, (*always, *found), set[tuple]()
+    if not found:
+        return odd
+    loss, after = scorer.loss(every), evidence.residual(every, scorer.quick(every)[1])
+    for c in found:
+        others = tuple(x for x in every if x is not c)
+        before = evidence.residual(others, scorer.quick(others)[1])
+        weights = scorer.weights * np.isin(np.arange(evidence.dofs), list(c.columns))
+        share = slow_share(evidence, before, after, weights)
+        if share < MOSTLY and share * (scorer.loss(others) - loss) < EVIDENCE:
+            odd.add(c.key)
+    return odd

@@ -1,0 +1,34 @@
+"""What only the noise of encoders asks for on a worn arm is no part of the search."""
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis.search import noise
+from invdyn_cli.diagnosis.search.feigned import EVIDENCE, feigned
+from invdyn_cli.diagnosis.search.judge import HypothesisScorer
+from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
+
+NAMES = ("coulomb_friction", "joint_spring", "joint_elasticity")
+
+
+@pytest.mark.parametrize("share", [0.04, 0.8])
+def test_what_is_saved_beyond_the_motion_is_feigned(share):
+    """The residual has a wave in the place of an elasticity's torque. As far above the arm's motion the elasticity is
+    feigned, though it saves more than is asked of evidence; where the arm moves it is not. A true spring never is."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01) + 20.0 * q)
+    log = log_of(raw(*moved(40.0), friction, torque=2.0, position=1e-5))
+    evidence = evidence_of(log, NAMES)
+    every = np.ones(len(evidence.tau), bool)
+    measured = noise.measure(evidence_of(log, NAMES), every)
+    spring, gear = (next(c for c in evidence.candidates if c.key == (name, 0)) for name in NAMES[1:])
+    coulomb = next(c for c in evidence.candidates if c.key == ("coulomb_friction", 0))
+    wave = np.sin(2 * np.pi * share * evidence.recording.filter.cutoffs[0] * evidence.on_rows("t"))
+    for j, (fixed, free) in gear.columns.items():
+        evidence.tables[j][:, [*fixed, *free]] = 0.0
+        if j == 0:
+            evidence.tables[j][:, fixed[0]] = 2 * measured.deviation[0] * wave
+            evidence.tables[j][:, 0] += evidence.tables[j][:, fixed[0]]
+    scorer = HypothesisScorer(evidence, every, measured.weights, measured.deviation, (coulomb,), True)
+    scorer.refresh()
+    assert scorer.loss((coulomb, spring)) - scorer.loss((coulomb, spring, gear)) > EVIDENCE
+    assert feigned(scorer, (coulomb,), (spring, gear)) == ({gear.key} if share > 0.25 else set())
