@@ -143,33 +143,27 @@ SPOILED = {
 }
 
 
-USUAL = ("q in degrees", "qd in degrees", "t in ms", "mN m", "one sign", "joints swapped")
+USUAL = ("q in degrees", "qd in degrees", "t in ms", "mN m", "all signs", "one sign", "joints swapped")
 """One of each kind of defect and channel; the others differ from one of these by a factor or by which joints."""
 
 
 @pytest.mark.parametrize("how", usually(USUAL, SPOILED))
 def test_units_signs_and_orders_are_found_and_corrected(how, log, arm):
     """Each is found with its size, nothing else is made of it, and its correction gives the sound log back, with
-    one note."""
+    one note. A single reversed torque is that joint's, all of them are nobody's."""
     name, value = SPOILED[how]
     bad = spoiled(log, arm, how)
     corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {name}
     (found,) = seen(examination, name)
     assert found.value == pytest.approx(value, rel=0.05)
+    assert found.joint == (arm.joints[1] if how == "one sign" else None)
     assert examination.usable
     notes = doctor.done(examination)
     assert len(notes) == 1
     for channel in ("t", "q", "qd", "tau"):
         now, before = getattr(corrected.trajectories[0], channel), getattr(log.trajectories[0], channel)
         np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12)
-
-
-def test_the_flipped_joint_is_named(log, arm):
-    """A single reversed torque is that joint's, all of them are nobody's."""
-    (one,) = seen(doctor.examine(spoiled(log, arm, "one sign"), arm), "sign_error")
-    (every,) = seen(doctor.examine(spoiled(log, arm, "all signs"), arm), "sign_error")
-    assert (one.joint, every.joint) == (arm.joints[1], None)
 
 
 def test_a_torque_of_another_size_is_not_turned(log, arm):

@@ -138,6 +138,7 @@ def _children(pid: int) -> list[int]:
     return [int(child) for child in children.split()]
 
 
+@pytest.mark.benchmark  # the first test has a shared fit and the run alone; adapting is each job's own
 def test_adaptation_starts_from_the_shared_fit(command):
     """Jobs with adaptation=incremental share the program of their pretraining, too, and adapt each by itself."""
     adapted = (*NETS, "adaptation=incremental")
