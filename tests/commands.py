@@ -44,6 +44,19 @@ def invdyn(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedPro
     return python(script(), *argv, cwd=cwd, **environment)
 
 
+def in_process(*argv: str, cwd: Path) -> int:
+    """The same in this process, for fixtures of a module (tests have the fixture `command`): its exit code."""
+    from invdyn_cli.cli import main
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", list(sys.argv))
+        patch.setattr(sys, "path", list(sys.path))
+        for name, value in ENVIRONMENT.items():
+            patch.setenv(name, value)
+        return main(argv)
+
+
 def script(folder: Path | None = None) -> str:
     """The `invdyn` that was installed into a folder; None: beside this Python."""
     return str((folder or Path(sys.executable).parent) / "invdyn")

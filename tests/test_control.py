@@ -27,7 +27,7 @@ RIGID = {"friction": 0.0, "elastic": False, "ripple": 0.0}
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_urdf("apollo_arm", dofs=3)
+    return load_urdf("apollo_arm", dofs=2)
 
 
 @pytest.fixture(scope="module")
@@ -209,4 +209,4 @@ def test_what_cannot_be_controlled_is_refused(arm, source):
     with pytest.raises(UsageError, match=r"data\.decimate=2"):
         run(replace(source, decimate=2), Exact(), Batch(), arm, Sweep())
     with pytest.raises(UsageError, match="prismatic"):
-        run(source, Exact(), Batch(), replace(arm, prismatic=(True, False, False)), Sweep())
+        run(source, Exact(), Batch(), replace(arm, prismatic=(True, False)), Sweep())

@@ -95,12 +95,13 @@ def test_no_code_from_a_run_file(name, canary):
     assert "canary" not in sys.modules and not set(sys.modules) - before
 
 
-def test_every_exploit_through_report(canary):
+def test_every_exploit_through_report(canary, command):
     """`invdyn report` on a hostile run ends with exit code 2 and one line, and leaves nothing."""
     for number, name in enumerate(("a command", "a field of a valid model", "a module that is only imported")):
         hostile_run(canary / f"{number}.h5", EXPLOITS[name])
-        said = invdyn("report", f"{number}.h5", cwd=canary)
-        assert (said.returncode, said.stdout, len(said.stderr.splitlines())) == (2, "", 1), said.stderr
+        said = command("report", f"{number}.h5")
+        assert (said.code, said.out, len(said.err)) == (2, [], 1), said.err
+    assert "canary" not in sys.modules
     assert not (canary / "PWNED").exists()
 
 
@@ -117,13 +118,14 @@ def test_trust_is_given_by_name(canary):
         store.load_run(path, trust=["canary"])
 
 
-def test_a_sweep_folder_of_somebody_else(canary):
+def test_a_sweep_folder_of_somebody_else(canary, command):
     """A sweep that starts where a hostile run.h5 lies runs its own job, and nothing of that file."""
     (canary / "sweep" / "0").mkdir(parents=True)
     hostile_run(canary / "sweep" / "0" / "run.h5", {"model": CANARY})
     (canary / "sweep" / "0" / "metrics.json").write_text("{}")
-    said = invdyn("run", "-m", "model=pest", *TINY, "hydra.sweep.dir=sweep", cwd=canary)
-    assert said.returncode == 0, said.stderr
+    said = command("run", "-m", "model=pest", *TINY, "hydra.sweep.dir=sweep")
+    assert said.code == 0, said.err
+    assert "canary" not in sys.modules
     assert not (canary / "PWNED").exists()
     assert type(store.load_run(canary / "sweep" / "0" / "run.h5").model) is Pest
 

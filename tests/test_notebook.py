@@ -25,6 +25,7 @@ def texts(notebook) -> list[list[str]]:
     return shown
 
 
+@pytest.mark.benchmark  # its calls are those of tests/functions
 def test_the_notebook_shows_what_comes_out(monkeypatch):
     """Executed again, every cell shows the text that is committed, but for digits, which processors round otherwise; no
     output is an error."""

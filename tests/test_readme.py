@@ -65,27 +65,26 @@ def test_wrong_use_is_answered_as_the_readme_says(monkeypatch, tmp_path, capfd):
     assert capfd.readouterr().err.strip() == said
 
 
-def test_the_session_is_real(tmp_path):
+def test_the_session_is_real(command, monkeypatch):
     """The README's session shows what its command prints, but for the digits that a processor may round otherwise and
     the folder's time."""
-    from tests.commands import invdyn
+    monkeypatch.setenv("COLUMNS", "80")
+    typed, shown = COMMANDS[2]
+    said = command(*shlex.split(typed)[1:])
+    assert said.code == 0, said.err
+    assert skeleton("\n".join(said.out)) == skeleton(shown)
 
-    command, said = COMMANDS[2]
-    done = invdyn(*shlex.split(command)[1:], cwd=tmp_path, COLUMNS="80")
-    assert done.returncode == 0, done.stderr
-    assert skeleton(done.stdout) == skeleton(said)
 
-
-def test_the_diagnosis_is_real(tmp_path):
+@pytest.mark.benchmark  # half a minute; what a diagnosis prints and writes, test_diagnose holds on a smaller arm
+def test_the_diagnosis_is_real(command, monkeypatch):
     """So does its diagnosis of a simulated arm, as far as it is shown."""
-    from tests.commands import invdyn
-
-    at = next(i for i, (command, _) in enumerate(COMMANDS) if command.startswith("invdyn diagnose"))
-    for command in (COMMANDS[at - 2][0], COMMANDS[at][0]):
-        done = invdyn(*shlex.split(command)[1:], cwd=tmp_path, COLUMNS="100")
-        assert done.returncode == 0, done.stderr
+    monkeypatch.setenv("COLUMNS", "100")
+    at = next(i for i, (typed, _) in enumerate(COMMANDS) if typed.startswith("invdyn diagnose"))
+    for typed in (COMMANDS[at - 2][0], COMMANDS[at][0]):
+        said = command(*shlex.split(typed)[1:])
+        assert said.code == 0, said.err
     shown = skeleton(COMMANDS[at][1])[:-1]
-    assert COMMANDS[at][1].endswith("…") and skeleton(done.stdout)[: len(shown)] == shown
+    assert COMMANDS[at][1].endswith("…") and skeleton("\n".join(said.out))[: len(shown)] == shown
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -20,7 +20,7 @@ import h5py
 import pytest
 import yaml
 
-from tests.commands import ENVIRONMENT, ROOT, TINY, usually
+from tests.commands import ENVIRONMENT, ROOT, TINY, in_process, usually
 
 STOPS = int(os.environ.get("INVDYN_STOPS", "0"))
 DRAWN = random.Random(None if STOPS else 0)
@@ -67,13 +67,11 @@ def workplace(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("workplace")
     (folder / "experiments").mkdir()
     (folder / "experiments" / "small.yaml").write_text(yaml.safe_dump(EXPERIMENT))
-    for command in (
+    for argv in (
         ("simulate", "robot.dofs=2", "data.trajectories=1", "data.duration=12", "hydra.run.dir=sim"),
         ("run", "model=pest", *TINY, "hydra.run.dir=ran"),
     ):
-        process = start(command, folder)
-        said = process.communicate()
-        assert process.returncode == 0, said
+        assert in_process(*argv, cwd=folder) == 0
     shutil.copytree(folder / "ran", folder / "again")
     return folder
 

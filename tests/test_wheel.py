@@ -39,9 +39,10 @@ def test_works_from_an_empty_folder(wheel, tmp_path):
     empty.mkdir()
     done = python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), str(wheel), cwd=empty)
     assert done.returncode == 0, done.stderr
-    code = "from invdyn_cli.verbs.launch import config_folder; print(config_folder())"
+    code = "from invdyn_cli.verbs.listing import config_folder, path_of; print(config_folder(), path_of('gear_play'))"
     where = python("-c", code, cwd=empty, PYTHONPATH=str(installed))
-    assert Path(where.stdout.strip()) == installed / "invdyn_cli" / "conf"
+    configs, experiment = map(Path, where.stdout.split())
+    assert configs == installed / "invdyn_cli" / "conf" and experiment.is_relative_to(installed)
     done = python(script(installed / "bin"), "run", "model=pest", *TINY, cwd=empty, PYTHONPATH=str(installed))
     assert done.returncode == 0, done.stderr
     assert (empty / done.stdout.splitlines()[-1] / "metrics.json").is_file()
@@ -49,6 +50,3 @@ def test_works_from_an_empty_folder(wheel, tmp_path):
     done = python("-P", script(installed / "bin"), *argv, cwd=empty, PYTHONPATH=str(installed))
     assert done.returncode == 0, done.stderr
     assert (empty / "outputs" / "gear_play" / "gear_play.png").is_file()
-    code = "from invdyn_cli.verbs.listing import path_of; print(path_of('gear_play'))"
-    where = python("-c", code, cwd=empty, PYTHONPATH=str(installed))
-    assert Path(where.stdout.strip()).is_relative_to(installed)

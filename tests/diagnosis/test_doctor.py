@@ -18,6 +18,7 @@ from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Motion
+from tests.commands import usually
 from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
 
 NAMES = {
@@ -39,6 +40,18 @@ def log(arm):
     return sound(arm)
 
 
+@pytest.fixture(scope="module")
+def upper():
+    """Its upper four joints: for what does not depend on how many there are."""
+    return load_urdf("apollo_arm", dofs=4)
+
+
+@pytest.fixture(scope="module")
+def shorter(upper):
+    """A sound log of these."""
+    return sound(upper)
+
+
 def test_a_sound_log_is_sound(log, arm):
     """Nothing to warn of; every name of docs/checks.md is there, so that a reader sees what was looked at."""
     corrected, examination = doctor.correct(log, arm)
@@ -57,28 +70,28 @@ def one_delayed(log: Log) -> np.ndarray:
 
 
 EFFECTS = {
-    "gain": lambda log: log.trajectories[0].tau * np.array([1, 1, 0.8, 1, 1, 1, 1]),
+    "gain": lambda log: log.trajectories[0].tau * np.array([1, 1, 0.8, 1]),
     "offset": lambda log: log.trajectories[0].tau + 0.3 * log.trajectories[0].tau.std(0),
     "delay of one joint": one_delayed,
 }
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_effects_are_no_defects(effect, log, arm):
+def test_effects_are_no_defects(effect, shorter, upper):
     """A gain of 0.8, offsets, 8 ms on one joint: to be found later, not by the doctor."""
-    assert alarms(doctor.examine(changed(log, tau=EFFECTS[effect](log)), arm)) == {}
+    assert alarms(doctor.examine(changed(shorter, tau=EFFECTS[effect](shorter)), upper)) == {}
 
 
-def test_strong_friction_is_no_defect(arm):
+def test_strong_friction_is_no_defect(upper):
     """Friction of half the torque's spread, Coulomb and viscous, raises nothing."""
-    assert alarms(doctor.examine(sound(arm, 3, coulomb=0.5, viscous=0.5), arm)) == {}
+    assert alarms(doctor.examine(sound(upper, 3, coulomb=0.5, viscous=0.5), upper)) == {}
 
 
-def test_a_payload_is_no_defect(arm):
+def test_a_payload_is_no_defect(upper):
     """A kilogram, a decimetre off the flange's axis, that the URDF does not know of raises nothing."""
-    inertial = np.array(arm.inertial)
+    inertial = np.array(upper.inertial)
     inertial[-1] += [1, 0, 0, 0.1, 0.01, 0, 0.01, 0, 0, 0]
-    assert alarms(doctor.examine(sound(arm, 4, truth=replace(arm, inertial=inertial)), arm)) == {}
+    assert alarms(doctor.examine(sound(upper, 4, truth=replace(upper, inertial=inertial)), upper)) == {}
 
 
 def order(*pairs: tuple[int, int]) -> list[int]:
@@ -130,29 +143,27 @@ SPOILED = {
 }
 
 
-@pytest.mark.parametrize("how", SPOILED)
+USUAL = ("q in degrees", "qd in degrees", "t in ms", "mN m", "all signs", "one sign", "joints swapped")
+"""One of each kind of defect and channel; the others differ from one of these by a factor or by which joints."""
+
+
+@pytest.mark.parametrize("how", usually(USUAL, SPOILED))
 def test_units_signs_and_orders_are_found_and_corrected(how, log, arm):
     """Each is found with its size, nothing else is made of it, and its correction gives the sound log back, with
-    one note."""
+    one note. A single reversed torque is that joint's, all of them are nobody's."""
     name, value = SPOILED[how]
     bad = spoiled(log, arm, how)
     corrected, examination = doctor.correct(bad, arm)
     assert set(alarms(examination)) == {name}
     (found,) = seen(examination, name)
     assert found.value == pytest.approx(value, rel=0.05)
+    assert found.joint == (arm.joints[1] if how == "one sign" else None)
     assert examination.usable
     notes = doctor.done(examination)
     assert len(notes) == 1
     for channel in ("t", "q", "qd", "tau"):
         now, before = getattr(corrected.trajectories[0], channel), getattr(log.trajectories[0], channel)
         np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12)
-
-
-def test_the_flipped_joint_is_named(log, arm):
-    """A single reversed torque is that joint's, all of them are nobody's."""
-    (one,) = seen(doctor.examine(spoiled(log, arm, "one sign"), arm), "sign_error")
-    (every,) = seen(doctor.examine(spoiled(log, arm, "all signs"), arm), "sign_error")
-    assert (one.joint, every.joint) == (arm.joints[1], None)
 
 
 def test_a_torque_of_another_size_is_not_turned(log, arm):
@@ -174,7 +185,7 @@ FLAT = """<robot name="flat"><link name="base"/>{}</robot>""".format(
 """Two upright axes, which gravity does not load; every link has the same round inertia, as a placeholder has."""
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually([0], range(3)))
 def test_a_spring_is_no_sign_error(seed, tmp_path):
     """A spring, as a hose is one, that outdoes an inertia ten times too large in the URDF makes a torque that runs
     against the nominal one: it is told, and not turned round; a torque that is turned round still is."""
@@ -226,55 +237,55 @@ def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
     assert "not compared" in found.seen
 
 
-@pytest.mark.parametrize("seconds", [0.03, -0.012])
-def test_an_offset_of_all_torques_is_found_and_corrected(seconds, log, arm):
+@pytest.mark.parametrize("seconds", usually([-0.012], [0.03, -0.012]))
+def test_an_offset_of_all_torques_is_found_and_corrected(seconds, shorter, upper):
     """30 ms late or 12 ms early: found within 1 ms, gone after the correction."""
-    raw = log.trajectories[0]
-    bad = changed(log, tau=delayed(raw.tau, raw.t, seconds))
-    corrected, examination = doctor.correct(bad, arm)
+    raw = shorter.trajectories[0]
+    bad = changed(shorter, tau=delayed(raw.tau, raw.t, seconds))
+    corrected, examination = doctor.correct(bad, upper)
     (found,) = seen(examination, "time_offset", least="warn")
     assert found.value == pytest.approx(seconds, abs=1e-3)
-    assert seen(doctor.examine(corrected, arm), "time_offset", least="warn") == []
+    assert seen(doctor.examine(corrected, upper), "time_offset", least="warn") == []
 
 
-def test_currents_look_like_currents(log, arm):
+def test_currents_look_like_currents(shorter, upper):
     """Torques over a gain of each joint's own are told as such, and left alone."""
-    bad = changed(log, tau=log.trajectories[0].tau / np.linspace(8, 40, 7))
-    examination = doctor.examine(bad, arm)
+    bad = changed(shorter, tau=shorter.trajectories[0].tau / np.linspace(8, 40, 4))
+    examination = doctor.examine(bad, upper)
     (found,) = seen(examination, "unit_error")
     assert found.severity == "warn" and "currents" in found.meaning
     assert doctor.done(examination) == ()
 
 
-def test_currents_without_gains_get_some_suggested(log, arm):
+def test_currents_without_gains_get_some_suggested(shorter, upper):
     """torque_unit A without gains is not usable; the gains that the nominal torques suggest are those of the log."""
-    bad = replace(changed(log, tau=log.trajectories[0].tau / 20), torque_unit="A")
-    examination = doctor.examine(bad, arm)
+    bad = replace(changed(shorter, tau=shorter.trajectories[0].tau / 20), torque_unit="A")
+    examination = doctor.examine(bad, upper)
     assert not examination.usable
-    assert f"{arm.joints[1]} 20" in seen(examination, "unit_error")[0].seen
+    assert f"{upper.joints[1]} 20" in seen(examination, "unit_error")[0].seen
 
 
-def test_currents_tell_nothing_of_tool_and_gravity(log, arm):
+def test_currents_tell_nothing_of_tool_and_gravity(shorter, upper):
     """Amperes are not compared with the URDF's N m: no tool is missing, and gravity is not said to be subtracted."""
-    bad = replace(changed(log, tau=log.trajectories[0].tau / 20), torque_unit="A")
-    assert [x.seen for x in Description().examine(bad, arm) if x.severity == "warn"] == []
+    bad = replace(changed(shorter, tau=shorter.trajectories[0].tau / 20), torque_unit="A")
+    assert [x.seen for x in Description().examine(bad, upper) if x.severity == "warn"] == []
 
 
-def test_a_torque_that_is_noise_is_no_torque(log, arm):
+def test_a_torque_that_is_noise_is_no_torque(shorter, upper):
     """Noise of the right size fails as a mismatch: no inertials explain it."""
-    tau = np.random.default_rng(0).normal(size=log.trajectories[0].tau.shape) * log.trajectories[0].tau.std(0)
-    examination = doctor.examine(changed(log, tau=tau), arm)
+    tau = np.random.default_rng(0).normal(size=shorter.trajectories[0].tau.shape) * shorter.trajectories[0].tau.std(0)
+    examination = doctor.examine(changed(shorter, tau=tau), upper)
     assert not examination.usable
     assert set(alarms(examination)) == {"model_mismatch"}
 
 
-def test_a_computed_torque_is_no_measurement(arm):
+def test_a_computed_torque_is_no_measurement(upper):
     """Inverse dynamics logged as torque is recognised; so are positions that are their own command."""
-    examination = doctor.examine(sound(arm, coulomb=0, viscous=0, noise=0), arm)
+    examination = doctor.examine(sound(upper, coulomb=0, viscous=0, noise=0), upper)
     assert set(alarms(examination)) == {"command_copies_measurement"}
-    log = sound(arm)
+    log = sound(upper)
     copied = changed(log, q_ref=log.trajectories[0].q.copy())
-    assert set(alarms(doctor.examine(copied, arm))) == {"command_copies_measurement"}
+    assert set(alarms(doctor.examine(copied, upper))) == {"command_copies_measurement"}
 
 
 def hopeless(raw: RawTrajectory) -> dict[str, dict]:
@@ -300,10 +311,10 @@ def hopeless(raw: RawTrajectory) -> dict[str, dict]:
 @pytest.mark.parametrize(
     "how", hopeless(RawTrajectory("", np.zeros(2), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1))))
 )
-def test_hopeless_logs_are_described(how, known, log, arm):
+def test_hopeless_logs_are_described(how, known, shorter, upper):
     """No readable log makes the doctor raise or stumble; what cannot be computed with is not usable and says why."""
-    bad = changed(log, **hopeless(log.trajectories[0])[how])
-    robot = arm if known else None
+    bad = changed(shorter, **hopeless(shorter.trajectories[0])[how])
+    robot = upper if known else None
     corrected, examination = doctor.correct(bad, robot)
     assert [c for c in examination.checks if c.meaning == doctor.FAULT] == []
     assert any(c.severity == "fail" for c in examination.checks) or how == "huge"
@@ -364,7 +375,7 @@ def test_without_reversals_friction_is_an_offset(arm):
     assert "offset" in numbers["cannot_show"]["coulomb_friction"]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually([0], range(3)))
 def test_the_unit_of_one_joint(seed, log, arm):
     """One joint's torque in N mm among N m is that joint's, and is corrected; one joint's position in degrees, too."""
     joint = int(np.random.default_rng(seed).integers(1, 6))
@@ -376,7 +387,7 @@ def test_the_unit_of_one_joint(seed, log, arm):
     np.testing.assert_allclose(corrected.trajectories[0].tau, log.trajectories[0].tau)
 
 
-@pytest.mark.parametrize("unit", ["kgf cm", "percent", "percent, one limit"])
+@pytest.mark.parametrize("unit", usually(["kgf cm", "percent, one limit"], ["kgf cm", "percent", "percent, one limit"]))
 def test_other_units_of_torque(unit, log, arm):
     """kgf cm and percent of rated torque, also of one that all joints have, are named, alone or beside what is as
     likely, and left for the user."""
@@ -390,25 +401,25 @@ def test_other_units_of_torque(unit, log, arm):
     assert doctor.done(examination) == ()
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_an_offset_of_a_session_is_one(seed, arm):
+@pytest.mark.parametrize("seed", usually([0], range(2)))
+def test_an_offset_of_a_session_is_one(seed, upper):
     """Of two recordings of a file one moves too little to time the torque: the offset of the other is both recordings'.
     Recordings with different offsets keep their own."""
     draw = np.random.default_rng(seed)
     late = float(draw.uniform(0.015, 0.06))
     raws = []
     for name, seconds in (("a", 25.0), ("b", 25.0), ("slow", 25.0)):
-        (raw,) = sound(arm, int(draw.integers(1000)), seconds=seconds).trajectories
+        (raw,) = sound(upper, int(draw.integers(1000)), seconds=seconds).trajectories
         raws.append(replace(raw, name=name, tau=delayed(raw.tau, raw.t, late)))
     slow = raws[2]
     raws[2] = replace(slow, q=0 * slow.q + slow.q[0] + 1e-5 * draw.normal(size=slow.q.shape), qd=None,
                       tau=0 * slow.tau + slow.tau[0] + 0.01 * draw.normal(size=slow.tau.shape))  # fmt: skip
-    log = replace(sound(arm), trajectories=tuple(raws))
-    (found,) = seen(doctor.examine(log, arm), "time_offset", least="warn")
+    log = replace(sound(upper), trajectories=tuple(raws))
+    (found,) = seen(doctor.examine(log, upper), "time_offset", least="warn")
     assert found.trajectory is None and found.value == pytest.approx(late, abs=1e-3)
     assert found.threshold["trajectories"] == ["a", "b", "slow"]
     other = replace(raws[1], tau=delayed(raws[1].tau, raws[1].t, 0.05))
-    found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), arm), "time_offset", least="warn")
+    found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), upper), "time_offset", least="warn")
     assert {c.trajectory: c.value for c in found} == pytest.approx({"a": late, "b": late + 0.05}, abs=2e-3)
 
 

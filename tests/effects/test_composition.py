@@ -45,6 +45,12 @@ def scene():
     return replace(drawn, reference=Multisine(), duration=SECONDS)
 
 
+@pytest.fixture(scope="module")
+def clean(scene):
+    """It, with nothing hidden."""
+    return simulate(scene.robot, scene.reference, duration=SECONDS, seed=3)
+
+
 def filtered(x: np.ndarray) -> np.ndarray:
     """(T, n) through a zero-phase low-pass at 20 Hz, a second off either end."""
     return sosfiltfilt(butter(4, 20.0, fs=RATE, output="sos"), x, axis=0)[1000:-1000]
@@ -96,7 +102,7 @@ def acting_of(hidden: Hidden, robot: Robot) -> tuple[EffectInstance, ...]:
 
 
 @pytest.mark.parametrize("name", [n for n in SIZES if n != "torque_saturation"])
-def test_the_model_predicts_the_hidden_effect(name, scene):
+def test_the_model_predicts_the_hidden_effect(name, scene, clean):
     """With the effect the model leaves no more of the logged torque than a few permille of what the effect makes, on
     all joints together: formula, sign and units are right."""
     hidden = draw_effect(np.random.default_rng(1), scene, name, 2 if name == "external_contact" else JOINT)
@@ -105,7 +111,6 @@ def test_the_model_predicts_the_hidden_effect(name, scene):
     log = simulate(scene.robot, scene.reference, [hidden], duration=SECONDS, seed=3, position_side="motor")
     motion, acting = motion_of(log.q), acting_of(hidden, scene.robot)
     with_it, without = (ExtendedModel(scene.robot, a).predict(*motion, log.t, "run") for a in (acting, acting[1:]))
-    clean = simulate(scene.robot, scene.reference, duration=SECONDS, seed=3)
     floor = filtered(middle(clean.tau)) - filtered(ExtendedModel(scene.robot, ()).predict(*motion_of(clean.q), clean.t))
     speed = motion[1][:, JOINT]
     if "ratio" in hidden.parameters:  # of the drive that the joint before turns as well
@@ -117,10 +122,9 @@ def test_the_model_predicts_the_hidden_effect(name, scene):
     assert left < SHARES[name] * rms(made[moving]) + rms(floor), left / rms(made[moving])
 
 
-def test_a_saturation_delivers_what_moves_the_arm(scene):
+def test_a_saturation_delivers_what_moves_the_arm(scene, clean):
     """The nominal torque of the motion is the logged one clipped, to a permille of what a limit at the 95 % quantile of
     the torque cuts off, beside the plant's own error (3e-4)."""
-    clean = simulate(scene.robot, scene.reference, duration=SECONDS, seed=3)
     limit = {"limit": float(np.quantile(np.abs(clean.tau[:, JOINT]), 0.95))}
     hidden = Hidden("torque_saturation", scene.robot.joints[JOINT], limit)
     log = simulate(scene.robot, scene.reference, [hidden], duration=SECONDS, seed=3)

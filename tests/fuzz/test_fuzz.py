@@ -63,7 +63,7 @@ def answers(call):
         assert time.perf_counter() - started < SLOWEST
 
 
-@examples(200, 0.25)
+@examples(100, 0.25)
 @given(text=strategies.urdf_texts())
 def test_urdfs(text, folder):
     """A URDF is refused, or gives a robot whose torques are finite."""
@@ -79,7 +79,7 @@ def test_urdfs(text, folder):
     assert np.isfinite(tau).all() and np.isfinite(robot.inertial).all() and np.isfinite(robot.axis).all()
 
 
-@examples(200)
+@examples(100)
 @given(changes=strategies.log_changes())
 def test_logs(changes, folder):
     """A log is refused, or read, examined, corrected and learned from."""
@@ -103,7 +103,7 @@ def sound(folder) -> Path:
     return folder / "sound.h5"
 
 
-@examples(150, 0.1)
+@examples(75, 0.1)
 @given(changes=strategies.run_changes())
 def test_runs(changes, folder, sound):
     """A run file is refused, or read, scored and shown on a page, with no code of its own."""
@@ -115,7 +115,7 @@ def test_runs(changes, folder, sound):
         answers(lambda: page.page(record, []))
 
 
-@examples(12, 0.005)
+@examples(8, 0.005)
 @given(asked=strategies.commands())
 def test_overrides(asked, command):
     """Options of any value are taken or refused in one line: exit code 0 to 2, no error of ours."""
@@ -133,7 +133,7 @@ print(code, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """Runs a command from a small process: the peak that the kernel counts for a child begins with its parent's memory."""
 
 
-@examples(2, 0.01)
+@examples(1, 0.01)
 @given(changes=strategies.log_changes())
 def test_the_command_line(changes, folder):
     """`invdyn check` on a damaged log ends with exit code 0, 1 or 2, below 2 GB, without a traceback."""

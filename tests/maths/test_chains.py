@@ -41,8 +41,8 @@ def test_a_chain_is_found_from_its_torques(seed, tmp_path):
 def test_another_draw_makes_other_searches():
     """The same seed makes the same searches; another one others."""
     robot = chains.robot(np.zeros((2, 3)) + 0.3, np.zeros((2, 3)) + 0.1)
-    motion = states(2, 60, 0)
-    tau = torque(robot, np.ones((2, 10)) * 0.1, motion) + np.random.default_rng(0).normal(size=(60, 2))
+    motion = states(2, 30, 0)
+    tau = torque(robot, np.ones((2, 10)) * 0.1, motion) + np.random.default_rng(0).normal(size=(30, 2))
     first, same, other = (chains.learn(motion, tau, np.ones(2), (), 2, seed).searches for seed in (0, 0, 1))
     np.testing.assert_array_equal(first, same)
     assert not np.array_equal(first, other)

@@ -14,6 +14,7 @@ from invdyn_cli.models.dbm import Dbm
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.testing import check_model
 from invdyn_cli.types import Dataset, Motion, Trajectory
+from tests.commands import usually
 from tests.records import make_dataset, make_robot
 
 KEY = jax.random.key(0)
@@ -36,7 +37,7 @@ def moving(robot, samples: int, seed: int = 0, names: int = 1) -> Dataset:
     return Dataset(tuple(parts), robot.joints)
 
 
-@pytest.mark.parametrize("form", ["naive", "structured", "shared", "chain"])
+@pytest.mark.parametrize("form", usually(["shared", "chain"], ["naive", "structured", "shared", "chain"]))
 def test_contract(form):
     """Every form keeps the contract of a model, without a robot."""
     joints = ("a", "b")
@@ -54,7 +55,7 @@ def test_without_noise_the_shared_form_is_exact(split, apollo4):
 def test_plain_least_squares_blow_up(apollo4):
     """The paper's statement: with noise, plain least squares of one torque at a time extrapolate above 10; shared, with
     a ridge that leaves each task out in turn, they stay below 0.05 on the same data."""
-    source = SineTasks(noisy=True, split="extrapolation")
+    source = SineTasks(noisy=True, split="extrapolation", rate=100.0, trim=50)
     assert nmse(Dbm(form="structured", solver="lstsq"), source, apollo4) > 10
     assert nmse(Dbm(form="shared"), source, apollo4) < 0.05
 

@@ -212,7 +212,7 @@ def test_ripples_come_out_as_planted(apollo4):
         wave = size[:, None] * np.sin(cycles[:, None] * motion.q + phase[:, None])
         return rigid_torque(apollo4, motion) + wave.sum(0) + rng.normal(0, 0.02, motion.q.shape)
 
-    motion, other = random_motion(4, 6000), random_motion(4, 500, seed=1)
+    motion, other = random_motion(4, 3000), random_motion(4, 500, seed=1)
     model = Pest(ripples=2)
     fit = model.fit(dataset(apollo4, motion, torque(motion)), KEY)
     found = fit.params["cycles"]
@@ -235,10 +235,10 @@ def test_base_parameters_are_the_combinations_that_they_say(apollo4):
 
 
 def test_intervals_hold_the_truth_and_white_noise_intervals_do_not(apollo4):
-    """With AR(1) torque noise (autocorrelation time 39 samples) 95 % intervals of the base parameters, pooled over 20
+    """With AR(1) torque noise (autocorrelation time 39 samples) 95 % intervals of the base parameters, pooled over 8
     draws, hold the truth in 85 to 100 %; the usual formula for white residuals, too narrow by up to sqrt(39), in under
     60 %. About 100 independent stretches for 20 parameters leave the sandwich a few per cent below its nominal 95 %."""
-    samples, a, size = 60_000, 0.95, 0.5
+    samples, a, size = 30_000, 0.95, 0.5
     motion = sines(4, samples)
     clean = rigid_torque(apollo4, motion)
     true = Pest().fit(dataset(apollo4, motion, clean), KEY).details["base_parameters"]
@@ -246,7 +246,7 @@ def test_intervals_hold_the_truth_and_white_noise_intervals_do_not(apollo4):
     base = oracle_rows(apollo4, motion)[:, :, chosen].reshape(4 * samples, -1)
     white = size * np.sqrt(np.diag(np.linalg.inv(base.T @ base)))
     held, held_white = [], []
-    for draw in range(20):
+    for draw in range(8):
         e = np.random.default_rng(draw).normal(0, size * np.sqrt(1 - a**2), (samples, 4))
         noise = signal.lfilter([1], [1, -a], e, axis=0)
         found = Pest().fit(dataset(apollo4, motion, clean + noise), KEY).details["base_parameters"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from invdyn_cli.store import METRICS, RUN
-from tests.commands import TINY
+from tests.commands import TINY, in_process
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -16,11 +16,20 @@ def rows_of(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A folder with two runs of PEST, which differ in an option that one of the commands names."""
+    folder = tmp_path_factory.mktemp("made")
+    for name, *more in (("a",), ("deep/b", "model.threshold=0.002")):
+        done = in_process("run", "model=pest", *TINY, *more, f"hydra.run.dir={name}", cwd=folder)
+        assert done == 0
+    return folder
+
+
 @pytest.fixture
-def runs(command) -> list[dict]:
-    """Two runs of PEST in runs/a and runs/deep/b, which differ in an option that one of the commands names."""
-    assert command("run", "model=pest", *TINY, "hydra.run.dir=runs/a").code == 0
-    assert command("run", "model=pest", *TINY, "model.threshold=0.002", "hydra.run.dir=runs/deep/b").code == 0
+def runs(made, command) -> list[dict]:
+    """A copy of it: runs/a and runs/deep/b."""
+    shutil.copytree(made, "runs")
     return [json.loads(Path(folder, METRICS).read_text()) for folder in ("runs/a", "runs/deep/b")]
 
 

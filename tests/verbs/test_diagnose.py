@@ -33,6 +33,8 @@ from tests.commands import ROOT, invdyn
 JOINT, COULOMB = "axis2", 2.0
 KEYS = {"schema", "verdict", "log_checks", "findings", "baseline", "baselines", "standard", "extended", "noise_floor"}
 KEYS |= {"residual_tests", "unexplained", "files"}
+CAUSES = ("diagnosis.design=false", "diagnosis.replay=false")
+"""For tests of what is found alone: no motion is designed and no simulation is replayed."""
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +176,7 @@ def test_the_lines_of_the_docs_run(folder, command):
 def test_what_is_known_is_not_found_again(folder, command):
     """A declared cause, with its size, is in the extended model and not among the findings."""
     known = f"diagnosis.known=[{{effect: coulomb_friction, joint: {JOINT}, coulomb: {COULOMB}}}]"
-    said = command("diagnose", f"data.path={folder / 'log.h5'}", known, "hydra.run.dir=out")
+    said = command("diagnose", f"data.path={folder / 'log.h5'}", known, *CAUSES, "hydra.run.dir=out")
     assert said.code == 0, said.err
     assert claims(Path("out")) == []
     acting = load_model("out/extended_model.json").acting
@@ -186,7 +188,7 @@ def test_what_is_known_is_not_found_again(folder, command):
 def test_a_reference_shows_what_has_changed(folder, command):
     """With an earlier log as reference, friction and rotors of both logs are no findings, the new friction is."""
     options = (f"data.path={folder / 'now.h5'}", f"data.reference={folder / 'old.h5'}")
-    said = command("diagnose", *options, "hydra.run.dir=out")
+    said = command("diagnose", *options, *CAUSES, "hydra.run.dir=out")
     assert said.code == 0, said.err
     assert {(effect, joint) for effect, joint, _ in claims(Path("out"))} == {("coulomb_friction", JOINT)}
 
@@ -201,6 +203,7 @@ def test_stretches_and_several_logs(folder, command):
         "data.filter_cutoff=5",
         "model@diagnosis.learner=ffnn",
         "diagnosis.learner.epochs=1",
+        *CAUSES,
         "hydra.run.dir=out",
     )
     assert said.code == 0, said.err
@@ -237,7 +240,7 @@ def test_a_simulated_arm_is_diagnosed_at_once(folder, command):
     """data=plant plays, then diagnoses; the folder is called after it."""
     effect = f"data.effects=[{{effect: coulomb_friction, joint: {JOINT}, coulomb: {COULOMB}}}]"
     arm = ("robot=urdf", f"robot.path={folder / 'arm.urdf'}")
-    said = command("diagnose", "data=plant", *arm, effect, "data.trajectories=1", "data.duration=12")
+    said = command("diagnose", "data=plant", *arm, effect, *CAUSES, "data.trajectories=1", "data.duration=12")
     assert said.code == 0, said.err
     assert said.out[-1].endswith("-plant")
     assert ("coulomb_friction", JOINT) in {x[:2] for x in claims(Path(said.out[-1]))}
@@ -347,17 +350,17 @@ def test_misuse_is_one_line(name, folder, command):
     assert not Path("out").exists() or not [p for p in Path("out").iterdir() if p.name[0] != "."]
 
 
-def test_as_recorded(folder, tmp_path):
+def test_as_recorded(folder, command):
     """correct=false: a clock in ms is not corrected; the log is unusable, and diagnosis.json and the page say why."""
     log = read_log(folder / "log.h5")
     late = tuple(replace(raw, t=1e3 * raw.t) for raw in log.trajectories)
-    write_log(replace(log, trajectories=late), tmp_path / "late.h5")
+    write_log(replace(log, trajectories=late), Path("late.h5"))
     robot = ("robot=urdf", f"robot.path={folder / 'arm.urdf'}")
-    done = invdyn("diagnose", "data.path=late.h5", *robot, "correct=false", "hydra.run.dir=out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    said = command("diagnose", "data.path=late.h5", *robot, "correct=false", "hydra.run.dir=out")
+    assert said.code == 0, said.err
+    found = json.loads(Path("out/diagnosis.json").read_text())
     assert found["verdict"] == "log_unusable" and found["log_checks"]["as_recorded"] is True
     assert found["log_checks"]["corrections"] == []
     assert any("correct=false" in note for note in found["notes"]) and "correct=true" in found["summary"]
-    assert "correct=false" in (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert invdyn("diagnose", "data.path=late.h5", *robot, "correct=7", cwd=tmp_path).returncode == 2
+    assert "correct=false" in Path("out/report.html").read_text("utf-8")
+    assert command("diagnose", "data.path=late.h5", *robot, "correct=7").code == 2

@@ -12,7 +12,7 @@ import yaml
 from invdyn_cli import load_model, load_run
 from invdyn_cli.report import figures
 from invdyn_cli.verbs import run as verb
-from tests.commands import ROOT, TINY, invdyn
+from tests.commands import ROOT, TINY, invdyn, usually
 from tests.logs import make_log, motion
 
 NETS = ("model=ffnn", "model.epochs=1")
@@ -84,10 +84,10 @@ def test_records_where_it_came_from(finished):
 ADAPTS = ("data=pick_place", "data.repetitions=1", "data.watched=0", "data.decimate=10", "robot.dofs=2", *NETS)
 
 
-@pytest.mark.parametrize(
-    ("adaptation", "option"),
-    [("incremental", "adaptation.learning_rate"), ("error_model", "adaptation.incremental.learning_rate")],
-)
+LEARNS = [("incremental", "adaptation.learning_rate"), ("error_model", "adaptation.incremental.learning_rate")]
+
+
+@pytest.mark.parametrize(("adaptation", "option"), usually(LEARNS[:1], LEARNS))
 def test_learning_that_diverges_ends_well(adaptation, option, command):
     """Steps far too large: exit code 0, all files, one warning with the option that this adaptation has, on the
     terminal and the page; the adapted scores are null and as learned they are not."""
@@ -104,7 +104,7 @@ def test_learning_that_diverges_ends_well(adaptation, option, command):
     assert metrics["adaptation_scores"]["nmse"]["mean"] is None
 
 
-@pytest.mark.parametrize("adaptation", ["incremental", "payload"])
+@pytest.mark.parametrize("adaptation", usually(["incremental"], ["incremental", "payload"]))
 def test_a_rate_beyond_the_test_set(adaptation, command):
     """No whole block: nothing is learned in one, no update is timed, and the run is whole."""
     said = command("run", *ADAPTS, f"adaptation={adaptation}", "adaptation.rate=100000")

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from invdyn_cli.verbs import screen
-from tests.commands import TINY, invdyn
+from tests.commands import TINY
 
 
 @pytest.fixture(autouse=True)
@@ -91,11 +91,10 @@ def test_it_can_be_turned_off(capfd, monkeypatch):
     assert capfd.readouterr().err == ""
 
 
-def test_a_long_run_says_where_it_is(tmp_path):
-    """A piped run of some seconds tells its steps on stderr and nothing of them on stdout."""
-    argv = ("run", "model=ffnn", "model.epochs=400", *TINY)
-    done = invdyn(*argv, cwd=tmp_path, INVDYN_PROGRESS="auto")
-    assert done.returncode == 0
-    lines = [line for line in done.stderr.splitlines() if line.startswith("invdyn: learn")]
+def test_a_long_run_says_where_it_is(command, monkeypatch):
+    """A run of some steps tells each on a stderr that is no terminal, and nothing of them on stdout."""
+    monkeypatch.setenv(screen.SWITCH, "auto")
+    said = command("run", "model=ffnn", "model.epochs=100", *TINY)
+    assert said.code == 0 and not any(line.startswith("invdyn: ") for line in said.out)
+    lines = [line for line in said.err if line.startswith("invdyn: learn")]
     assert lines and any(" left" in line or " so far" in line for line in lines)
-    assert "invdyn: " not in done.stdout

@@ -48,7 +48,8 @@ def test_tells_when(command):
 
 def test_is_read_as_a_real_log(command):
     """The log goes straight into invdyn run, with the robot that it names; an exact model of a clean log is exact."""
-    assert command("simulate", "data.duration=6", "data.trajectories=2", "hydra.run.dir=out").code == 0
+    made = ("robot.dofs=3", "data.duration=6", "data.trajectories=2", "hydra.run.dir=out")
+    assert command("simulate", *made).code == 0
     said = command(
         "run", "data=real_log", "data.path=out/log.h5", "data.decimate=20", "model=pest", "hydra.run.dir=run"
     )

@@ -110,7 +110,7 @@ def test_a_bug_in_one_job_leaves_the_others(command):
 
 def test_a_killed_sweep_goes_on(command, tmp_path):
     """After SIGKILL in the middle, whatever run.h5 there is can be read, and the same command finishes the sweep."""
-    argv = ("run", "-m", *SPLITS, "model.threshold=0.001,0.002")
+    argv = ("run", "-m", *JOB, "model.threshold=0.001,0.002,0.003")
     process = subprocess.Popen(
         [script(), *argv],
         cwd=tmp_path,
@@ -153,6 +153,7 @@ def test_side_by_side(command):
     assert sorted(line.split(":")[0] for line in said.err) == ["job 0 ran", "job 1 failed"]
 
 
+@pytest.mark.benchmark  # jobs in processes of their own, and the table that they leave, are those of joblib above
 @pytest.mark.skipif(
     importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is None, reason="no hydra-submitit-launcher"
 )
@@ -167,17 +168,16 @@ def test_as_slurm_runs_them(tmp_path):
 @pytest.mark.skipif(
     importlib.util.find_spec("hydra_plugins.hydra_optuna_sweeper") is None, reason="no hydra-optuna-sweeper"
 )
-def test_a_search_by_optuna(tmp_path):
+@pytest.mark.filterwarnings("ignore")  # optuna warns on import
+def test_a_search_by_optuna(command):
     """Optuna makes the validation error small: its best value is the least mean NMSE of all its jobs, a failed one
     counts as infinitely bad, and jobs that it asks for at once share a program."""
-    argv = ("run", "-m", "model=ffnn", "model.epochs=2", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
+    argv = ("run", "-m", "model=ffnn", "model.epochs=1", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
     drawn = ("hydra/sweeper=optuna", "hydra.sweeper.sampler.seed=0", "hydra.sweeper.n_trials=6")
-    said = invdyn(
-        *argv, *drawn, "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found", cwd=tmp_path
-    )  # a process of its own: optuna warns on import
-    folder = tmp_path / "found"
+    said = command(*argv, *drawn, "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found")
+    folder = Path("found")
     rows = rows_of(folder)
-    assert len(rows) == 6, said.stderr
+    assert len(rows) == 6, said.err
     scores = [
         json.loads((folder / row["folder"] / "metrics.json").read_text())["validation"]["nmse"]["mean"]
         for row in rows

@@ -35,7 +35,7 @@ def recorded(robot, *trajectories):
     """A log with a recording for every list of hidden effects."""
     noise, references = Noise(position=1e-6, torque=0.02), [Multisine(base=0.1), Multisine(base=0.13)]
     logs = [
-        record(robot, [references[i]], hidden, noise=noise, duration=20.0, seed=i)
+        record(robot, [references[i]], hidden, noise=noise, duration=14.0, seed=i)
         for i, hidden in enumerate(trajectories)
     ]
     named = [replace(x.trajectories[0], name=f"run_{i}") for i, x in enumerate(logs)]

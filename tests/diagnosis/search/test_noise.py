@@ -8,6 +8,7 @@ import pytest
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.transmission import TorqueRipple
+from tests.commands import usually
 from tests.diagnosis.analytic import arm, evidence_of, gather, log_of, moved, nothing, on, raw, recording_of
 
 NAMES = [n for n in EFFECTS if n != "torque_ripple"]
@@ -63,7 +64,7 @@ def test_weights_count_correlation(quiet):
     assert silent.weights.tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize("cycles", [7.0, 23.0])
+@pytest.mark.parametrize("cycles", usually([23.0], [7.0, 23.0]))
 def test_a_ripple_is_found_by_its_cycles(cycles):
     """A ripple as large as the noise becomes a candidate, its cycles right to a fifth of what the range can resolve."""
     evidence, rows, found = measured(on(1, lambda t, q, qd, qdd: SIGMA * np.sin(cycles * q + 1.0)))
@@ -79,7 +80,7 @@ def test_noise_has_no_ripples(quiet):
     assert noise.ripples(evidence, found, found.residual, rows, TorqueRipple()) == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually([0], range(3)))
 def test_noise_is_none_of_what_many_columns_take_up(seed):
     """25 s behind a low-pass of 2 Hz are some seventy independent samples, though rows are kept for joints of 30 Hz,
     and the columns of all effects are nearly as many: white noise is measured within a factor of 1.6."""
