@@ -106,7 +106,8 @@ def believed(
             more = [(x, one) for x, by in zip(bases, scorers, strict=True) for one in _more(by, x, pool, most)]
             more = [(x, one) for x, one in more if _keys(one) not in seen]
             fewer = [(x, found[:i] + found[i + 1 :]) for x in bases for i in range(len(found))]
-            chosen = best([best(bases), *(told(x.noise, x.links, one) for x, one in more + fewer)])
+            same = [(x, found) for x in bases]  # in the noise that the others are told in
+            chosen = best([told(x.noise, x.links, one) for x, one in same + more + fewer])
             if _keys(chosen.found) == _keys(found):
                 break
             found, own = chosen.found, chosen.noise

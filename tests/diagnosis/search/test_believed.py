@@ -28,3 +28,29 @@ def test_a_step_back_is_not_the_end(monkeypatch):
     found, _ = believed.believed(evidence, rows, least, (), links, pool, [()], 6)
     assert name(found) == "joint_spring"
     assert visited[:: len(believed.SIZES)] == ["", "torque_delay", "", "joint_spring"]
+
+
+def test_hypotheses_are_compared_in_one_noise(monkeypatch):
+    """Whatever is told of a hypothesis with an anomaly more, in some noise, is told of the one without it, too: link
+    errors cost more in less noise, and a drive that had become weaker was not worth that to the other."""
+    term = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01) + 3.0 * q)
+    evidence = evidence_of(log_of(raw(*moved(10.0), term, torque=0.02, position=1e-5)), ("joint_spring",))
+    rows, last, told = np.ones(len(evidence.tau), bool), [], {}
+    least = noise.measure(evidence, rows)
+    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    pool = [c for c in evidence.candidates if c.effect.name == "joint_spring"]
+    asked, left = believed.HypothesisScorer.quick, believed.beside
+
+    def quick(self, hypothesis):
+        last[:] = [(self, frozenset(c.key for c in hypothesis if c in pool))]
+        return asked(self, hypothesis)
+
+    def beside(*of):
+        told.setdefault(last[0][0], set()).add(last[0][1])
+        return left(*of)
+
+    monkeypatch.setattr(believed.HypothesisScorer, "quick", quick)
+    monkeypatch.setattr(believed, "beside", beside)
+    believed.believed(evidence, rows, least, (), links, pool, [()], 2)
+    larger = [seen for seen in told.values() if any(seen)]
+    assert larger and all(frozenset() in seen for seen in larger)
