@@ -273,13 +273,16 @@ def slow(evidence: Evidence, x: np.ndarray, joint: int) -> np.ndarray:
 
 def slow_share(evidence: Evidence, before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> float:
     """Of what residuals (R, n) `after` have less than `before`, in units of the noise with these `weights` (n,), the
-    share where the arm moves, 0 to 1. Above, what goes with the noise of encoders looks like a delay or a spring."""
-    saved = np.zeros(2)
-    for j in np.flatnonzero(weights):
-        for sign, x in ((1.0, before), (-1.0, after)):
-            moving = x[:, j] * evidence.valid[:, j]
-            saved += sign * weights[j] * np.array([np.sum(slow(evidence, moving, int(j)) ** 2), np.sum(moving**2)])
-    return float(np.clip(saved[0] / max(saved[1], 1e-300), 0.0, 1.0))
+    share where the arm moves, 0 to 1; 1 where all pieces are too short to tell. Above, what goes with the noise of
+    encoders looks like a delay or a spring."""
+    part = whole = 0.0
+    for j in np.flatnonzero(weights).tolist():
+        told = slow(evidence, np.ones(len(before)), j) > 0
+        for sign, x in ((weights[j], before), (-weights[j], after)):
+            moving = x[:, j] * (evidence.valid[:, j] & told)
+            part += sign * float(np.sum(slow(evidence, moving, j) ** 2))
+            whole += sign * float(np.sum(moving**2))
+    return float(np.clip(part / whole, 0.0, 1.0)) if whole > 0 else 1.0
 
 
 def _last_block(t: np.ndarray, length: float) -> int:

@@ -1,8 +1,11 @@
 """What only the noise of encoders asks for on a worn arm is no part of the search."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis.columns.evidence import slow_share
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE, feigned
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
@@ -32,3 +35,17 @@ def test_what_is_saved_beyond_the_motion_is_feigned(share):
     scorer.refresh()
     assert scorer.loss((coulomb, spring)) - scorer.loss((coulomb, spring, gear)) > EVIDENCE
     assert feigned(scorer, (coulomb,), (spring, gear)) == ({gear.key} if share > 0.25 else set())
+
+
+def test_short_pieces_do_not_tell():
+    """On pieces that are shorter than the slow filter's memory nothing is known of a share, and all is counted; a piece
+    that is long enough tells for all."""
+    evidence = evidence_of(log_of(raw(*moved(40.0), torque=0.02, position=1e-5)), NAMES)
+    t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
+    before = np.outer(np.sin(2 * np.pi * 0.8 * cutoff * t), [1, 0, 0])
+    after, weights = np.zeros_like(before), np.array([1.0, 0.0, 0.0])
+    numbers = np.arange(len(t)) // 4
+    half = np.where(t < 20.0, numbers, numbers.max() + 1)
+    assert slow_share(replace(evidence, piece=numbers), before, after, weights) == 1.0
+    for pieces in (evidence.piece, half):
+        assert slow_share(replace(evidence, piece=pieces), before, after, weights) < 0.1
