@@ -267,7 +267,7 @@ class QuadraticFriction(AbstractTorqueEffect):
     equation = "drag qd |qd|"
     reference = "Waiboer, Aarts and Jonker, Multibody Dynamics 2005"
     parameters = {"drag": Parameter("N m s²/rad²", 0.0)}
-    confounders = (("viscous_friction",), ("thermal_friction_drift",))
+    confounders = (("viscous_friction",), ("stribeck_friction",), ("thermal_friction_drift",))
     advice = "constant speeds up to the maximum of the joint, in both directions"
     panels = ("velocity",)
     needs = ("motion", "speeds", "curvature")
