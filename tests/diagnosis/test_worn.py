@@ -78,14 +78,14 @@ def test_wear_is_asked_for_where_links_are_off(off):
 
 
 def test_links_may_be_farther_off_than_was_fitted():
-    """Links are 10 % off, and a size of 2 % was fitted beside a wrong hypothesis: the evidence asks for more than that
+    """Links are 10 % off, and a size of 1 % was fitted beside a wrong hypothesis: the evidence asks for more than that
     beside the spring that is there."""
     names = ("coulomb_friction", "joint_spring", "link_inertia_error")
     term = beside(arm(), 0.1, np.random.default_rng(1), on(0, lambda t, q, qd, qdd: 30.0 * q))
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), names)
     rows = np.ones(len(evidence.tau), bool)
     least = noise.measure(evidence, rows)
-    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.02)
+    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.01)
     pool = [c for c in evidence.candidates if c.effect.name == "joint_spring"]
     found, _ = believed(evidence, rows, least, (), links, pool, [()], 3)
     assert [c.key for c in found.found] == [("joint_spring", 0)]
