@@ -44,16 +44,21 @@ def invdyn(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedPro
     return python(script(), *argv, cwd=cwd, **environment)
 
 
+def at_home(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Until the patch ends this process is in a folder, with a command's environment and a search path of its own."""
+    patch.chdir(folder)
+    patch.setattr(sys, "path", list(sys.path))
+    patch.setattr(sys, "argv", list(sys.argv))
+    for name, value in {**ENVIRONMENT, "HYDRA_FULL_ERROR": "1"}.items():
+        patch.setenv(name, value)
+
+
 def in_process(*argv: str, cwd: Path) -> int:
-    """The same in this process, for fixtures of a module (tests have the fixture `command`): its exit code."""
+    """A command in this process, for fixtures of a module (tests have the fixture `command`): its exit code."""
     from invdyn_cli.cli import main
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(cwd)
-        patch.setattr(sys, "argv", list(sys.argv))
-        patch.setattr(sys, "path", list(sys.path))
-        for name, value in ENVIRONMENT.items():
-            patch.setenv(name, value)
+        at_home(patch, cwd)
         return main(argv)
 
 

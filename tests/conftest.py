@@ -4,7 +4,6 @@
 """
 
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from beartype import BeartypeConf
 from beartype.claw import beartype_packages
 
-from tests.commands import ENVIRONMENT, Said
+from tests.commands import ENVIRONMENT, Said, at_home
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(ENVIRONMENT["XDG_CACHE_HOME"]) / "invdyn" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.01")
@@ -57,11 +56,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd) -> Callable[
     """command("run", "model=pest", …) -> Said: the command line inside the test's own process, in tmp_path."""
     from invdyn_cli.cli import main
 
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr(sys, "argv", list(sys.argv))
-    for name, value in {**ENVIRONMENT, "HYDRA_FULL_ERROR": "1"}.items():
-        monkeypatch.setenv(name, value)
+    at_home(monkeypatch, tmp_path)
 
     def call(*argv: str) -> Said:
         capfd.readouterr()

@@ -41,15 +41,9 @@ def log(arm):
 
 
 @pytest.fixture(scope="module")
-def upper():
-    """Its upper four joints: for what does not depend on how many there are."""
-    return load_urdf("apollo_arm", dofs=4)
-
-
-@pytest.fixture(scope="module")
-def shorter(upper):
-    """A sound log of these."""
-    return sound(upper)
+def shorter(apollo4):
+    """A sound log of the upper four joints: for what does not depend on how many there are."""
+    return sound(apollo4)
 
 
 def test_a_sound_log_is_sound(log, arm):
@@ -77,21 +71,21 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_effects_are_no_defects(effect, shorter, upper):
+def test_effects_are_no_defects(effect, shorter, apollo4):
     """A gain of 0.8, offsets, 8 ms on one joint: to be found later, not by the doctor."""
-    assert alarms(doctor.examine(changed(shorter, tau=EFFECTS[effect](shorter)), upper)) == {}
+    assert alarms(doctor.examine(changed(shorter, tau=EFFECTS[effect](shorter)), apollo4)) == {}
 
 
-def test_strong_friction_is_no_defect(upper):
+def test_strong_friction_is_no_defect(apollo4):
     """Friction of half the torque's spread, Coulomb and viscous, raises nothing."""
-    assert alarms(doctor.examine(sound(upper, 3, coulomb=0.5, viscous=0.5), upper)) == {}
+    assert alarms(doctor.examine(sound(apollo4, 3, coulomb=0.5, viscous=0.5), apollo4)) == {}
 
 
-def test_a_payload_is_no_defect(upper):
+def test_a_payload_is_no_defect(apollo4):
     """A kilogram, a decimetre off the flange's axis, that the URDF does not know of raises nothing."""
-    inertial = np.array(upper.inertial)
+    inertial = np.array(apollo4.inertial)
     inertial[-1] += [1, 0, 0, 0.1, 0.01, 0, 0.01, 0, 0, 0]
-    assert alarms(doctor.examine(sound(upper, 4, truth=replace(upper, inertial=inertial)), upper)) == {}
+    assert alarms(doctor.examine(sound(apollo4, 4, truth=replace(apollo4, inertial=inertial)), apollo4)) == {}
 
 
 def order(*pairs: tuple[int, int]) -> list[int]:
@@ -178,7 +172,7 @@ FLAT = """<robot name="flat"><link name="base"/>{}</robot>""".format(
         <inertia ixx="0.05" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
         <joint name="j{i}" type="revolute"><parent link="{"base" if i == 1 else "l1"}"/><child link="l{i}"/>
         <origin xyz="{0.3 * (i - 1)} 0 0"/><axis xyz="0 0 1"/>
-        <limit lower="-1.5" upper="1.5" velocity="2" effort="50"/></joint>"""
+        <limit lower="-1.5" apollo4="1.5" velocity="2" effort="50"/></joint>"""
         for i in (1, 2)
     )
 )
@@ -238,54 +232,54 @@ def test_gravity_that_is_mostly_gone_has_no_direction(log, arm):
 
 
 @pytest.mark.parametrize("seconds", usually([-0.012], [0.03, -0.012]))
-def test_an_offset_of_all_torques_is_found_and_corrected(seconds, shorter, upper):
+def test_an_offset_of_all_torques_is_found_and_corrected(seconds, shorter, apollo4):
     """30 ms late or 12 ms early: found within 1 ms, gone after the correction."""
     raw = shorter.trajectories[0]
     bad = changed(shorter, tau=delayed(raw.tau, raw.t, seconds))
-    corrected, examination = doctor.correct(bad, upper)
+    corrected, examination = doctor.correct(bad, apollo4)
     (found,) = seen(examination, "time_offset", least="warn")
     assert found.value == pytest.approx(seconds, abs=1e-3)
-    assert seen(doctor.examine(corrected, upper), "time_offset", least="warn") == []
+    assert seen(doctor.examine(corrected, apollo4), "time_offset", least="warn") == []
 
 
-def test_currents_look_like_currents(shorter, upper):
+def test_currents_look_like_currents(shorter, apollo4):
     """Torques over a gain of each joint's own are told as such, and left alone."""
     bad = changed(shorter, tau=shorter.trajectories[0].tau / np.linspace(8, 40, 4))
-    examination = doctor.examine(bad, upper)
+    examination = doctor.examine(bad, apollo4)
     (found,) = seen(examination, "unit_error")
     assert found.severity == "warn" and "currents" in found.meaning
     assert doctor.done(examination) == ()
 
 
-def test_currents_without_gains_get_some_suggested(shorter, upper):
+def test_currents_without_gains_get_some_suggested(shorter, apollo4):
     """torque_unit A without gains is not usable; the gains that the nominal torques suggest are those of the log."""
     bad = replace(changed(shorter, tau=shorter.trajectories[0].tau / 20), torque_unit="A")
-    examination = doctor.examine(bad, upper)
+    examination = doctor.examine(bad, apollo4)
     assert not examination.usable
-    assert f"{upper.joints[1]} 20" in seen(examination, "unit_error")[0].seen
+    assert f"{apollo4.joints[1]} 20" in seen(examination, "unit_error")[0].seen
 
 
-def test_currents_tell_nothing_of_tool_and_gravity(shorter, upper):
+def test_currents_tell_nothing_of_tool_and_gravity(shorter, apollo4):
     """Amperes are not compared with the URDF's N m: no tool is missing, and gravity is not said to be subtracted."""
     bad = replace(changed(shorter, tau=shorter.trajectories[0].tau / 20), torque_unit="A")
-    assert [x.seen for x in Description().examine(bad, upper) if x.severity == "warn"] == []
+    assert [x.seen for x in Description().examine(bad, apollo4) if x.severity == "warn"] == []
 
 
-def test_a_torque_that_is_noise_is_no_torque(shorter, upper):
+def test_a_torque_that_is_noise_is_no_torque(shorter, apollo4):
     """Noise of the right size fails as a mismatch: no inertials explain it."""
     tau = np.random.default_rng(0).normal(size=shorter.trajectories[0].tau.shape) * shorter.trajectories[0].tau.std(0)
-    examination = doctor.examine(changed(shorter, tau=tau), upper)
+    examination = doctor.examine(changed(shorter, tau=tau), apollo4)
     assert not examination.usable
     assert set(alarms(examination)) == {"model_mismatch"}
 
 
-def test_a_computed_torque_is_no_measurement(upper):
+def test_a_computed_torque_is_no_measurement(apollo4):
     """Inverse dynamics logged as torque is recognised; so are positions that are their own command."""
-    examination = doctor.examine(sound(upper, coulomb=0, viscous=0, noise=0), upper)
+    examination = doctor.examine(sound(apollo4, coulomb=0, viscous=0, noise=0), apollo4)
     assert set(alarms(examination)) == {"command_copies_measurement"}
-    log = sound(upper)
+    log = sound(apollo4)
     copied = changed(log, q_ref=log.trajectories[0].q.copy())
-    assert set(alarms(doctor.examine(copied, upper))) == {"command_copies_measurement"}
+    assert set(alarms(doctor.examine(copied, apollo4))) == {"command_copies_measurement"}
 
 
 def hopeless(raw: RawTrajectory) -> dict[str, dict]:
@@ -311,10 +305,10 @@ def hopeless(raw: RawTrajectory) -> dict[str, dict]:
 @pytest.mark.parametrize(
     "how", hopeless(RawTrajectory("", np.zeros(2), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1))))
 )
-def test_hopeless_logs_are_described(how, known, shorter, upper):
+def test_hopeless_logs_are_described(how, known, shorter, apollo4):
     """No readable log makes the doctor raise or stumble; what cannot be computed with is not usable and says why."""
     bad = changed(shorter, **hopeless(shorter.trajectories[0])[how])
-    robot = upper if known else None
+    robot = apollo4 if known else None
     corrected, examination = doctor.correct(bad, robot)
     assert [c for c in examination.checks if c.meaning == doctor.FAULT] == []
     assert any(c.severity == "fail" for c in examination.checks) or how == "huge"
@@ -402,24 +396,24 @@ def test_other_units_of_torque(unit, log, arm):
 
 
 @pytest.mark.parametrize("seed", usually([0], range(2)))
-def test_an_offset_of_a_session_is_one(seed, upper):
+def test_an_offset_of_a_session_is_one(seed, apollo4):
     """Of two recordings of a file one moves too little to time the torque: the offset of the other is both recordings'.
     Recordings with different offsets keep their own."""
     draw = np.random.default_rng(seed)
     late = float(draw.uniform(0.015, 0.06))
     raws = []
     for name, seconds in (("a", 25.0), ("b", 25.0), ("slow", 25.0)):
-        (raw,) = sound(upper, int(draw.integers(1000)), seconds=seconds).trajectories
+        (raw,) = sound(apollo4, int(draw.integers(1000)), seconds=seconds).trajectories
         raws.append(replace(raw, name=name, tau=delayed(raw.tau, raw.t, late)))
     slow = raws[2]
     raws[2] = replace(slow, q=0 * slow.q + slow.q[0] + 1e-5 * draw.normal(size=slow.q.shape), qd=None,
                       tau=0 * slow.tau + slow.tau[0] + 0.01 * draw.normal(size=slow.tau.shape))  # fmt: skip
-    log = replace(sound(upper), trajectories=tuple(raws))
-    (found,) = seen(doctor.examine(log, upper), "time_offset", least="warn")
+    log = replace(sound(apollo4), trajectories=tuple(raws))
+    (found,) = seen(doctor.examine(log, apollo4), "time_offset", least="warn")
     assert found.trajectory is None and found.value == pytest.approx(late, abs=1e-3)
     assert found.threshold["trajectories"] == ["a", "b", "slow"]
     other = replace(raws[1], tau=delayed(raws[1].tau, raws[1].t, 0.05))
-    found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), upper), "time_offset", least="warn")
+    found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), apollo4), "time_offset", least="warn")
     assert {c.trajectory: c.value for c in found} == pytest.approx({"a": late, "b": late + 0.05}, abs=2e-3)
 
 

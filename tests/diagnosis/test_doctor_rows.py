@@ -17,9 +17,9 @@ from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
 
 
 @pytest.fixture(scope="module")
-def arm():
-    """The upper four joints of the built-in arm: what is wrong with rows and clocks is the same for any number."""
-    return load_urdf("apollo_arm", dofs=4)
+def arm(apollo4):
+    """What is wrong with rows and clocks is the same for any number of joints."""
+    return apollo4
 
 
 @pytest.fixture(scope="module")

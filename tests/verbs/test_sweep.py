@@ -168,16 +168,17 @@ def test_as_slurm_runs_them(tmp_path):
 @pytest.mark.skipif(
     importlib.util.find_spec("hydra_plugins.hydra_optuna_sweeper") is None, reason="no hydra-optuna-sweeper"
 )
-@pytest.mark.filterwarnings("ignore")  # optuna warns on import
-def test_a_search_by_optuna(command):
+def test_a_search_by_optuna(tmp_path):
     """Optuna makes the validation error small: its best value is the least mean NMSE of all its jobs, a failed one
     counts as infinitely bad, and jobs that it asks for at once share a program."""
-    argv = ("run", "-m", "model=ffnn", "model.epochs=1", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
+    argv = ("run", "-m", "model=ffnn", "model.epochs=2", *TINY, "model.learning_rate=choice(0.0001,0.01,-1)")
     drawn = ("hydra/sweeper=optuna", "hydra.sweeper.sampler.seed=0", "hydra.sweeper.n_trials=6")
-    said = command(*argv, *drawn, "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found")
-    folder = Path("found")
+    said = invdyn(
+        *argv, *drawn, "hydra.sweeper.n_jobs=3", "hydra.sweep.dir=found", cwd=tmp_path
+    )  # a process of its own: optuna warns on import
+    folder = tmp_path / "found"
     rows = rows_of(folder)
-    assert len(rows) == 6, said.err
+    assert len(rows) == 6, said.stderr
     scores = [
         json.loads((folder / row["folder"] / "metrics.json").read_text())["validation"]["nmse"]["mean"]
         for row in rows

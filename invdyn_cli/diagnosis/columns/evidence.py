@@ -262,27 +262,34 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
 def slow(evidence: Evidence, x: np.ndarray, joint: int) -> np.ndarray:
     """(R,) of x (R,) the lowest part of a joint's band, piece by piece: the arm moves there, and the noise of
     differentiated positions is small. 0 on pieces that are shorter than the filter's memory."""
-    filter, out = evidence.recording.filter, np.zeros(len(x))
-    rate = filter.rate / filter.keep
-    cutoff = min(SLOW * filter.cutoffs[joint], 0.45 * rate)
-    for number in np.unique(evidence.piece):
-        at = evidence.piece == number
-        out[at] = lowpass(x[at], rate, cutoff) if at.sum() > settling(rate, cutoff) else 0.0
+    out, (rate, cutoff, pieces) = np.zeros(len(x)), _long(evidence, joint)
+    for at in pieces:
+        out[at] = lowpass(x[at], rate, cutoff)
     return out
 
 
-def slow_share(evidence: Evidence, before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> float:
-    """Of what residuals (R, n) `after` have less than `before`, in units of the noise with these `weights` (n,), the
-    share where the arm moves, 0 to 1; 1 where all pieces are too short to tell. Above, what goes with the noise of
-    encoders looks like a delay or a spring."""
-    part = whole = 0.0
-    for j in np.flatnonzero(weights).tolist():
-        told = slow(evidence, np.ones(len(before)), j) > 0
-        for sign, x in ((weights[j], before), (-weights[j], after)):
-            moving = x[:, j] * (evidence.valid[:, j] & told)
-            part += sign * float(np.sum(slow(evidence, moving, j) ** 2))
-            whole += sign * float(np.sum(moving**2))
-    return float(np.clip(part / whole, 0.0, 1.0)) if whole > 0 else 1.0
+def slow_squares(evidence: Evidence, residual: np.ndarray, joint: int) -> np.ndarray:
+    """(2,) sums of squares of a joint's residual (R,) on pieces that are long enough: of its slow part, and whole."""
+    moving = np.zeros(len(residual))
+    for at in _long(evidence, joint)[2]:
+        moving[at] = residual[at] * evidence.valid[at, joint]
+    return np.array([np.sum(slow(evidence, moving, joint) ** 2), np.sum(moving**2)])
+
+
+def slow_share(saved: np.ndarray) -> float:
+    """The share, 0 to 1, of what is saved where the arm moves, from `slow_squares` (2,) that are saved; 1 where all
+    pieces are too short to tell. Above, what goes with the noise of encoders looks like a delay or a spring."""
+    return float(np.clip(saved[0] / saved[1], 0.0, 1.0)) if saved[1] > 0 else 1.0
+
+
+def _long(evidence: Evidence, joint: int) -> tuple[float, float, list[np.ndarray]]:
+    """Rate of the rows and cut-off [Hz] of the lowest part of a joint's band, and the rows (R,) bool of each piece that
+    is longer than that filter's memory."""
+    filter = evidence.recording.filter
+    rate = filter.rate / filter.keep
+    cutoff = min(SLOW * filter.cutoffs[joint], 0.45 * rate)
+    pieces = [evidence.piece == number for number in np.unique(evidence.piece)]
+    return rate, cutoff, [at for at in pieces if at.sum() > settling(rate, cutoff)]
 
 
 def _last_block(t: np.ndarray, length: float) -> int:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow, slow_share
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow, slow_share, slow_squares
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
@@ -148,8 +148,12 @@ class Claim:
     @cached_property
     def slow_evidence(self) -> float:
         """Of its evidence, the share that it saves where the arm moves."""
-        weights = self.inquiry.noise.weights * self._own
-        return self.evidence * slow_share(self.inquiry.evidence, self.before, self.after, weights)
+        evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
+        saved = np.zeros(2)
+        for j in self.candidate.columns:
+            before, after = (slow_squares(evidence, x[:, j], j) for x in (self.before, self.after))
+            saved += weights[j] * (before - after)
+        return self.evidence * slow_share(saved)
 
     @cached_property
     def acts_at_rest(self) -> bool:

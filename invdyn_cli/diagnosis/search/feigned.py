@@ -3,7 +3,7 @@ that on many joints is found before what is there."""
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import slow_share
+from invdyn_cli.diagnosis.columns.evidence import slow_share, slow_squares
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 
 EVIDENCE = 250.0
@@ -20,11 +20,12 @@ def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> 
     if not found:
         return odd
     loss, after = scorer.loss(every), evidence.residual(every, scorer.quick(every)[1])
+    left = {j: slow_squares(evidence, after[:, j], j) for j in {j for c in found for j in c.columns}}
     for c in found:
         others = tuple(x for x in every if x is not c)
         before = evidence.residual(others, scorer.quick(others)[1])
-        weights = scorer.weights * np.isin(np.arange(evidence.dofs), list(c.columns))
-        share = slow_share(evidence, before, after, weights)
+        saved = sum(scorer.weights[j] * (slow_squares(evidence, before[:, j], j) - left[j]) for j in c.columns)
+        share = slow_share(np.asarray(saved))
         if share < MOSTLY and share * (scorer.loss(others) - loss) < EVIDENCE:
             odd.add(c.key)
     return odd

@@ -275,7 +275,7 @@ class _Search:
                 self.judge = HypothesisScorer(evidence, self.choosing, weights, deviation, self.always, True)
                 hypothesis = self.settled(hypothesis, rounds)
                 continue
-            weights, around = self.noise.weights, _beside(self.always, self.usual, hypothesis)
+            weights, around = self.noise.weights, self._around(hypothesis)
             hypothesis, chosen, close = distinguish(self.judge, model, self.effects, around, hypothesis, chosen)
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)
@@ -290,18 +290,19 @@ class _Search:
             hypothesis = self._simplified(self._without(odd, hypothesis))
 
     def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:
-        around = _beside(self.always, self.usual, hypothesis)
-        return feigned(self.judge, around, hypothesis) if self.usual else set()
+        return feigned(self.judge, self._around(hypothesis), hypothesis) if self.usual else set()
+
+    def _around(self, hypothesis: Hypothesis) -> Hypothesis:
+        return _beside(self.always, self.usual, hypothesis)
 
     def _refined(self, hypothesis: Hypothesis) -> Refined:
         """On the data that choose, from where the columns have it."""
-        around = _beside(self.always, self.usual, hypothesis)
+        around = self._around(hypothesis)
         acting = acting_of(self.judge, around, hypothesis)
         return refine(self.evidence, self.model, acting, self.choosing, self.noise.weights, around)
 
     def _simplified(self, hypothesis: Hypothesis) -> Hypothesis:
-        around = _beside(self.always, self.usual, hypothesis)
-        return naming.simplified(self.judge, around, hypothesis, self.pool, self.usual)
+        return naming.simplified(self.judge, self._around(hypothesis), hypothesis, self.pool, self.usual)
 
     def _without(self, odd: Collection[tuple], hypothesis: Hypothesis) -> Hypothesis:
         """The search again without what cannot be."""

@@ -54,3 +54,12 @@ def test_hypotheses_are_compared_in_one_noise(monkeypatch):
     believed.believed(evidence, rows, least, (), links, pool, [()], 2)
     larger = [seen for seen in told.values() if any(seen)]
     assert larger and all(frozenset() in seen for seen in larger)
+
+
+def test_no_anomaly_is_allowed():
+    """With no anomaly at most, the links alone are believed."""
+    evidence = evidence_of(log_of(raw(*moved(10.0), torque=0.02, position=1e-5)), ("joint_spring",))
+    rows = np.ones(len(evidence.tau), bool)
+    least = noise.measure(evidence, rows)
+    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    assert believed.believed(evidence, rows, least, (), links, list(evidence.candidates), [()], 0)[0].found == ()

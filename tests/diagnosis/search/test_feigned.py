@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.columns.evidence import slow_share
+from invdyn_cli.diagnosis.columns.evidence import slow_share, slow_squares
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE, feigned
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
@@ -42,10 +42,9 @@ def test_short_pieces_do_not_tell():
     that is long enough tells for all."""
     evidence = evidence_of(log_of(raw(*moved(40.0), torque=0.02, position=1e-5)), NAMES)
     t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
-    before = np.outer(np.sin(2 * np.pi * 0.8 * cutoff * t), [1, 0, 0])
-    after, weights = np.zeros_like(before), np.array([1.0, 0.0, 0.0])
+    saved = np.sin(2 * np.pi * 0.8 * cutoff * t)
     numbers = np.arange(len(t)) // 4
     half = np.where(t < 20.0, numbers, numbers.max() + 1)
-    assert slow_share(replace(evidence, piece=numbers), before, after, weights) == 1.0
+    assert slow_share(slow_squares(replace(evidence, piece=numbers), saved, 0)) == 1.0
     for pieces in (evidence.piece, half):
-        assert slow_share(replace(evidence, piece=pieces), before, after, weights) < 0.1
+        assert slow_share(slow_squares(replace(evidence, piece=pieces), saved, 0)) < 0.1
