@@ -8,14 +8,14 @@ import numpy as np
 from invdyn_cli import precision as precision
 from invdyn_cli.types import Array, Motion
 
-CHUNK = 4096
+CHUNK = 1024
 """Samples that go through a jitted function at once: big enough to hide its call, small enough to stay in cache."""
 
 
 def in_chunks(function: Callable[[Motion], Array], motion: Motion, most: int = CHUNK) -> np.ndarray:
-    """`function` of a motion (T, n) in chunks padded to powers of two up to `most`, few compilations: (T, n)."""
+    """`function` of a motion (T, n) in chunks padded to powers of four up to `most`, few compilations: (T, n)."""
     total = len(motion)
-    size = min(most, 1 << max(0, total - 1).bit_length())
+    size = min(most, 4 ** -(-max(0, total - 1).bit_length() // 2))
     out = [np.empty((0, motion.q.shape[1]))]
     for start in range(0, total, size):
         part = motion[slice(start, start + size)]

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from invdyn_cli.chunks import CHUNK
+from invdyn_cli.chunks import CHUNK, padded
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.maths import rigid_body, statistics
 from invdyn_cli.types import Array, Dataset, Motion, Robot
@@ -66,8 +66,8 @@ jax.tree_util.register_dataclass(
 
 @dataclass(frozen=True)
 class Solution:
-    """psi (p,) and what led to it: singular values of the (weighted) K, its kept right-singular vectors (p, rank), and
-    the map from scores of the preconditioned columns to scores of psi."""
+    """psi (p,) and what led to it: singular values of the (weighted) K, its kept right-singular vectors (p, rank), the
+    map from scores of the preconditioned columns to scores of psi, and the columns' squares (n, r, r) by joint."""
 
     psi: np.ndarray
     rank: int
@@ -76,6 +76,7 @@ class Solution:
     kept: np.ndarray
     preconditioner: np.ndarray
     to_scores: np.ndarray
+    grams: np.ndarray
 
 
 def solve(
@@ -92,8 +93,8 @@ def solve(
     for _ in range(3):
         scale = np.maximum(scale, floor * max(scale[0], 1e-300))
         preconditioner = possible @ directions / scale
-        gram, moment = _accumulate(design, dataset, preconditioner, progress)
-        values, vectors = np.linalg.eigh(gram)
+        grams, moment = _accumulate(design, dataset, preconditioner, progress)
+        values, vectors = np.linalg.eigh(grams.sum(0))
         real = values > values[-1] * len(values) * np.finfo(float).eps
         root = np.sqrt(np.where(real, values, 0))
         left, singular_values, right = scipy.linalg.svd((root[:, None] * vectors.T) @ (scale[:, None] * directions.T))
@@ -112,6 +113,7 @@ def solve(
         kept=kept,
         preconditioner=preconditioner,
         to_scores=(right[:rank] @ directions * scale) / singular_values[:rank, None] ** 2,
+        grams=grams,
     )
 
 
@@ -166,7 +168,7 @@ def uncertainty(
         meat = statistics.score_covariance(merged)
     else:
         noise = squares / dataset.samples * design.weights**2 * np.maximum(slow, resonant)
-        meat = np.einsum("j,jab->ab", noise, _grams(design, dataset, solution.preconditioner))
+        meat = np.einsum("j,jab->ab", noise, solution.grams)
     covariance = solution.to_scores @ meat @ solution.to_scores.T
     return covariance, {"blocks": len(merged), "effective_samples": dataset.samples / slow}
 
@@ -227,7 +229,10 @@ def _possible_directions(design: Design) -> np.ndarray:
 
 def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Singular values (r,) and right-singular vectors (r, r) of the rows K basis of a few samples, by QR."""
-    rows = np.asarray(design_rows(design, jax.tree.map(jnp.transpose, motion), np.ones(len(motion), bool)))
+    parts = [motion[slice(start, start + BLOCK)] for start in range(0, len(motion), BLOCK)]
+    valid = [np.arange(BLOCK) < len(part) for part in parts]
+    blocks = [jax.tree.map(jnp.transpose, padded(part, BLOCK)) for part in parts]  # one shape, one compilation
+    rows = np.concatenate([design_rows(design, *x) for x in zip(blocks, valid, strict=True)], axis=-1)
     triangle = scipy.linalg.qr(rows.reshape(len(rows), -1).T @ basis, mode="r")[0][: basis.shape[1]]
     _, scale, right = scipy.linalg.svd(triangle, full_matrices=True)
     return np.pad(scale, (0, basis.shape[1] - len(scale))), right.T
@@ -246,24 +251,15 @@ def _subsample(dataset: Dataset, most: int) -> Motion:
 
 
 def _accumulate(design: Design, dataset: Dataset, preconditioner: np.ndarray, progress: Progress):
-    """Z'Z (r, r) and Z'tau (r,) over all rows of Z = W K preconditioner."""
+    """Z_j'Z_j (n, r, r) of every joint's rows of Z = W K preconditioner, and Z'tau (r,) over all of them."""
     r = preconditioner.shape[1]
-    state = jnp.zeros((r, r)), jnp.zeros(r)
+    state = jnp.zeros((design.robot.dofs, r, r)), jnp.zeros(r)
     for number, chunk in enumerate(_chunks(dataset)):
         state = _add_chunk(design, *chunk, preconditioner, state)
         if number % 64 == 63:
             jax.block_until_ready(state)
             progress(min(1.0, number * CHUNK / dataset.samples), "regressor")
     return np.asarray(state[0]), np.asarray(state[1])
-
-
-def _grams(design: Design, dataset: Dataset, preconditioner: np.ndarray) -> np.ndarray:
-    """Z_j'Z_j (n, r, r) of every joint's own rows."""
-    r = preconditioner.shape[1]
-    grams = jnp.zeros((design.robot.dofs, r, r))
-    for motion, _, valid in _chunks(dataset):
-        grams = _add_grams(design, motion, valid, preconditioner, grams)
-    return np.asarray(grams)
 
 
 def _chunks(dataset: Dataset) -> Iterator[tuple[Motion, Array, np.ndarray]]:
@@ -298,19 +294,12 @@ def _blocks(x: Array) -> Array:
 def _add_chunk(design, motion, tau, valid, preconditioner, state):
     def add(state, block):
         motion, tau, valid = block
-        z = preconditioner.T @ design_rows(design, motion, valid).reshape(len(preconditioner), -1)
-        return (state[0] + z @ z.T, state[1] + z @ (design.weights[:, None] * tau).ravel()), None
+        rows = jnp.moveaxis(design_rows(design, motion, valid), 0, 1)
+        z = preconditioner.T @ rows
+        moment = jnp.einsum("nrb,nb->r", z, design.weights[:, None] * tau)
+        return (state[0] + z @ jnp.moveaxis(z, 1, 2), state[1] + moment), None
 
     return jax.lax.scan(add, state, blocks(motion, tau, valid))[0]
-
-
-@jax.jit
-def _add_grams(design, motion, valid, preconditioner, grams):
-    def add(grams, block):
-        z = jnp.einsum("pr,pnb->nrb", preconditioner, design_rows(design, *block))
-        return grams + jnp.einsum("nrb,nsb->nrs", z, z), None
-
-    return jax.lax.scan(add, grams, (jax.tree.map(_blocks, motion), _blocks(valid)))[0]
 
 
 @jax.jit
