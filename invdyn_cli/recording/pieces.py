@@ -40,7 +40,7 @@ class Preparation:
         max_gap: [s] a longer step splits a trajectory.
         train_share: [-] first share of each trajectory's time for training; the rest is held out.
         longest: [s] length of log that is used; of a longer log, evenly spread stretches.
-        stretch: [s] length of such a stretch.
+        stretch: [s] length of such a stretch, about.
     """
 
     rate: float = 250.0
@@ -180,7 +180,7 @@ def prepare(
     if total > options.longest:
         cut = list(_thinned(cut, options.longest / total, options.stretch))
         notes.append(
-            f"The log is {total:.0f} s long. Only stretches of {options.stretch:g} s, spread evenly over it, are used: "
+            f"The log is {total:.0f} s long. Only stretches of some {options.stretch:g} s, spread evenly, are used: "
             f"{options.longest:g} s in total (diagnosis.conditioning.longest)."
         )
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
@@ -259,11 +259,12 @@ def _thinned(cut, share: float, length: float):
 
 
 def _stretches(piece, share: float, length: float):
-    """Evenly spread stretches of a piece that make up a share of it."""
+    """Evenly spread stretches of a piece, none longer than from one to the next, that make up a share of it."""
     name, role, t, q, tau = piece
-    count = max(1, round(share * (t[-1] - t[0]) / length))
-    for start in t[0] + (t[-1] - t[0]) * np.arange(count) / count:
-        rows = slice(*np.searchsorted(t, [start, start + min(length, (t[-1] - t[0]) * share)]))
+    span = t[-1] - t[0]
+    count = max(1, round(share * span / length))
+    for start in t[0] + span * np.arange(count) / count:
+        rows = slice(*np.searchsorted(t, [start, start + share * span / count]))
         yield name, role, t[rows], q[:, rows], tau[:, rows]
 
 

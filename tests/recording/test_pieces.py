@@ -143,6 +143,14 @@ def test_of_a_long_log_stretches_are_looked_at():
     assert "60 s long" in recording.notes[0]
 
 
+@pytest.mark.parametrize("longest", [20.0, 45.0, 54.0, 59.0])
+def test_no_sample_of_a_long_log_is_used_twice(longest):
+    """However much of a log is used, its stretches do not overlap."""
+    recording = recording_of(log_of(raw(*moved(seconds=60, rate=250.0))), longest=longest, stretch=15.0)
+    starts, ends = zip(*((p.t[0], p.t[-1]) for p in recording.pieces if p.role == "train"), strict=True)
+    assert all(a < b for a, b in zip(ends, starts[1:], strict=False))
+
+
 def test_too_little_is_refused():
     """A log too short for its own filter is refused with the length that is needed."""
     with pytest.raises(LogError, match="s are needed"):
