@@ -337,12 +337,15 @@ def claims(
 
 
 def least_of(columns: Columns, acting: Sequence[EffectInstance]) -> np.ndarray:
-    """(terms, n) how far below zero a term may go: as far as one that was found goes above it."""
+    """(terms, n) how far below zero a term may go: as far as one that was found, or an effect that comes to it in a
+    limit, goes above it. Friction with a memory takes over that of other terms, and their sum is no less than zero."""
     least = np.zeros(columns.own.shape[:2])
     for t, term in enumerate(columns.terms):
-        for j in range(columns.evidence.dofs):
-            place = _place(acting, term, j)
-            least[t, j] = 0.0 if place is None else -float(acting[place].parameters[TERMS[term][1]])
+        effect, name = TERMS[term]
+        for a in acting:
+            same = a.effect.name == effect or (a.effect.contains_as_limit and effect in a.effect.contains)
+            if same and a.joint is not None and a.when is None:
+                least[t, a.joint] -= float(a.parameters[name])
     return least
 
 

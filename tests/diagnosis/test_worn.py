@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.robots import load_urdf
@@ -90,6 +91,21 @@ def test_links_may_be_farther_off_than_was_fitted():
     found, _ = believed(evidence, rows, least, (), links, pool, [()], 3)
     assert [c.key for c in found.found] == [("joint_spring", 0)]
     assert found.links.precision[0] < links.precision[0]
+
+
+@pytest.mark.parametrize(("found", "expected"), [("presliding_hysteresis", -1.0), ("torque_ripple", 0.0)])
+def test_friction_with_a_memory_takes_over_other_friction(found, expected):
+    """Bristles of 3 N m were found where load and friction bend them, and 1 N m too much at all other times: Coulomb
+    friction takes that away in the model. Beside what is no friction it cannot be negative."""
+    too_much = on(0, lambda t, q, qd, qdd: -1.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(20.0), too_much, torque=0.02, position=1e-5)), NAMES)
+    columns = standard.columns_of(evidence, "unknown")
+    sizes = {"presliding_hysteresis": {"coulomb": 3.0, "stiffness": 500.0}}
+    acting = [EffectInstance(EFFECTS[found], 0, sizes.get(found, {"amplitude": 3.0, "cycles": 20.0, "phase": 0.0}))]
+    left, rows = evidence.residual((), np.zeros(0)), np.ones(len(evidence.tau), bool)
+    fitted = columns.fit(left, rows, standard.least_of(columns, acting))
+    terms = dict(zip(columns.terms, fitted.theta[columns.inertial.sum() :].reshape(-1, evidence.dofs), strict=True))
+    assert terms["coulomb"][0] == pytest.approx(expected, abs=0.1)
 
 
 def test_intervals_of_standard_terms_have_their_true_values():

@@ -166,11 +166,19 @@ class Claim:
     @cached_property
     def delay(self) -> float:
         """The least that its own delay [s] may be, by its interval; infinite where it has none."""
-        late_by = self.candidate.effect.late_by
+        return self._least(self.candidate.effect.late_by)
+
+    @cached_property
+    def mass(self) -> float:
+        """The least mass [kg] of a body that comes and goes, by its interval; infinite for other effects."""
+        effect = self.candidate.effect
+        return self._least("mass" if effect.load and effect.passing else "")
+
+    def _least(self, name: str) -> float:
         place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
-        if not late_by or place is None:
+        if not name or place is None:
             return np.inf
-        return float(intervals(self.inquiry.evidence, self.whole)[place][late_by][1])
+        return float(intervals(self.inquiry.evidence, self.whole)[place][name][1])
 
     @cached_property
     def exact(self) -> tuple[float, float]:

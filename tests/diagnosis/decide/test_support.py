@@ -65,6 +65,18 @@ def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
     assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
 
 
+@pytest.mark.parametrize(("mass", "refused"), [(-0.12, True), (0.3, False), (np.inf, False)])
+def test_a_body_that_comes_and_goes_has_a_mass(mass, refused):
+    """A true effect is claimed unless it is a body for a time whose mass may be zero."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
+    one = of_coulomb(inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False))
+    assert one.mass == np.inf  # friction is no body
+    one.__dict__["mass"] = mass  # cached: made up here
+    row = support.refusal(one)
+    assert (row is not None and "mass" in row.why(one)) == refused and (row is None) == (not refused)
+
+
 @pytest.mark.parametrize("figure", ["slow_gain", "fast_gain"])
 @pytest.mark.parametrize(("true", "expected"), [(1.0, 1.0), (0.0, -1.0), (0.5, 0.0)])
 def test_an_effect_has_one_size(true, expected, figure):
