@@ -67,9 +67,7 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     rows, heads = standard_rows(diagnosis)
     if not heads:
         return None
-    share = 100 * diagnosis.standard["inertials"]["share"]
-    about = f"within about {share:.3g} % of the URDF" if share else "as the URDF has them"
-    said = f"Standard terms of every arm; bold: also named as a cause. Links: {about}."
+    said = f"Standard terms of every arm; bold: also named as a cause. Links: {_links(diagnosis)}."
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)
     units = {name: dict.fromkeys(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
@@ -84,6 +82,14 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
             told.append(Text(significant(x["value"]) + unit, "bold" if x["claimed"] else "") if x else Text("-"))
         table.add_row(Text(joint), *told)
     return table
+
+
+def _links(diagnosis: Diagnosis) -> str:
+    """How far the links' inertials are off, and on which joint that makes most."""
+    share, worth = (diagnosis.standard["inertials"][x] for x in ("share", "worth"))
+    most = max(worth, key=lambda joint: worth[joint])
+    made = f"makes up to {significant(worth[most])} {units_of(diagnosis)[most]} ({most})"
+    return f"typically {100 * share:.3g} % off in the URDF, which {made}" if share else "as the URDF has them"
 
 
 def unclaimed_line(diagnosis: Diagnosis) -> Text | None:

@@ -23,7 +23,7 @@ def standard_section(diagnosis: Diagnosis) -> str:
         cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
         body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
     how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
-    about = f"off in the URDF by about {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
+    about = f"typically off in the URDF by {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
     if not links["share"]:
         about = "left as the URDF has them, because held-out data are predicted better so."
     note = (
