@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import doctor, gains, known
+from invdyn_cli.diagnosis import band, doctor, gains, known, standard
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
-from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.evidence import Evidence, started
+from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.effects.actuator import TorqueGainError
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.rigid import rigid_torque
@@ -54,6 +55,7 @@ class Case:
         examination: what the doctor said of the log.
         recording: the log in rows, before what is known was taken out.
         evidence: rows and columns without it.
+        columns: those of the standard model on its rows.
         effects: the causes to look for, by name.
         facts: effects that are known, with their sizes.
         allowed: (effect, joint) that may be there and are not reported.
@@ -69,6 +71,7 @@ class Case:
     examination: Examination
     recording: Recording
     evidence: Evidence
+    columns: Columns
     effects: Mapping[str, AbstractEffect]
     facts: Sequence[EffectInstance]
     allowed: Sequence[tuple[str, int | None]]
@@ -111,23 +114,35 @@ def prepared(
         log, windows, more = _beside(log, reference, robot, windows, options)
         notes += more
     pool = {name: e for name, e in effects.items() if name not in log.compensated}
+    facts, allowed = known.read(options.known, effects, robot)
+    gravity, inertia = "gravity" in log.compensated, _typical_inertia(robot)
+
+    def rows(highest: Sequence[float] | None = None) -> tuple[Recording, Robot, Recording, float]:
+        """The log in rows, before and after what is known is taken out, and its common delay."""
+        measured = prepare(in_newton_metres(log), inertia, windows, options.conditioning, highest)
+        without, changed = known.taken_out(measured, robot, facts, gravity=gravity)
+        return measured, changed, *hold.remove_common_delay(changed, without, log.torque_side)
+
     try:
-        recording = prepare(in_newton_metres(log), _typical_inertia(robot), windows, options.conditioning)
+        measured, changed, recording, lead = rows()
+        columns = standard.columns_of(started(changed, recording), log.torque_side)
+        heard = band.heard(columns, options.conditioning.cutoffs)
+        if heard != recording.filter.cutoffs:
+            measured, changed, recording, lead = rows(heard)
+            columns = None
     except LogError as error:
         return _unusable(examination, (*notes, str(error)))
-    facts, allowed = known.read(options.known, effects, robot)
-    measured = recording
-    recording, changed = known.taken_out(recording, robot, facts, gravity="gravity" in log.compensated)
-    recording, lead = hold.remove_common_delay(changed, recording, log.torque_side)
     progress(0.25, "columns")
     evidence = gather(changed, recording, list(pool.values()), log.torque_side, log.position_side)
     evidence.given = known.timed(evidence, facts)
+    columns = standard.columns_of(evidence, log.torque_side) if columns is None else replace(columns, evidence=evidence)
     return Case(
         log=log,
         robot=robot,
         examination=examination,
         recording=measured,
         evidence=evidence,
+        columns=columns,
         effects=pool,
         facts=facts,
         allowed=allowed,

@@ -74,7 +74,7 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     def asked(evidence: Evidence, links: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
         return inquire(evidence, case.effects, case.allowed, case.most, case.compares, side, case.split, links, start)
 
-    columns = standard.columns_of(case.evidence, side)
+    columns = case.columns
     fitted = None if case.compares else wear.plain(columns)
     if fitted is not None:
         return asked(*wear.beside(columns, fitted)), columns

@@ -82,11 +82,13 @@ class Filter:
         rate: [Hz] of the working clock.
         cutoffs: (n,) [Hz].
         keep: samples of which one is kept.
+        widest: (n,) [Hz] what the noise of the positions alone would allow.
     """
 
     rate: float
     cutoffs: tuple[float, ...]
     keep: int
+    widest: tuple[float, ...] = ()
 
     @property
     def inset(self) -> int:
@@ -153,6 +155,7 @@ def prepare(
     inertia: np.ndarray,
     windows: Mapping[str, Sequence[Window]] | None,
     options: Preparation,
+    highest: Sequence[float] | None = None,
 ) -> Recording:
     """Cut, resample, smooth and differentiate.
 
@@ -161,6 +164,7 @@ def prepare(
         inertia: (n,) typical inertia that each joint carries [kg m^2]: it turns noise of positions into torque.
         windows: role -> stretches; None: the first `train_share` of every trajectory is training data,
             the rest is held out.
+        highest: (n,) [Hz] of each joint's cut-off; None: as `options` say.
 
     Raises:
         LogError: if no piece is long enough.
@@ -198,14 +202,17 @@ def prepare(
         _cutoff(*numbers, period, rate, options)
         for numbers in zip(position_noise, torque_noise, strongest, inertia, strict=True)
     ]
-    common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))))
+    widest = tuple(cutoffs)
+    if highest is not None:
+        cutoffs = np.minimum(cutoffs, highest).tolist()
+    common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))), widest)
     smooth = np.maximum(options.smoothing * np.array(cutoffs), options.sharpness)
     pieces = []
     for name, role, t, q, tau in cut:
         if len(t) // step > 3 * common.inset + 8:
             pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
     if windows is None and len(log.trajectories) > 1 and not any(piece.role == "test" for piece in pieces):
-        return prepare(log, inertia, _by_trajectory(log, options), options)
+        return prepare(log, inertia, _by_trajectory(log, options), options, highest)
     if not any(piece.role == "train" for piece in pieces):
         needed = (3 * common.inset + 8) / rate
         raise LogError(f"no uninterrupted stretch of the log is long enough; {needed:.2g} s are needed")

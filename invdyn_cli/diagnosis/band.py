@@ -1,0 +1,44 @@
+"""The band in which a joint is heard. Noise of encoders, a gear's resonance and the answers of a controller are dense
+above the speed of the motion; what they leave there hides what acts at that speed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.signal
+
+from invdyn_cli.diagnosis.standard import Columns
+from invdyn_cli.maths.signals import butterworth
+from invdyn_cli.recording.pieces import ROLES
+
+DENSER = 2.0
+"""How many times as dense as in a narrower band noise may be in the whole one: so much less is the evidence there for
+what acts at the speed of the motion."""
+
+LONG = 3.0
+"""Length of the stretches whose spectra are compared, in periods of the lowest cut-off."""
+
+
+def heard(columns: Columns, possible: Sequence[float]) -> tuple[float, ...]:
+    """The cut-off [Hz] of each joint's low-pass (n,): the highest of those `possible`, and no higher than now, up to
+    which what the standard model leaves is on average at most DENSER times as dense as in any narrower band."""
+    evidence, filter = columns.evidence, columns.evidence.recording.filter
+    rows, nominal = evidence.role == ROLES.index("train"), evidence.residual((), np.zeros(0))
+    left = nominal - columns.of(columns.fit(nominal, rows).theta)
+    rate = filter.rate / filter.keep
+    length = round(LONG * rate / min(possible))
+    parts = [left[(evidence.piece == number) & rows] for number in np.unique(evidence.piece[rows])]
+    parts = [x for x in parts if len(x) >= 2 * length]  # of fewer stretches a jolt is the median
+    if not parts:
+        return filter.cutoffs
+    f = np.fft.rfftfreq(length, 1 / rate)
+    spectra = [scipy.signal.welch(x, rate, nperseg=length, average="median", axis=0)[1] for x in parts]
+    density = np.average(spectra, axis=0, weights=[len(x) for x in parts])
+    made = []
+    for own, now in zip(density.T, filter.cutoffs, strict=True):
+        passed = np.abs(scipy.signal.sosfreqz(butterworth(filter.rate, now), f, fs=filter.rate)[1]) ** 4
+        mean = np.cumsum(own / passed) / np.arange(1, len(f) + 1)
+        bands = sorted({now, *(c for c in possible if c < now)})
+        means = mean[np.searchsorted(f, bands, side="right") - 1]
+        quiet = means <= DENSER * np.minimum.accumulate(means)
+        made.append(max(c for c, good in zip(bands, quiet, strict=True) if good))
+    return tuple(made)
