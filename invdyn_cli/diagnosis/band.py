@@ -8,7 +8,7 @@ import scipy.signal
 
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.maths.signals import butterworth
-from invdyn_cli.recording.pieces import ROLES
+from invdyn_cli.recording.pieces import ROLES, needed
 
 DENSER = 2.0
 """How many times as dense as in a narrower band noise may be in the whole one: so much less is the evidence there for
@@ -24,11 +24,13 @@ def heard(columns: Columns, possible: Sequence[float]) -> tuple[float, ...]:
     evidence, filter = columns.evidence, columns.evidence.recording.filter
     rows, nominal = evidence.role == ROLES.index("train"), evidence.residual((), np.zeros(0))
     left = nominal - columns.of(columns.fit(nominal, rows).theta)
+    shortest = min(len(piece.t) for piece in evidence.recording.pieces)
+    possible = [c for c in possible if shortest > needed(filter.rate, c)]
     rate = filter.rate / filter.keep
-    length = round(LONG * rate / min(possible))
+    length = round(LONG * rate / min(possible, default=np.inf))
     parts = [left[(evidence.piece == number) & rows] for number in np.unique(evidence.piece[rows])]
     parts = [x for x in parts if len(x) >= 2 * length]  # of fewer stretches a jolt is the median
-    if not parts:
+    if not (parts and possible):
         return filter.cutoffs
     f = np.fft.rfftfreq(length, 1 / rate)
     spectra = [scipy.signal.welch(x, rate, nperseg=length, average="median", axis=0)[1] for x in parts]

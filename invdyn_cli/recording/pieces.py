@@ -150,6 +150,11 @@ class Recording:
         return Span(piece.trajectory, piece.t, self.filter.rate)
 
 
+def needed(rate: float, cutoff: float) -> int:
+    """Samples that a piece must have beyond what the ends of this low-pass take."""
+    return 3 * settling(rate, cutoff) + 8
+
+
 def prepare(
     log: Log,
     inertia: np.ndarray,
@@ -209,13 +214,13 @@ def prepare(
     smooth = np.maximum(options.smoothing * np.array(cutoffs), options.sharpness)
     pieces = []
     for name, role, t, q, tau in cut:
-        if len(t) // step > 3 * common.inset + 8:
+        if len(t) // step > needed(rate, min(cutoffs)):
             pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
     if windows is None and len(log.trajectories) > 1 and not any(piece.role == "test" for piece in pieces):
         return prepare(log, inertia, _by_trajectory(log, options), options, highest)
     if not any(piece.role == "train" for piece in pieces):
-        needed = (3 * common.inset + 8) / rate
-        raise LogError(f"no uninterrupted stretch of the log is long enough; {needed:.2g} s are needed")
+        length = needed(rate, min(cutoffs)) / rate
+        raise LogError(f"no uninterrupted stretch of the log is long enough; {length:.2g} s are needed")
     if len(pieces) < len(cut):
         notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
     details = {

@@ -184,16 +184,16 @@ def _searched(
     if compares:
         common, pool = known.compared(evidence, pool, ROLES.index("reference"))
         always += common
-    usual: Hypothesis = ()
-    if wear:
-        usual = terms_of(pool, wear)
-        pool = [c for c in pool if c.effect.group != "standard"]
-        begun, pool = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
-        usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
-        always += usual
     last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
     if any(c.effect.load for c in pool):
         pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
+    usual: Hypothesis = ()
+    if wear:  # one link may be off by far more than all are
+        usual = terms_of(pool, wear)
+        pool = [c for c in pool if c.effect.group != "standard" or c.effect.changes_inertials]
+        begun, pool = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
+        always += usual
     pool += [c for start in starts for c in start if c not in pool]
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
