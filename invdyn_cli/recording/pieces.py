@@ -187,7 +187,7 @@ def prepare(
     period = float(np.median(periods))
     total = sum(t[-1] - t[0] for _, _, t, _, _ in cut)
     if total > options.longest:
-        cut = list(_thinned(cut, options.longest / total, options.stretch))
+        cut = list(_thinned(cut, options))
         notes.append(
             f"The log is {total:.0f} s long. Only stretches of some {options.stretch:g} s, spread evenly, are used: "
             f"{options.longest:g} s in total (diagnosis.conditioning.longest)."
@@ -254,20 +254,32 @@ def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float)
         yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
 
 
-def _thinned(cut, share: float, length: float):
+def _thinned(cut, options: Preparation):
     """A share of every role's time: stretches of long pieces, and short pieces that are left out or stay whole."""
-    owed = dict.fromkeys(ROLES, 0.0)
+    length, owed = options.stretch, dict.fromkeys(ROLES, 0.0)
+    share = _shares({role: sum(t[-1] - t[0] for _, own, t, *_ in cut if own == role) for role in ROLES}, options)
     for piece in cut:
         _, role, t, *_ = piece
         span = t[-1] - t[0]
-        if span * share >= length:
-            yield from _stretches(piece, share, length)
+        if span * share[role] >= length:
+            yield from _stretches(piece, share[role], length)
             continue
-        owed[role] += span * share
+        owed[role] += span * share[role]
         if owed[role] > 0:
             used = t < t[0] + length
             owed[role] -= min(span, length)
             yield piece[0], role, t[used], piece[3][:, used], piece[4][:, used]
+
+
+def _shares(totals: Mapping[str, float], options: Preparation) -> dict[str, float]:
+    """Of every role's time [s] the share that is used. What a role has less than its part is left to the others: of one
+    recording to learn from and many that judge, it is these that are thinned."""
+    parts = {role: 1 - options.train_share if role == "test" else options.train_share for role in totals}
+    made, left, open_ = {}, options.longest, sum(parts.values())
+    for role in sorted(totals, key=lambda role: totals[role] / parts[role]):
+        used = min(totals[role], left * parts[role] / open_)
+        made[role], left, open_ = used / max(totals[role], 1e-300), left - used, open_ - parts[role]
+    return made
 
 
 def _stretches(piece, share: float, length: float):

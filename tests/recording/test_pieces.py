@@ -151,6 +151,17 @@ def test_no_sample_of_a_long_log_is_used_twice(longest):
     assert all(a < b for a, b in zip(ends, starts[1:], strict=False))
 
 
+@pytest.mark.parametrize(("learns", "expected"), [(20.0, 20.0), (80.0, 42.0)])
+def test_what_a_role_has_little_of_is_used_whole(learns, expected):
+    """Of a log of 120 s, part of which was chosen to learn from, 60 s are used: that part whole if it is less than 70 %
+    of these, else so much of it; the rest judges."""
+    windows = {"train": [("run", 0.0, learns)], "test": [("run", learns, 120.0)]}
+    log = log_of(raw(*moved(seconds=120, rate=250.0)))
+    pieces = recording_of(log, windows, longest=60.0, stretch=5.0).pieces
+    used = {role: sum(p.t[-1] - p.t[0] for p in pieces if p.role == role) for role in ("train", "test")}
+    assert used["train"] == pytest.approx(expected, abs=1.0) and sum(used.values()) == pytest.approx(60.0, abs=1.5)
+
+
 def test_too_little_is_refused():
     """A log too short for its own filter is refused with the length that is needed."""
     with pytest.raises(LogError, match="s are needed"):
