@@ -1,5 +1,5 @@
-"""Anomalies of a worn arm that only the noise of encoders asks for. They are taken out of the search: what gains by
-that on many joints is found before what is there."""
+"""Delays and soft gears of a worn arm that only the noise of encoders asks for. They are taken out of the search: what
+gains by that on many joints is found before what is there."""
 
 import numpy as np
 
@@ -15,13 +15,15 @@ MOSTLY = 0.5
 
 
 def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> set[tuple]:
-    """The keys of the anomalies among `found` whose evidence is less, and mostly not where the arm moves."""
+    """The keys of the delays, lags and gears among `found` whose evidence is less, and mostly not where the arm moves.
+    Friction and ripple, too, are fast, but no noise is like them."""
     evidence, every, odd = scorer.evidence, (*always, *found), set[tuple]()
-    if not found:
+    late = [c for c in found if c.effect.late_by or c.effect.yields]
+    if not late:
         return odd
     loss, after = scorer.loss(every), evidence.residual(every, scorer.quick(every)[1])
-    left = {j: slow_squares(evidence, after[:, j], j) for j in {j for c in found for j in c.columns}}
-    for c in found:
+    left = {j: slow_squares(evidence, after[:, j], j) for j in {j for c in late for j in c.columns}}
+    for c in late:
         others = tuple(x for x in every if x is not c)
         before = evidence.residual(others, scorer.quick(others)[1])
         saved = sum(scorer.weights[j] * (slow_squares(evidence, before[:, j], j) - left[j]) for j in c.columns)
