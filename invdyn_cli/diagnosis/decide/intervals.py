@@ -17,8 +17,9 @@ BOUNDLESS = 1e100
 SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 """Share of a parameter, and of a log's sample, by which interpolation and holding mislead on honest logs of the
 simulated arm (`make confusion`)."""
-GEARED = 0.03
-"""Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide."""
+GEARED = 0.1
+"""Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide: on a plant
+of another author three sizes were 12 to 27 % off, on worn arms of our own 1 to 13 %."""
 
 HIDDEN_BY_STICKING = 0.04
 """Share of a static friction, and of the speed at which it falls, that is hidden by the milliseconds in which a joint
