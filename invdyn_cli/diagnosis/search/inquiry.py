@@ -188,9 +188,9 @@ def _searched(
     if any(c.effect.load for c in pool):
         pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
     usual: Hypothesis = ()
-    if wear:  # one link may be off by far more than all are
+    if wear:
         usual = terms_of(pool, wear)
-        pool = [c for c in pool if c.effect.group != "standard" or c.effect.changes_inertials]
+        pool = [c for c in pool if c.effect.group != "standard"]
         begun, pool = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
         usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
         always += usual
