@@ -184,9 +184,6 @@ def _searched(
     if compares:
         common, pool = known.compared(evidence, pool, ROLES.index("reference"))
         always += common
-    last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
-    if any(c.effect.load for c in pool):
-        pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
     usual: Hypothesis = ()
     if wear:
         usual = terms_of(pool, wear)
@@ -194,6 +191,9 @@ def _searched(
         begun, pool = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
         usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
         always += usual
+    last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
+    if any(c.effect.load for c in pool):
+        pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
     pool += [c for start in starts for c in start if c not in pool]
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
     judge.refresh()
