@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.maths.signals import butterworth
 from invdyn_cli.recording.pieces import ROLES, needed
 
-DENSER = 2.0
+DENSER = 3.0
 """How many times as dense as in a narrower band noise may be in the whole one: so much less is the evidence there for
 what acts at the speed of the motion."""
 
