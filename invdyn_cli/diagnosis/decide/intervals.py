@@ -19,7 +19,7 @@ SYSTEMATIC, OWN_TIME = 1e-3, 0.1
 simulated arm (`make confusion`)."""
 GEARED = 0.1
 """Share of a gear's play or stiffness that its bounce, its damping, and time taken for the log's own hide: on a plant
-of another author three sizes were 12 to 27 % off, on worn arms of our own 1 to 13 %."""
+of another author three sizes were 5 to 34 % off, on worn arms of our own 1 to 13 %."""
 
 HIDDEN_BY_STICKING = 0.04
 """Share of a static friction, and of the speed at which it falls, that is hidden by the milliseconds in which a joint
