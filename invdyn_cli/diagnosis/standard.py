@@ -351,10 +351,7 @@ def least_of(columns: Columns, acting: Sequence[EffectInstance]) -> np.ndarray:
 
 def _stretches(rows: np.ndarray) -> list[np.ndarray]:
     """The chosen rows (R,) bool in STRETCHES parts, one behind the other, each as such."""
-    made = np.zeros((STRETCHES, len(rows)), bool)
-    for stretch, at in zip(made, np.array_split(np.flatnonzero(rows), STRETCHES), strict=True):
-        stretch[at] = True
-    return list(made)
+    return [np.isin(np.arange(len(rows)), at) for at in np.array_split(np.flatnonzero(rows), STRETCHES)]
 
 
 def _place(acting: Sequence[EffectInstance], term: str, joint: int) -> int | None:

@@ -82,13 +82,13 @@ class Filter:
         rate: [Hz] of the working clock.
         cutoffs: (n,) [Hz].
         keep: samples of which one is kept.
-        widest: (n,) [Hz] what the noise of the positions alone would allow.
+        widest: (n,) [Hz] what the noise of the positions alone would allow: `cutoffs` or more.
     """
 
     rate: float
     cutoffs: tuple[float, ...]
     keep: int
-    widest: tuple[float, ...] = ()
+    widest: tuple[float, ...]
 
     @property
     def inset(self) -> int:
@@ -151,7 +151,7 @@ class Recording:
 
 
 def needed(rate: float, cutoff: float) -> int:
-    """Samples that a piece must have beyond what the ends of this low-pass take."""
+    """Number of samples that a piece must exceed to be used behind a low-pass at this cut-off [Hz]."""
     return 3 * settling(rate, cutoff) + 8
 
 

@@ -5,15 +5,16 @@ import pytest
 import scipy.signal
 
 from invdyn_cli.diagnosis import band, standard
+from invdyn_cli.recording.pieces import Preparation
 from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
-
-POSSIBLE = (40.0, 30.0, 22.0, 16.0, 12.0, 9.0, 7.0, 5.5, 4.0, 3.0)
 
 
 def heard(*terms):
     """The cut-offs before, and those in which a log of 30 s with these terms and white noise is heard."""
     evidence = evidence_of(log_of(raw(*moved(30.0), *terms, torque=0.02, position=1e-7)), ("coulomb_friction",))
-    return evidence.recording.filter.cutoffs, band.heard(standard.columns_of(evidence, "unknown"), POSSIBLE)
+    return evidence.recording.filter.cutoffs, band.heard(
+        standard.columns_of(evidence, "unknown"), Preparation().cutoffs
+    )
 
 
 def rumble(low, high, size):

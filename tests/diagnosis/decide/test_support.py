@@ -32,6 +32,13 @@ def test_a_delay_that_was_never_refined_is_judged():
     assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)
 
 
+def rubbed(seconds):
+    """The inquiry of a log of that length with Coulomb friction on the first joint, by which alone it is explained."""
+    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
+    evidence = evidence_of(log_of(raw(*moved(seconds), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
+    return inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
+
+
 def of_coulomb(inquiry):
     """The claim of Coulomb friction on the first joint."""
     (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
@@ -55,10 +62,7 @@ def test_rows_that_judge():
 def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
     """A true friction is claimed, unless an effect of an impossible size in its place lowers the loss by more than ten
     noise variances; one of a possible size, however good, is another row's matter."""
-    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
-    evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
-    inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
-    one = of_coulomb(inquiry)
+    one = of_coulomb(rubbed(20.0))
     other = Rival(one.candidate, excess, 1.0, False, "", {}, impossible=True)
     one.__dict__["rivals"] = [other, replace(other, excess=-500.0, impossible=False)]  # cached: made up here
     row = support.refusal(one)
@@ -68,9 +72,7 @@ def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
 @pytest.mark.parametrize(("mass", "refused"), [(-0.12, True), (0.3, False), (np.inf, False)])
 def test_a_body_that_comes_and_goes_has_a_mass(mass, refused):
     """A true effect is claimed unless it is a body for a time whose mass may be zero."""
-    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
-    evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
-    one = of_coulomb(inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False))
+    one = of_coulomb(rubbed(20.0))
     assert one.mass == np.inf  # friction is no body
     one.__dict__["mass"] = mass  # cached: made up here
     row = support.refusal(one)
@@ -83,10 +85,8 @@ def test_an_effect_has_one_size(true, expected, figure):
     """Of an effect's torque the residual has one part whole, what is fast, or at the slowest rows, and of the rest a
     share. What is saved of the rest tells, whatever is saved of that part. Theory: of a column x of which the residual
     has a x, it saves (2 a - 1) of x's squares."""
-    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
-    evidence = evidence_of(log_of(raw(*moved(40.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
-    inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
-    one = of_coulomb(inquiry)
+    one = of_coulomb(rubbed(40.0))
+    evidence = one.inquiry.evidence
     t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
     wave, fast = (np.sin(2 * np.pi * share * cutoff * t) for share in (0.05, 0.8))
     speed = np.abs(evidence.on_rows("qd")[:, 0])
@@ -107,10 +107,8 @@ def test_an_effect_has_one_size(true, expected, figure):
 def test_evidence_is_what_is_saved_where_the_arm_moves(slow, fast):
     """Two waves of these amplitudes are explained, one far below and one far above a quarter of the joint's band. The
     share of their squares that is slow is the share of the evidence that counts."""
-    friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
-    evidence = evidence_of(log_of(raw(*moved(40.0), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
-    inquiry = inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
-    one = of_coulomb(inquiry)
+    one = of_coulomb(rubbed(40.0))
+    evidence = one.inquiry.evidence
     t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
     made = sum(size * np.sin(2 * np.pi * share * cutoff * t) for size, share in ((slow, 0.05), (fast, 0.8)))
     after = 0.001 * np.random.default_rng(0).normal(size=evidence.valid.shape)

@@ -113,6 +113,7 @@ def test_structure_is_what_is_no_noise():
     noise_, wave = np.random.default_rng(0).normal(size=4000), 2 * np.sin(rows / 50)
     valid, piece = np.ones((4000, 3), bool), np.zeros(4000, int)
     valid[:, 2] = False
-    rows = SimpleNamespace(recording=SimpleNamespace(filter=Filter(250.0, (40.0,) * 3, 2)), piece=piece)
+    filter = Filter(250.0, (40.0,) * 3, 2, (40.0,) * 3)
+    rows = SimpleNamespace(recording=SimpleNamespace(filter=filter), piece=piece)
     got = naming.structure(cast(Evidence, rows), np.column_stack([noise_, noise_ + wave, wave]), valid)
     assert got[0] < 0.05 and got[1] == pytest.approx(2.0, rel=0.1) and got[2] == 0.0
