@@ -43,6 +43,9 @@ ANOMALIES = (
     "presliding_hysteresis",
     "torque_gain_change",
 )
+GRADUAL = 1 / 3
+"""Share of the arms whose friction changes its side gradually, as it does on bristles and in most simulations."""
+
 LOUD = 3.0
 """Times the noise of a joint's torque, above which an anomaly is to be found. Noise is what the same arm without the
 anomaly leaves over its true model below 20 Hz (an encoder of 14 bit makes torque on a heavy joint), or the torque
@@ -99,19 +102,22 @@ class Counted:
 
 
 def wear(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
-    """Friction on every joint, 2 to 20 % of its torque each, and links up to 8 % off."""
-    made = []
+    """Friction on every joint, 2 to 20 % of its torque each, and links up to 8 % off; some arms have friction that
+    changes its side gradually, within 2 to 12 mrad/s (of a slow joint a share of its speed)."""
+    made, gradual = [], np.random.default_rng([13, scene.seed])
+    creeps = gradual.random() < GRADUAL
     for j, joint in enumerate(scene.robot.joints):
         coulomb, viscous = scene.torque[j] * np.exp(draw.uniform(np.log(0.02), np.log(0.2), 2))
         mass = scene.robot.inertial[j, 0]
         reach = np.linalg.norm(scene.robot.inertial[j, 1:4]) / max(mass, 1e-6)
+        transition = {"transition": min(1.0, float(scene.speed[j])) * _drawn(gradual, 2e-3, 1.2e-2)}
         off = {
             "mass": float(mass * draw.uniform(-0.08, 0.08)),
             "com": [float(x) for x in 0.08 * reach * draw.uniform(-1, 1, 3) / np.sqrt(3)],
             "inertia": float(draw.uniform(-0.08, 0.08)),
         }
         made += [
-            Hidden("coulomb_friction", joint, {"coulomb": float(coulomb)}),
+            Hidden("coulomb_friction", joint, {"coulomb": float(coulomb)} | (transition if creeps else {})),
             Hidden("viscous_friction", joint, {"damping": float(viscous / scene.speed[j])}),
             Hidden("link_inertia_error", joint, off),
         ]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import band, doctor, gains, known, standard
+from invdyn_cli.diagnosis import band, doctor, gains, known, standard, transition
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather
 from invdyn_cli.diagnosis.columns.evidence import Evidence, started
@@ -87,6 +87,19 @@ class Case:
         """Whether only what has changed since a reference is looked for."""
         return any("reference" in p.role for p in self.recording.pieces)
 
+    def with_transition(self, speeds: tuple[float, ...]) -> "Case":
+        """The same with friction that changes its side so gradually."""
+        side, position_side = self.log.torque_side, self.log.position_side
+        recording = replace(self.evidence.recording, transition=speeds)
+        evidence = gather(self.evidence.robot, recording, list(self.effects.values()), side, position_side)
+        evidence.given = known.timed(evidence, self.facts)
+        return replace(
+            self,
+            recording=replace(self.recording, transition=speeds),
+            evidence=evidence,
+            columns=standard.columns_of(evidence, side),
+        )
+
 
 def prepared(
     log: Log,
@@ -117,18 +130,25 @@ def prepared(
     facts, allowed = known.read(options.known, effects, robot)
     gravity, inertia = "gravity" in log.compensated, _typical_inertia(robot)
 
-    def rows(highest: Sequence[float] | None = None) -> tuple[Recording, Robot, Recording, float]:
+    def rows(
+        highest: Sequence[float] | None = None, gradual: tuple[float, ...] = ()
+    ) -> tuple[Recording, Robot, Recording, float]:
         """The log in rows, before and after what is known is taken out, and its common delay."""
         measured = prepare(in_newton_metres(log), inertia, windows, options.conditioning, highest)
+        measured = replace(measured, transition=gradual)
         without, changed = known.taken_out(measured, robot, facts, gravity=gravity)
         return measured, changed, *hold.remove_common_delay(changed, without, log.torque_side)
 
     try:
         measured, changed, recording, lead = rows()
         columns = standard.columns_of(started(changed, recording), log.torque_side)
+        gradual = transition.speeds(columns)
+        if any(gradual):
+            measured, changed, recording, lead = rows(None, gradual)
+            columns = standard.columns_of(started(changed, recording), log.torque_side)
         heard = band.heard(columns, options.conditioning.cutoffs)
         if heard != recording.filter.cutoffs:
-            measured, changed, recording, lead = rows(heard)
+            measured, changed, recording, lead = rows(heard, gradual)
             columns = None
     except LogError as error:
         return _unusable(examination, (*notes, str(error)))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli import compiled
-from invdyn_cli.diagnosis import extension, gains, repeats, standard, wear
+from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition, wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
@@ -63,7 +63,20 @@ def diagnose(
         case = prepared(log, robot, windows, reference, options, effects, progress)
         if isinstance(case, Diagnosis):
             return case
-        return decided(case, *searched(case, progress), options, learner, seed, progress)
+        found = searched(case, progress)
+        gradual = _gradual(*found)
+        if gradual != (case.recording.transition or (0.0,) * robot.dofs):
+            case = case.with_transition(gradual)
+            found = searched(case, progress)
+        return decided(case, *found, options, learner, seed, progress)
+
+
+def _gradual(inquiry: Inquiry, columns: standard.Columns) -> tuple[float, ...]:
+    """How gradually friction changes its side beside what was found, where that tells it."""
+    acting = inquiry.chosen.acting
+    jumping = [a for a in acting if a.effect.jumps and not a.effect.coupled and a.when is None]
+    rest = [a for a in acting if a not in jumping and a.effect is not standard.LINK]
+    return transition.speeds(columns.behind(rest), inquiry.model.residual(rest), jumping)
 
 
 def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard.Columns]:
@@ -144,11 +157,18 @@ def decided(
         model=model,
         signals=_signals(evidence, made, written),
         replay=again,
-        notes=(*case.notes, *made.notes, *repeats.note_of(evidence.recording), *why),
+        notes=(
+            *case.notes,
+            *transition.note_of(robot, case.recording.transition),
+            *made.notes,
+            *repeats.note_of(evidence.recording),
+            *why,
+        ),
         details={
             **evidence.recording.details,
             "torque_side": side,
             "time_taken_out_s": case.lead,
+            "friction_transition": dict(zip(robot.joints, case.recording.transition, strict=False)),
             "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,
@@ -197,6 +217,7 @@ def _written(case: Case, more: standard.Beside) -> ExtendedModel:
             "as_recorded": case.examination.as_recorded,
             **({} if case.gained is None else {"drive_gains": case.gained.told()}),
         },
+        transition=case.recording.transition,
     )
 
 

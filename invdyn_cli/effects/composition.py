@@ -232,6 +232,8 @@ def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: S
     return tau
 
 
-def sign_of(qd: Array, width: Array | float) -> Array:
-    """sign(qd), but linear within `width` [rad/s] of zero."""
-    return qd.__array_namespace__().clip(qd / width, -1, 1)
+def sign_of(qd: Array, width: Array | float, transition: float = 0.0) -> Array:
+    """sign(qd), but linear within `width` [rad/s] of zero; tanh(qd / transition) where a joint's friction changes its
+    side so gradually [rad/s]."""
+    xp = qd.__array_namespace__()
+    return xp.tanh(qd / transition) if transition > 0 else xp.clip(qd / width, -1, 1)

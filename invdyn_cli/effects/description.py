@@ -40,6 +40,7 @@ class ExtendedModel:
         intervals: per effect {parameter: (value, lower, upper)}, {} where it was declared.
         filter: what the parameters were found behind.
         provenance: of which log.
+        transition: (n,) [rad/s; m/s] how gradually each joint's friction changes its side; 0, and (): it jumps.
     """
 
     robot: Robot
@@ -47,6 +48,7 @@ class ExtendedModel:
     intervals: tuple[Mapping[str, tuple], ...] = ()
     filter: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    transition: tuple[float, ...] = ()
 
     def apply(self, motion: Motion, t: Array | float = 0.0) -> Array:
         """Torque (n,) of one sample, without effects that a single sample cannot show: delay, lag, gears, time windows;
@@ -55,7 +57,8 @@ class ExtendedModel:
         out, states, parents = [], [], self.robot.parents
         for j in range(self.robot.dofs):
             q, qd, qdd = (jnp.asarray(x[j]) for x in (motion.q, motion.qd, motion.qdd))
-            states.append(JointState(jnp.asarray(t), q, qd, qdd, sign_of(qd, SHARP), body[j], width=SHARP))
+            sign = sign_of(qd, SHARP, self._transitions[j])
+            states.append(JointState(jnp.asarray(t), q, qd, qdd, sign, body[j], width=SHARP))
         states = in_chain(states, parents)
         for j in range(self.robot.dofs):
             tau = body[j] + sum(joint_terms(self.acting, j, states, parents))
@@ -83,12 +86,17 @@ class ExtendedModel:
         stretch = Span(trajectory, t, float(rate))
         body = link_torque(self.robot, self.acting, Motion(q, qd, qdd), stretch)
         out, parents = np.empty_like(body), self.robot.parents
-        rows = zip(q, qd, qdd, sign_of(qd, SHARP), body, strict=True)
+        signs = [sign_of(x, SHARP, v) for x, v in zip(qd, self._transitions, strict=True)]
+        rows = zip(q, qd, qdd, signs, body, strict=True)
         states = in_chain([JointState(t, *row, width=SHARP) for row in rows], parents)
         for j in range(len(body)):
             tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, states, parents))
             out[j] = channel(self.acting, j, tau, stretch) if len(t) > 3 else tau
         return out.T
+
+    @property
+    def _transitions(self) -> tuple[float, ...]:
+        return self.transition or (0.0,) * self.robot.dofs
 
 
 def period_of(q: np.ndarray, qd: np.ndarray) -> float:
@@ -129,6 +137,7 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
         "urdf": model.robot.urdf,
         "order": ["motion", "body", "gear", "force", "torque", "channel"],
         "effects": rows,
+        **({"friction_transition": list(model.transition)} if any(model.transition) else {}),
         "filter": dict(model.filter),
         "provenance": dict(model.provenance),
     }
@@ -163,12 +172,16 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
             acting.append(EffectInstance(effects[name], joint, parameters, when))
             ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
             intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})
+        transition = tuple(float(x) for x in stored.get("friction_transition", ()))
+        if transition and not (len(transition) == robot.dofs and all(0 <= x < np.inf for x in transition)):
+            raise ValueError(f"friction_transition={list(transition)}; allowed: {robot.dofs} speeds from 0")
     except KeyError as error:
         raise UsageError(f"{where} lacks {error}", advice="the file as invdyn diagnose wrote it") from error
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
         got = f"{where} is not a complete model ({error})"
         raise UsageError(got, advice="the file as invdyn diagnose wrote it") from error
-    return ExtendedModel(robot, tuple(acting), tuple(intervals), stored.get("filter", {}), stored.get("provenance", {}))
+    more = stored.get("filter", {}), stored.get("provenance", {}), transition
+    return ExtendedModel(robot, tuple(acting), tuple(intervals), *more)
 
 
 def driver_name(one: EffectInstance, robot: Robot) -> dict[str, str]:

@@ -134,6 +134,7 @@ class Recording:
     Attributes:
         period: [s] between samples of the log, before anything was resampled.
         position_noise, torque_noise: (n,) standard deviation of white noise at the log's own rate [rad], [N m].
+        transition: (n,) [rad/s; m/s] how gradually each joint's friction changes its side, if at all; 0: it jumps.
     """
 
     joints: tuple[str, ...]
@@ -144,6 +145,7 @@ class Recording:
     torque_noise: np.ndarray
     notes: tuple[str, ...] = ()
     details: Mapping[str, object] = field(default_factory=dict)
+    transition: tuple[float, ...] = ()
 
     def stretch(self, piece: Piece) -> Span:
         """Where and when a piece was."""

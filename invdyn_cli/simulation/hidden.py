@@ -41,7 +41,7 @@ def _event(needed: Mapping[str, str], optional: Mapping[str, str] | None = None,
 
 KINDS = {
     "viscous_friction": Kind({"damping": FROM}),
-    "coulomb_friction": Kind({"coulomb": FROM}),
+    "coulomb_friction": Kind({"coulomb": FROM}, {"transition": ABOVE}),
     "asymmetric_coulomb_friction": Kind({"positive": FROM, "negative": FROM}),
     "stribeck_friction": Kind({"coulomb": FROM, "static": FROM, "velocity": ABOVE}),
     "load_dependent_friction": Kind({"mu": FROM}),
@@ -220,7 +220,10 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
         case "viscous_friction":
             build.damping[i] += p["damping"]
         case "coulomb_friction":
-            build.friction[i] += p["coulomb"]
+            if "transition" in p:
+                build.drags.append((i, partial(_gradual, **p)))
+            else:
+                build.friction[i] += p["coulomb"]
         case "asymmetric_coulomb_friction":  # within [-negative, positive] nothing moves: a shifted symmetric friction
             build.friction[i] += (p["positive"] + p["negative"]) / 2
             build.offset[i] += (p["positive"] - p["negative"]) / 2
@@ -296,6 +299,12 @@ def _stribeck(qd, load, coulomb: float, static: float, velocity: float):
 
 def _load_dependent(qd, load, mu: float):
     return mu * abs(load)
+
+
+def _gradual(t, qd, coulomb: float, transition: float):
+    """coulomb tanh(qd / transition), as damping."""
+    x = np.abs(qd) / transition + 1e-9
+    return coulomb / transition * np.tanh(x) / x
 
 
 def _quadratic(t, qd, drag: float):

@@ -40,6 +40,12 @@ CASES = (
     Case("coulomb_friction", "arm_joint_2", {"coulomb": 2.0}, lambda x, i: 2.0 * np.sign(x.qd[:, i])),
     Case("coulomb_friction", "arm_joint_6", {"coulomb": 0.5}, lambda x, i: 0.5 * np.sign(x.qd[:, i])),
     Case(
+        "coulomb_friction",
+        "arm_joint_5",
+        {"coulomb": 0.5, "transition": 0.01},
+        lambda x, i: 0.5 * np.tanh(x.qd[:, i] / 0.01),
+    ),
+    Case(
         "asymmetric_coulomb_friction",
         "arm_joint_3",
         {"positive": 2.0, "negative": 1.0},

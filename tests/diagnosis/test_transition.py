@@ -1,0 +1,74 @@
+"""Friction that changes its side gradually where a joint turns back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from invdyn_cli.diagnosis import diagnose, standard, transition
+from invdyn_cli.effects.description import as_dict, from_dict
+from invdyn_cli.errors import UsageError
+from invdyn_cli.simulation import plant
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.references import PickPlace
+from invdyn_cli.simulation.sensors import Noise
+from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
+
+LEVELS = (5.0, 3.0, 1.0)
+"""[N m] of an arm's joints."""
+
+
+def found(*terms):
+    """The transitions that a log of 30 s with these terms and noise tells."""
+    evidence = evidence_of(log_of(raw(*moved(30.0), *terms, torque=0.02, position=1e-7)), ("coulomb_friction",))
+    return transition.speeds(standard.columns_of(evidence, "unknown"))
+
+
+@pytest.mark.parametrize("speed", np.random.default_rng(5).uniform(0.01, 0.04, 2))
+def test_the_speed_of_a_gradual_change_is_found(speed):
+    """2 N m tanh(qd / v) on the first joint: v to 15 %, which is the width of a grid's step after one refinement; the
+    other joints' friction jumps."""
+    first, *others = found(on(0, lambda t, q, qd, *_: 2.0 * np.tanh(qd / speed)))
+    assert abs(first / speed - 1) < 0.15
+    assert not any(others)
+
+
+@pytest.mark.parametrize("term", [np.sign, lambda qd: 0 * qd, lambda qd: qd], ids=["jumps", "none", "viscous"])
+def test_friction_that_jumps_does_so(term):
+    """Coulomb friction of the same size, none, and viscous friction alone: no joint creeps."""
+    assert not any(found(on(0, lambda t, q, qd, *_: 2.0 * term(qd))))
+
+
+@pytest.fixture(scope="module")
+def crept():
+    """The diagnosis of an arm that picks and places with friction of LEVELS, gradual within 8 mrad/s; the simulated arm
+    shares no code with what looks for it."""
+    given = [{"coulomb": level, "transition": 0.008} for level in LEVELS]
+    hidden = [Hidden("coulomb_friction", joint, x) for joint, x in zip(arm().joints, given, strict=True)]
+    noise = Noise(position=1e-6, torque=(0.02,) * arm().dofs)
+    log = plant.record(arm(), [PickPlace()], hidden, duration=40.0, rate=500.0, seed=3, noise=noise)
+    return diagnose(log, arm())
+
+
+def test_an_arm_that_creeps_is_told(crept):
+    """Nothing but Coulomb friction is claimed, right to 2 % (a jump in its place makes 5 to 40 % on other terms), the
+    model is as good as the sensor, and a sentence names the joints."""
+    assert {f.effect for f in crept.findings if f.status == "named"} == {"coulomb_friction"}
+    sizes = [crept.standard[joint]["coulomb"]["value"] for joint in arm().joints]
+    np.testing.assert_allclose(sizes, LEVELS, rtol=0.02)
+    assert max(x["rmse"] for x in crept.extended.values()) < 0.05
+    assert any("tanh(qd / v)" in note for note in crept.notes)
+
+
+def test_a_model_keeps_its_transition(crept):
+    """The model predicts the same after it was written and read; a transition that is none is refused."""
+    model = crept.model
+    stored = json.loads(json.dumps(as_dict(model)))
+    t = np.linspace(0, 4, 400)[:, None] + np.arange(model.robot.dofs)
+    motion = 0.02 * np.sin(t), 0.02 * np.cos(t), -0.02 * np.sin(t)
+    before, after = model.predict(*motion), from_dict(stored).predict(*motion)
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    jumping = from_dict({k: v for k, v in stored.items() if k != "friction_transition"})
+    assert np.abs(jumping.predict(*motion) - before).max() > 0.5
+    with pytest.raises(UsageError, match="friction_transition"):
+        from_dict({**stored, "friction_transition": [-1.0] * model.robot.dofs})
