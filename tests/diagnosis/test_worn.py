@@ -183,6 +183,26 @@ def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
     assert abs(anomalies[0].parameters["mass"].value - mass) < 0.08 * robot.inertial[1:, 0].sum()
 
 
+def test_a_log_says_whose_zero_links_hide(tmp_path):
+    """A zero that is 0.03 rad off is named where the log without it did not say that it could not show it, and not
+    claimed where it did: the last joint's, whose link may as well be heavier on one side."""
+    draw = np.random.default_rng(1)
+    (tmp_path / "arm.urdf").write_text(random_arm(draw, 4))
+    robot = load_urdf(tmp_path / "arm.urdf")
+    scene = scene_of(robot, Multisine(), 25.0, 1)
+    worn, noise = drawn_wear(draw, scene), Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
+
+    def said(*hidden):
+        log = record(robot, [scene.reference], [*worn, *hidden], noise=noise, duration=25.0, seed=1)
+        return [f for f in diagnose(log, robot).findings if f.effect == "encoder_offset"]
+
+    hides = {f.joint for f in said() if f.status == "not_excited"}
+    for joint in robot.joints[1], robot.joints[3]:
+        told = {(f.joint, f.status) for f in said(Hidden("encoder_offset", joint, {"offset": 0.03}))}
+        assert (joint, "not_excited" if joint in hides else "named") in told
+    assert hides & set(robot.joints[1:]) == {robot.joints[3]}
+
+
 def ripple(scene):
     """A tenth of the joint's torque, 30 times a turn."""
     return {"amplitude": float(0.1 * scene.torque[1]), "cycles": 30.0, "phase": 1.0}

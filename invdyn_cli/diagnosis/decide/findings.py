@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.decide import bodies, claim, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, held_out, left, refitted
 from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
-from invdyn_cli.diagnosis.decide.not_shown import unseen
+from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.search import naming, resting
@@ -108,7 +108,11 @@ def report(
     ordered = tuple(claims[k] for k in order)
     acting = tuple(sized.whole.acting[k] for k in places)
     return Made(
-        findings=(*ordered, *unseen(effects, ordered, examination, side, position_side)),
+        findings=(
+            *ordered,
+            *unseen(effects, ordered, examination, side, position_side),
+            *like_links(inquiry, ordered),
+        ),
         hypothesis=hypothesis,
         acting=acting,
         intervals=tuple(sized.ends[k] for k in places),

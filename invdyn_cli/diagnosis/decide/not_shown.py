@@ -2,9 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from invdyn_cli.diagnosis.checks.excitation import cannot_show
+from invdyn_cli.diagnosis.search.equations import inverted
+from invdyn_cli.diagnosis.search.feigned import EVIDENCE
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.joints import UsualJoint
 from invdyn_cli.types import Examination, Finding
+
+LIKE_LINKS = "links that are as wrong as those of this arm make the same torque on this motion"
 
 
 def unseen(
@@ -45,3 +53,21 @@ def unseen(
             advice = effects[name].advice
             out.append(Finding(name, joint, "not_excited", evidence={"why": why}, advice=advice))
     return out
+
+
+def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
+    """Errors of a joint's angle that would not be found on a worn arm: of a typical size they make, beside links that
+    may be as wrong as the others are, less evidence than a claim needs."""
+    robot, made = inquiry.evidence.robot, list[Finding]()
+    claimed, every = {(f.effect, f.joint) for f in claims}, (*inquiry.always, *inquiry.hypothesis)
+    for c in inquiry.pool if inquiry.wear else ():
+        if c.joint is None or not c.effect.bends or c.is_trial or (c.effect.name, robot.joints[c.joint]) in claimed:
+            continue
+        together = (*(x for x in every if x.key != c.key), c)
+        precision = np.concatenate([x.precision for x in together])
+        variance = inverted(inquiry.judge.equations(together)[1], precision)[-1, -1]
+        typical = c.effect.typical(UsualJoint(robot, c.joint, *[1.0] * 7)) or {}
+        if sum(x**2 for x in typical.values()) < EVIDENCE * variance:
+            where = c.effect.name, robot.joints[c.joint]
+            made.append(Finding(*where, "not_excited", evidence={"why": LIKE_LINKS}, advice=c.effect.advice))
+    return made
