@@ -131,11 +131,11 @@ def prepared(
     gravity, inertia = "gravity" in log.compensated, _typical_inertia(robot)
 
     def rows(
-        highest: Sequence[float] | None = None, gradual: tuple[float, ...] = ()
+        highest: Sequence[float] | None = None, gradual: tuple[float, ...] | None = None
     ) -> tuple[Recording, Robot, Recording, float]:
         """The log in rows, before and after what is known is taken out, and its common delay."""
         measured = prepare(in_newton_metres(log), inertia, windows, options.conditioning, highest)
-        measured = replace(measured, transition=gradual)
+        measured = measured if gradual is None else replace(measured, transition=gradual)
         without, changed = known.taken_out(measured, robot, facts, gravity=gravity)
         return measured, changed, *hold.remove_common_delay(changed, without, log.torque_side)
 

@@ -65,9 +65,9 @@ def diagnose(
             return case
         found = searched(case, progress)
         gradual = _gradual(*found)
-        if gradual != (case.recording.transition or (0.0,) * robot.dofs):
+        if gradual != case.recording.transition:
             case = case.with_transition(gradual)
-            found = searched(case, progress)
+            found = searched(case, lambda done, note: progress(0.7, f"{note}, friction that changes side gradually"))
         return decided(case, *found, options, learner, seed, progress)
 
 
@@ -168,7 +168,7 @@ def decided(
             **evidence.recording.details,
             "torque_side": side,
             "time_taken_out_s": case.lead,
-            "friction_transition": dict(zip(robot.joints, case.recording.transition, strict=False)),
+            "friction_transition": dict(zip(robot.joints, case.recording.transition, strict=True)),
             "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,

@@ -38,7 +38,7 @@ def speeds(
     residual = evidence.residual((), np.zeros(0)) if residual is None else residual
     theta = columns.fit(residual, rows).theta
     target = residual - columns.of(np.where(columns.inertial, theta, 0.0))
-    now = evidence.recording.transition or (0.0,) * evidence.dofs
+    now = evidence.recording.transition
     if "coulomb" not in columns.terms:
         return now
     return tuple(
@@ -62,8 +62,10 @@ def _speed(
     best = min((0.0, *(share * usual for share in SHARES)), key=squares)
     after = left(best)
     independent = rows.sum() / autocorrelation_time(np.where(rows, after, 0.0))
-    if independent * np.log(np.sum(before**2) / max(np.sum(after**2), 1e-300)) < TOLD or not best:
+    if independent * np.log(np.sum(before**2) / max(np.sum(after**2), 1e-300)) < TOLD:
         return now
+    if not best:
+        return 0.0
     near = np.log([best / 2, min(2 * best, SHARES[-1] * usual)])
     found = scipy.optimize.minimize_scalar(lambda x: squares(np.exp(x)), bounds=near, options={"xatol": 0.02})
     return float(np.exp(found.x))

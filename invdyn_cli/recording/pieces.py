@@ -143,9 +143,9 @@ class Recording:
     period: float
     position_noise: np.ndarray
     torque_noise: np.ndarray
+    transition: tuple[float, ...]
     notes: tuple[str, ...] = ()
     details: Mapping[str, object] = field(default_factory=dict)
-    transition: tuple[float, ...] = ()
 
     def stretch(self, piece: Piece) -> Span:
         """Where and when a piece was."""
@@ -231,7 +231,9 @@ def prepare(
         "filter_order": 4,
         "motion_cutoff_Hz": dict(zip(log.joints, smooth.tolist(), strict=True)),
     }
-    return Recording(log.joints, tuple(pieces), common, period, position_noise, torque_noise, tuple(notes), details)
+    jumps = (0.0,) * len(log.joints)
+    noise = position_noise, torque_noise
+    return Recording(log.joints, tuple(pieces), common, period, *noise, jumps, tuple(notes), details)
 
 
 def _by_trajectory(log: Log, options: Preparation) -> dict[str, list[Window]]:

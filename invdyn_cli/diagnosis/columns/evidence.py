@@ -223,9 +223,9 @@ def started(robot: Robot, recording: Recording) -> Evidence:
 def joint_states(piece: Piece, torque: np.ndarray, recording: Recording, parents: Sequence[int]) -> list[JointState]:
     """Every joint's state; sign(qd) is averaged over a sample's length, and no sharper than the noise of the speed or
     than its friction changes side."""
-    step, transition = 1 / recording.filter.rate, recording.transition or (0.0,) * len(torque)
+    step = 1 / recording.filter.rate
     width = np.maximum(np.abs(piece.qdd) * step / 2, np.maximum(2 * piece.motion_noise, 1e-6)[:, None])
-    sign = [sign_of(*of_joint) for of_joint in zip(piece.qd, width, transition, strict=True)]
+    sign = [sign_of(*of_joint) for of_joint in zip(piece.qd, width, recording.transition, strict=True)]
     before = [
         p.q for p in recording.pieces if p.trajectory == piece.trajectory and 0 < piece.t[0] - p.t[-1] < ADJOINING
     ]
