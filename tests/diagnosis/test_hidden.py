@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.cases import SIZES, Case, Scene, draw_effect, draw_scene, play
+from experiments.cases import SIZES, Case, Scene, draw_case, draw_effect, draw_scene, play
 from experiments.confusion import LOUD, claims, judge
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -137,6 +137,15 @@ def test_a_shared_gear_beside_friction(seed):
     assert found.parameters["ratio"].value == hidden["ratio"]
     for name in ("coulomb", "damping"):
         assert found.parameters[name].value == pytest.approx(hidden[name], rel=0.1)
+
+
+@pytest.mark.benchmark
+def test_a_shared_gear_is_found_though_noise_is_measured_without_it():
+    """A gear of two joints that makes 255 times the noise: what both joints lack was taken for noise, and friction,
+    ripples and gains of each joint left no more than that, so that nothing was named."""
+    case = draw_case(481000, ["coupled_friction"])
+    outcome = judge(case, diagnose(case.log, case.robot), 481000, 0.0)
+    assert outcome.result == "named" and not outcome.extra, outcome
 
 
 @pytest.mark.benchmark  # test_pipeline has friction on every joint, and names it as that

@@ -321,14 +321,15 @@ def _begun(
         found = (search(judge, pool, always, start, most) for start in starts)
         return min(found, key=lambda one: judge.loss((*always, *one)))
 
-    simple = [c for c in pool if not c.effect.coupled]
-    if len(simple) == len(pool):
+    shared = [c for c in pool if c.effect.coupled]
+    if not shared:
         return best(pool, starts)
-    late = best(pool, [best(simple, starts)])
-    if PLAINLY * judge.loss((*always, *late)) < judge.floor:
+    late = best(pool, [best([c for c in pool if not c.effect.coupled], starts)])
+    asked = PLAINLY * judge.loss((*always, *late))
+    if asked < judge.floor and np.min(judge.extended(always, shared)[0]) > asked:  # noise was measured without them
         return late
     early = best(pool, starts)
-    return early if judge.loss((*always, *early)) < PLAINLY * judge.loss((*always, *late)) else late
+    return early if judge.loss((*always, *early)) < asked else late
 
 
 def others_of(acting: Sequence[EffectInstance], one: EffectInstance) -> list[EffectInstance]:
