@@ -232,8 +232,14 @@ def channel(acting: Sequence[EffectInstance], joint: int, tau: Array, stretch: S
     return tau
 
 
+ALIKE = 0.72
+"""1 / ln 4: tanh(qd / v) lacks as much of the sign's area as a straight line within v / 0.72."""
+
+
 def sign_of(qd: Array, width: Array | float, transition: float = 0.0) -> Array:
     """sign(qd), but linear within `width` [rad/s] of zero; tanh(qd / transition) where a joint's friction changes its
-    side so gradually [rad/s]."""
+    side so gradually [rad/s], and no sharper than within that width."""
     xp = qd.__array_namespace__()
-    return xp.tanh(qd / transition) if transition > 0 else xp.clip(qd / width, -1, 1)
+    if not transition > 0:
+        return xp.clip(qd / width, -1, 1)
+    return xp.tanh(qd / xp.maximum(transition, ALIKE * xp.asarray(width)))

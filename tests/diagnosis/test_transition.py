@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import diagnose, standard, transition
+from invdyn_cli.effects.composition import sign_of
 from invdyn_cli.effects.description import as_dict, from_dict
 from invdyn_cli.errors import UsageError
 from invdyn_cli.simulation import plant
@@ -72,3 +73,11 @@ def test_a_model_keeps_its_transition(crept):
     assert np.abs(jumping.predict(*motion) - before).max() > 0.5
     with pytest.raises(UsageError, match="friction_transition"):
         from_dict({**stored, "friction_transition": [-1.0] * model.robot.dofs})
+
+
+def test_no_transition_is_sharper_than_the_noise():
+    """Within the noise of the speed a transition changes the sign by no more than tanh differs from a straight line of
+    the same area: less than an eighth."""
+    qd = np.linspace(-0.05, 0.05, 501)
+    assert np.abs(sign_of(qd, 0.01, 1e-5) - sign_of(qd, 0.01)).max() < 0.125
+    assert np.abs(sign_of(qd, 0.01, 0.03) - np.tanh(qd / 0.03)).max() < 1e-12
