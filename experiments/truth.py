@@ -11,13 +11,10 @@ from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.simulation.hidden import Hidden, assemble
 from invdyn_cli.types import Robot
 
-DRY = ("coulomb_friction",)
-"""What may change its side gradually in the simulated arm."""
-
 
 def model_of(robot: Robot, hidden: Sequence[Hidden]) -> ExtendedModel:
     """The robot with what was hidden: a payload as the sphere that it is, a link by its inertials' change."""
-    gradual = {one.joint: float(one.parameters.get("transition", 0.0)) for one in hidden if one.effect in DRY}
+    gradual = {one.joint: float(one.parameters["transition"]) for one in hidden if "transition" in one.parameters}
     acting = tuple(_acting(robot, one) for one in hidden)
     return ExtendedModel(robot, acting, transition=tuple(gradual.get(joint, 0.0) for joint in robot.joints))
 

@@ -89,15 +89,13 @@ class Case:
 
     def with_transition(self, speeds: tuple[float, ...]) -> "Case":
         """The same with friction that changes its side so gradually."""
-        side, position_side = self.log.torque_side, self.log.position_side
         recording = replace(self.evidence.recording, transition=speeds)
-        evidence = gather(self.evidence.robot, recording, list(self.effects.values()), side, position_side)
-        evidence.given = known.timed(evidence, self.facts)
+        evidence = _gathered(self.evidence.robot, recording, self.log, self.effects, self.facts)
         return replace(
             self,
             recording=replace(self.recording, transition=speeds),
             evidence=evidence,
-            columns=standard.columns_of(evidence, side),
+            columns=standard.columns_of(evidence, self.log.torque_side),
         )
 
 
@@ -130,31 +128,33 @@ def prepared(
     facts, allowed = known.read(options.known, effects, robot)
     gravity, inertia = "gravity" in log.compensated, _typical_inertia(robot)
 
-    def rows(
-        highest: Sequence[float] | None = None, gradual: tuple[float, ...] | None = None
-    ) -> tuple[Recording, Robot, Recording, float]:
-        """The log in rows, before and after what is known is taken out, and its common delay."""
-        measured = prepare(in_newton_metres(log), inertia, windows, options.conditioning, highest)
-        measured = measured if gradual is None else replace(measured, transition=gradual)
+    def rows(highest: Sequence[float] | None = None) -> Recording:
+        """The log in rows."""
+        return prepare(in_newton_metres(log), inertia, windows, options.conditioning, highest)
+
+    def asked(measured: Recording) -> tuple[Robot, Recording, float]:
+        """The robot and the rows without what is known, and without their common delay; and that."""
         without, changed = known.taken_out(measured, robot, facts, gravity=gravity)
-        return measured, changed, *hold.remove_common_delay(changed, without, log.torque_side)
+        return changed, *hold.remove_common_delay(changed, without, log.torque_side)
 
     try:
-        measured, changed, recording, lead = rows()
+        measured = rows()
+        changed, recording, lead = asked(measured)
         columns = standard.columns_of(started(changed, recording), log.torque_side)
         gradual = transition.speeds(columns)
         if any(gradual):
-            measured, changed, recording, lead = rows(None, gradual)
+            measured = replace(measured, transition=gradual)
+            changed, recording, lead = asked(measured)
             columns = standard.columns_of(started(changed, recording), log.torque_side)
         heard = band.heard(columns, options.conditioning.cutoffs)
         if heard != recording.filter.cutoffs:
-            measured, changed, recording, lead = rows(heard, gradual)
+            measured = replace(rows(heard), transition=gradual)
+            changed, recording, lead = asked(measured)
             columns = None
     except LogError as error:
         return _unusable(examination, (*notes, str(error)))
     progress(0.25, "columns")
-    evidence = gather(changed, recording, list(pool.values()), log.torque_side, log.position_side)
-    evidence.given = known.timed(evidence, facts)
+    evidence = _gathered(changed, recording, log, pool, facts)
     columns = standard.columns_of(evidence, log.torque_side) if columns is None else replace(columns, evidence=evidence)
     return Case(
         log=log,
@@ -173,6 +173,19 @@ def prepared(
         notes=(*notes, *recording.notes),
         corrected=corrected,
     )
+
+
+def _gathered(
+    robot: Robot,
+    recording: Recording,
+    log: Log,
+    effects: Mapping[str, AbstractEffect],
+    facts: Sequence[EffectInstance],
+) -> Evidence:
+    """The columns of effects on the rows of a log, with what corrects the timing of declared ones."""
+    evidence = gather(robot, recording, list(effects.values()), log.torque_side, log.position_side)
+    evidence.given = known.timed(evidence, facts)
+    return evidence
 
 
 def _gained(

@@ -30,7 +30,7 @@ def speeds(
     model has them: the present one where no other is plainly better.
 
     Args:
-        residual: (R, n) what is left without the friction of the joints; None: of the nominal model.
+        residual: (R, n) logged torque minus that of a model without friction; None: minus that of the nominal model.
         jumping: what was found that jumps where its joint turns back, and is still in the residual.
     """
     evidence = columns.evidence

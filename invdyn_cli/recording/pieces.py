@@ -153,7 +153,7 @@ class Recording:
 
 
 def needed(rate: float, cutoff: float) -> int:
-    """Number of samples that a piece must exceed to be used behind a low-pass at this cut-off [Hz]."""
+    """A piece with more samples than this is used behind a low-pass at this cut-off [Hz]; a shorter one is not."""
     return 3 * settling(rate, cutoff) + 8
 
 
