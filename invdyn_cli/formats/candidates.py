@@ -30,7 +30,7 @@ def candidates(table: Table) -> list[Candidate]:
             one = replace(one, quantity="q")
         if not one.quantity:
             continue
-        key = (bool(told), one.quantity, one.word, one.commanded, one.measured, one.link)
+        key = (bool(told), one.quantity, one.word, one.commanded, one.measured, one.link, bool(one.joint))
         while one.joint in groups.get(key, {}):  # two columns that say the same: one of two groups
             key = (*key, "another")
         groups.setdefault(key, {})[one.joint] = name

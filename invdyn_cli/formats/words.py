@@ -71,15 +71,17 @@ def meaning(name: str) -> Meaning:
     if any(word in OTHER for word in words):
         return Meaning("")
     found = [word for word in words if word in _QUANTITY]
+    if len(set(found)) > 1:  # a joint that is called T
+        found = [word for word in found if word != "t"]
     word = next((x for x in reversed(found) if x != "state"), found[-1] if found else "")
     quantity = _QUANTITY.get(word, "")
     if word == "state" and "observation" not in words:  # that of a machine
         quantity = ""
     unit, used = (unit, set()) if unit else _unit(words, quantity)
-    flags = {w for w in words if w in COMMANDED or w in MEASURED or w == "link"}
-    kept = [
-        i for i, w in enumerate(words) if i not in used and w not in _QUANTITY and w not in flags and w not in FILLERS
-    ]
+    joint_d = any(text[start:end] == "D" for _, start, end in tokens) and not text.isupper()  # "d" is "desired"
+    flags = {w for w in words if w in COMMANDED or w in MEASURED or w == "link"} - ({"d"} if joint_d else set())
+    rest = [i for i, w in enumerate(words) if i not in used and w not in flags and w not in found]
+    kept = [i for i in rest if words[i] not in FILLERS] or [i for i in rest if len(words[i]) == 1]
     joint = _joint(text, tokens, kept)
     return Meaning(
         quantity,

@@ -62,6 +62,16 @@ def test_a_controllers_log():
     assert found.known["tau.unit"] == "guessed from values" and found.known["q"] == "guessed from the name"
 
 
+def test_joints_of_one_letter():
+    """A joint may be called T, as time is, or A, as currents are measured in."""
+    columns = {"time": DATA["t"]}
+    for k, joint in enumerate("TA"):
+        columns |= {f"{joint}_position": DATA["q"][:, k], f"tau_{joint}": DATA["tau"][:, k]}
+    found = guessed(columns)
+    assert found.joints == ("T", "A")
+    assert found.channel("tau").columns == ("tau_T", "tau_A")
+
+
 @pytest.mark.parametrize(
     ("names", "factors"),
     [

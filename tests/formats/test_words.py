@@ -50,6 +50,13 @@ NAMES = {
     "Temperatur": ("", "", False, ""),
     "robot_state": ("", "", False, ""),
     "robot_mode": ("", "mode", False, ""),
+    "T_position [deg]": ("q", "T", False, "deg"),
+    "tau_T": ("tau", "T", False, ""),
+    "q_A": ("q", "A", False, ""),
+    "current_A": ("current", "", False, "A"),
+    "q_D": ("q", "D", False, ""),
+    "Q_D": ("q", "", True, ""),
+    "Desired_q_1": ("q", "1", True, ""),
 }
 
 
