@@ -30,7 +30,7 @@ class PayloadChange(AbstractBodyEffect):
     meaning = "A body that the arm picked up or released."
     equation = "a body of this mass at com in the frame of the last moving joint, for a time"
     reference = "Gaz and De Luca, IROS 2017"
-    parameters = Payload.parameters
+    parameters = {**Payload.parameters, "mass": Parameter("kg", 0.0)}
     passing = True
     of_joint = False
     load = True

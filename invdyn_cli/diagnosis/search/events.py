@@ -210,7 +210,9 @@ def _window(
         ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
         if value <= best[0] or ends:
             continue
-        made, after = windowed.fitted(a, b)
+        factors, made, after = windowed.fitted(a, b)
+        if place.effect.refuse(place.effect.found(factors.tolist(), {}, evidence.robot, place.joint)):
+            continue
         there, own = rows[a:b], used[rows[a:b]]
         gained = np.sum(own * ((after + made)[there] ** 2 - after[there] ** 2), axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])

@@ -145,6 +145,7 @@ def inquire(
         starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [start, ()] if start else [()])]
         again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
         if turn and inquiry and kept.keys() == held.keys():
+            inquiry = again  # no window more, but what lasts is known better
             break
         full = bool(held or found) and len(again.hypothesis) >= most  # and nobody knows what is missing
         idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)

@@ -96,9 +96,9 @@ class Windowed:
         normal, moment = self._equations(sums)
         return np.einsum("wa,wa->w", moment, np.linalg.solve(normal, moment[..., None])[..., 0])
 
-    def fitted(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """(R, n) the effect's torque in the window of the rows from `a` to `b`, and what the model leaves with it, all
-        that lasts being fitted anew."""
+    def fitted(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Factors (k,) of the effect's columns in the window of the rows from `a` to `b`, its torque (R, n), and what
+        the model leaves with it, all that lasts being fitted anew."""
         sums = self.between(a, b)
         normal, moment = self._equations(sums[None])
         factors = np.linalg.solve(normal[0], moment[0])
@@ -106,7 +106,7 @@ class Windowed:
         there = self.rows[a:b]
         made[there] = np.tensordot(factors, self.columns[:, :, there], 1).T
         lasting = self.refit - factors @ sums[:, len(factors) + 1 :]
-        return made, self.left - made - self.lasting.torque(lasting)
+        return factors, made, self.left - made - self.lasting.torque(lasting)
 
     def _equations(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (W, k, k) and moments (W, k), what lasts being projected out."""

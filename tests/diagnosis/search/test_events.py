@@ -59,14 +59,14 @@ def seen(term: Term = nothing, seed: int = 0, seconds: float = 10.0, names: Sequ
     return evidence_of(log_of(raw(*moved(seconds, 100.0, seed), term, torque=NOISE, seed=seed)), names)
 
 
-def looked_for(evidence: Evidence, lasting: Sequence[str] = ()) -> events.Windows:
+def looked_for(evidence: Evidence, lasting: Sequence[str] = (), passing=PASSING) -> events.Windows:
     """The windows that are proposed for all that the nominal model leaves, with these effects on every joint."""
     beside = tuple(c for c in evidence.candidates if c.effect.name in lasting)
     scorer = HypothesisScorer(evidence, np.ones(len(evidence.role), bool), np.ones(3) / NOISE**2, np.full(3, NOISE))
     scorer.refresh()
     left = evidence.residual(beside, scorer.quick(beside)[1])
     measured = Noise(np.full(3, NOISE), np.ones(3), left)
-    return events.proposed(evidence, events.places(evidence, PASSING, "unknown"), [left], measured, lasting=beside)
+    return events.proposed(evidence, events.places(evidence, passing, "unknown"), [left], measured, lasting=beside)
 
 
 @pytest.mark.parametrize("name", HIDDEN)
@@ -106,6 +106,15 @@ def test_a_window_is_found_to_a_row_beside_what_lasts(name):
 def test_nothing_comes_and_goes_in_white_noise(seed):
     """No window is proposed where there is nothing but noise."""
     assert not looked_for(seen(seed=seed))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_no_body_of_negative_mass_comes_and_goes(sign):
+    """Ten coefficients of a body explain in part whatever comes and goes: a window in which its mass would be negative
+    is not proposed, or it would take the place of the window of another effect."""
+    evidence = seen(within(lambda t, m: sign * payload(t, m)))
+    found = looked_for(evidence, passing={"payload_change": EFFECTS["payload_change"]})
+    assert bool(found) == (sign > 0)
 
 
 def test_a_blow_is_no_window():
