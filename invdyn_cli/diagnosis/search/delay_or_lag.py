@@ -5,7 +5,7 @@ the measured torque smooths its noise; one on the model's torque contains the no
 times. In the lowest part of a joint's frequency band, where the arm moves, both noises are small.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -27,14 +27,15 @@ def distinguish(
     always: Hypothesis,
     hypothesis: Hypothesis,
     chosen: Refined,
+    barred: Collection[tuple] = (),
 ) -> tuple[Hypothesis, Refined, dict[tuple[str, int | None], bool]]:
     """Delays and lags decided by their formulas on the model's torque, where a lag does not smooth the noise of the
-    measured one: the better one of both, and whether the other does as well."""
+    measured one: the better one of both, and whether the other does as well. Keys that are `barred` are not chosen."""
     close: dict[tuple[str, int | None], bool] = {}
     evidence, rows = judge.evidence, judge.rows
     for i, one in enumerate(chosen.acting):
         other = next((e for e in effects.values() if e.late_by and e.name != one.effect.name), None)
-        if not one.effect.late_by or other is None:
+        if not one.effect.late_by or other is None or (other.name, one.joint) in barred:
             continue
         swapped = replace(one, effect=other, parameters={other.late_by: one.parameters[one.effect.late_by]})
         others = chosen.acting[:i], chosen.acting[i + 1 :]

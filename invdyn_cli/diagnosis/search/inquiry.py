@@ -1,7 +1,7 @@
 """The inquiry: search and exact refinement in turn, until the set of causes stays the same."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -223,7 +223,7 @@ def _measured(
 @dataclass
 class _Search:
     """A search on rows that choose (`choosing`), beside what is `always` there, the last of it `usual`: the standard
-    model. `pool` are the trials, which become more with what is found, and fewer by what cannot be."""
+    model. `pool` are the trials, which become more with what is found, and fewer by what cannot be (`barred`)."""
 
     evidence: Evidence
     effects: Mapping[str, AbstractEffect]
@@ -235,6 +235,7 @@ class _Search:
     judge: HypothesisScorer
     model: Model
     pool: list[Candidate]
+    barred: set[tuple] = field(default_factory=set)
 
     def settled(self, hypothesis: Hypothesis, rounds: int) -> Hypothesis:
         """A hypothesis after refinement and search in turn, until the causes stay the same or hardly gain."""
@@ -277,7 +278,8 @@ class _Search:
                 hypothesis = self.settled(hypothesis, rounds)
                 continue
             weights, around = self.noise.weights, self._around(hypothesis)
-            hypothesis, chosen, close = distinguish(self.judge, model, self.effects, around, hypothesis, chosen)
+            fixed = (self.judge, model, self.effects, around)
+            hypothesis, chosen, close = distinguish(*fixed, hypothesis, chosen, self.barred)
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)
             hypothesis = tuple(trial_at(evidence, a) if edges else c for c, a, edges in found)
@@ -286,8 +288,8 @@ class _Search:
             odd = {key for one in (chosen, whole) for key in unlikely(evidence, model, self.noise, one)}
             odd |= self._feigned(hypothesis)
             if not odd:
-                fixed = (evidence, self.judge, model, self.noise, self.always, hypothesis, self.pool)
-                return Inquiry(*fixed, chosen, whole, close, self.usual)
+                searched = (evidence, self.judge, model, self.noise, self.always, hypothesis, self.pool)
+                return Inquiry(*searched, chosen, whole, close, self.usual)
             hypothesis = self._simplified(self._without(odd, hypothesis))
 
     def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:
@@ -307,6 +309,7 @@ class _Search:
 
     def _without(self, odd: Collection[tuple], hypothesis: Hypothesis) -> Hypothesis:
         """The search again without what cannot be."""
+        self.barred |= set(odd)
         self.pool = [c for c in self.pool if c.key not in odd]
         kept = tuple(c for c in hypothesis if c.key not in odd)
         return search(self.judge, self.pool, self.always, kept, self.most)

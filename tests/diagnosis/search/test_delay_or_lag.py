@@ -1,0 +1,47 @@
+"""Delay or lag."""
+
+from dataclasses import replace
+
+import pytest
+
+from invdyn_cli.diagnosis.case import Case, Options, prepared
+from invdyn_cli.diagnosis.columns.candidates import trial_at
+from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
+from invdyn_cli.diagnosis.search.exact import refine
+from invdyn_cli.diagnosis.search.inquiry import inquire
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.simulation import plant
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
+from tests.diagnosis.analytic import arm
+
+LATE = {name: EFFECTS[name] for name in ("torque_delay", "actuator_lag")}
+
+
+@pytest.fixture(scope="module")
+def lagging():
+    """What a search finds in the log of a drive with a lag of 15 ms."""
+    hidden = [Hidden("actuator_lag", arm().joints[1], {"time_constant": 0.015})]
+    noise = Noise(position=1e-6, torque=(0.02,) * arm().dofs)
+    log = plant.record(arm(), [Multisine()], hidden, duration=30.0, rate=500.0, seed=3, noise=noise)
+    case = prepared(log, arm(), None, None, Options(), LATE)
+    assert isinstance(case, Case)
+    return inquire(case.evidence, LATE, (), 3, compares=False)
+
+
+@pytest.mark.parametrize(
+    ("barred", "found"), [(set(), "actuator_lag"), ({("actuator_lag", 1)}, "torque_delay")], ids=["free", "barred"]
+)
+def test_what_was_barred_is_not_chosen_again(lagging, barred, found):
+    """A lag that was tried as a delay is told as a lag, unless a lag was taken out of the search: the search chose the
+    delay again, and was put back to the lag for ever."""
+    (lag,) = lagging.whole.acting
+    assert lag.key == ("actuator_lag", 1)
+    delay = replace(lag, effect=EFFECTS["torque_delay"], parameters={"delay": lag.parameters["time_constant"]})
+    rows, weights = lagging.judge.rows, lagging.noise.weights
+    chosen = refine(lagging.evidence, lagging.model, [delay], rows, weights, lagging.always)
+    hypothesis = (trial_at(lagging.evidence, delay),)
+    lagging.judge.refresh()
+    told, _, _ = distinguish(lagging.judge, lagging.model, LATE, lagging.always, hypothesis, chosen, barred)
+    assert [c.key for c in told] == [(found, 1)]
