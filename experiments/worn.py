@@ -164,7 +164,7 @@ def _damping(draw: np.random.Generator, one: Hidden, scene: Scene, j: int) -> fl
 class Drawn(NamedTuple):
     """A log that a controller survived, with its scene, its wear, its anomaly, what is to be said of its plant, how
     many times the noise of a joint's torque the anomaly makes there at most, alone and beyond that joint's standard
-    terms, and the torque sensors' noise (n,)."""
+    terms, the torque sensors' noise (n,), and what records an earlier log, before the anomaly, of another motion."""
 
     scene: Scene
     log: Log
@@ -174,6 +174,7 @@ class Drawn(NamedTuple):
     times: float
     beyond: float
     noise: np.ndarray
+    before: Callable[[], Log]
 
 
 def drawn(seed: int, name: str) -> Drawn:
@@ -188,7 +189,8 @@ def drawn(seed: int, name: str) -> Drawn:
         except UsageError:
             continue
         times, beyond = _loudness(scene, log, twin[0], anomaly, worn, hiss) if anomaly else (0.0, 0.0)
-        return Drawn(scene, log, worn, anomaly, said, times, beyond, hiss)
+        before = partial(record, worn, seed=scene.seed + 1)
+        return Drawn(scene, log, worn, anomaly, said, times, beyond, hiss, before)
     raise RuntimeError(f"no stable case from seed {seed} for {name}")
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import band, doctor, gains, known, standard, transition
+from invdyn_cli.diagnosis import band, doctor, gains, known, standard, transition, yielding
 from invdyn_cli.diagnosis.columns import hold
-from invdyn_cli.diagnosis.columns.candidates import gather
+from invdyn_cli.diagnosis.columns.candidates import gather, shown_by
 from invdyn_cli.diagnosis.columns.evidence import Evidence, started
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.effects.actuator import TorqueGainError
@@ -59,6 +59,7 @@ class Case:
         effects: the causes to look for, by name.
         facts: effects that are known, with their sizes.
         allowed: (effect, joint) that may be there and are not reported.
+        gear: that beside which the standard model is fitted at first, if any.
         most: effects that are named at most.
         lead: [s] the delay that all joints share, which was taken out.
         split: whether a user said which windows choose and which judge.
@@ -75,6 +76,7 @@ class Case:
     effects: Mapping[str, AbstractEffect]
     facts: Sequence[EffectInstance]
     allowed: Sequence[tuple[str, int | None]]
+    gear: EffectInstance | None
     most: int
     lead: float
     split: bool
@@ -141,7 +143,8 @@ def prepared(
         measured = rows()
         changed, recording, lead = asked(measured)
         columns = standard.columns_of(started(changed, recording), log.torque_side)
-        gradual = transition.speeds(columns)
+        gear = yielding.gear(columns, shown_by(pool.values(), log.torque_side, log.position_side))
+        gradual = transition.speeds(columns, yielding.left(columns, gear))
         if any(gradual):
             measured = replace(measured, transition=gradual)
             changed, recording, lead = asked(measured)
@@ -166,6 +169,7 @@ def prepared(
         effects=pool,
         facts=facts,
         allowed=allowed,
+        gear=gear,
         most=3 * robot.dofs if options.most is None else options.most,
         lead=lead,
         split=windows is not None,

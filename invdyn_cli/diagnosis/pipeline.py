@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli import compiled
-from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition, wear
+from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
@@ -88,7 +88,7 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
         return inquire(evidence, case.effects, case.allowed, case.most, case.compares, side, case.split, links, start)
 
     columns = case.columns
-    fitted = None if case.compares else wear.plain(columns)
+    fitted = None if case.compares else wear.plain(columns, yielding.left(columns, case.gear))
     if fitted is not None:
         return asked(*wear.beside(columns, fitted)), columns
     add_loaded(case.evidence)

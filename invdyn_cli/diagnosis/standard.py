@@ -88,7 +88,7 @@ class Columns:
         """The standard model, its links being bodies, of what is `left` (R, n) on some `rows` (R,); `least` (terms, n):
         bounds of the terms."""
         robot = self.evidence.robot
-        motions, prior, times = self._asked(left, rows, standard.link_scales(robot), least)
+        motions, prior, times = self.asked(left, rows, standard.link_scales(robot), least)
         made = standard.fit(motions, prior, times)
         return replace(made, theta=standard.within(prior, bodies(robot, made.theta, made.covariance), made.covariance))
 
@@ -96,9 +96,9 @@ class Columns:
         """The largest share by which links may be off beside a load, which may be any: see `maths.standard.widest`."""
         scales = standard.link_scales(self.evidence.robot)
         scales[-1] = 0.0  # the last link's parameters are the load's
-        return standard.widest(*self._asked(left, rows, scales))
+        return standard.widest(*self.asked(left, rows, scales))
 
-    def _asked(
+    def asked(
         self, left: np.ndarray, rows: np.ndarray, links: np.ndarray, least: np.ndarray | None = None
     ) -> tuple[list[Sums], standard.Prior, np.ndarray]:
         """Motions, prior and autocorrelation times; `links` (n, 10): scales of their parameters, zero where any will
@@ -110,13 +110,13 @@ class Columns:
         bounds[~self.inertial] = 0.0 if least is None else least.ravel()
         prior = standard.prior_of(motions, scales, positive, bounds)
         first = standard.fit(motions, prior, np.ones(self.evidence.dofs), standard.USUAL)
-        return motions, prior, self._times(left - self.of(first.theta), rows)
+        return motions, prior, self.times(left - self.of(first.theta), rows)
 
     def reach(self, fitted: Standard, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(p,) half of the 95 % interval of coefficients that were fitted to what is `left` (R, n) on some `rows` (R,),
         from the root of the sum of squares: what the noise and the prior leave unknown; their scatter between stretches
         of time or between recordings, which shows what the model has not; and SYSTEMATIC."""
-        _, prior, times = self._asked(left, rows, standard.link_scales(self.evidence.robot))
+        _, prior, times = self.asked(left, rows, standard.link_scales(self.evidence.robot))
         stretches = [self._sums(left, stretch) for stretch in _stretches(rows)]
         ways = [x for x, least in ((stretches, 2), (self._motions(left, rows), RECORDINGS)) if len(x) >= least]
         scatter = reach(
@@ -157,7 +157,7 @@ class Columns:
             grams[np.ix_([j], mine, mine)], count[j] = table @ table.T, len(kept)
         return Sums(grams, count)
 
-    def _times(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def times(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Autocorrelation time (n,) [rows] of what is left, the longest of all pieces."""
         times = np.ones(self.evidence.dofs)
         for number in range(len(self.evidence.recording.pieces)):

@@ -23,19 +23,16 @@ TOLD = 30.0
 """Twice the logarithm of the likelihood by which another transition must be better than the one that is used."""
 
 
-def speeds(
-    columns: Columns, residual: np.ndarray | None = None, jumping: Sequence[EffectInstance] = ()
-) -> tuple[float, ...]:
+def speeds(columns: Columns, residual: np.ndarray, jumping: Sequence[EffectInstance] = ()) -> tuple[float, ...]:
     """(n,) [rad/s; m/s] v of the friction tanh(qd / v) of each joint that leaves least, with the links as the standard
     model has them: the present one where no other is plainly better.
 
     Args:
-        residual: (R, n) logged torque minus that of a model without friction; None: minus that of the nominal model.
+        residual: (R, n) logged torque minus that of a model without friction.
         jumping: what was found that jumps where its joint turns back, and is still in the residual.
     """
     evidence = columns.evidence
     rows = evidence.role == ROLES.index("train")
-    residual = evidence.residual((), np.zeros(0)) if residual is None else residual
     theta = columns.fit(residual, rows).theta
     target = residual - columns.of(np.where(columns.inertial, theta, 0.0))
     now = evidence.recording.transition

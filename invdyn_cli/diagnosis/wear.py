@@ -83,14 +83,13 @@ def of(columns: Columns, inquiry: Inquiry) -> Standard | None:
     return _asked_for(columns.behind(acting).fit(inquiry.model.residual(acting), choosing, least_of(columns, acting)))
 
 
-def plain(columns: Columns) -> Standard | None:
-    """The standard model beside nothing else, if it is plain from it alone that the arm is worn: links are off, and
-    PLAINLY of the joints have a friction that can be claimed. No single cause makes that, so the arm is not
-    looked at as if it were as its URDF says."""
+def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
+    """The standard model of a `residual` (R, n) beside nothing else, if it is plain from it alone that the arm is worn:
+    links are off, and PLAINLY of the joints have a friction that can be claimed. No single cause makes that, so the arm
+    is not looked at as if it were as its URDF says."""
     evidence, n = columns.evidence, columns.evidence.dofs
     choosing = evidence.role == ROLES.index("train")
-    nominal = evidence.residual((), np.zeros(0))
-    fitted = _asked_for(columns.fit(nominal, choosing))
+    fitted = _asked_for(columns.fit(residual, choosing))
     if fitted is None:
         return None
     of_friction = [t for t, term in enumerate(columns.terms) if term in ("coulomb", "viscous")]

@@ -22,7 +22,7 @@ LEVELS = (5.0, 3.0, 1.0)
 def found(*terms):
     """The transitions that a log of 30 s with these terms and noise tells."""
     evidence = evidence_of(log_of(raw(*moved(30.0), *terms, torque=0.02, position=1e-7)), ("coulomb_friction",))
-    return transition.speeds(standard.columns_of(evidence, "unknown"))
+    return transition.speeds(standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
 
 
 @pytest.mark.parametrize("speed", np.random.default_rng(5).uniform(0.01, 0.04, 2))

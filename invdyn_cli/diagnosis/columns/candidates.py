@@ -1,6 +1,6 @@
 """Candidates: the trials of all effects, as columns beside the logged torque."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -41,14 +41,18 @@ def gather(
     candidates are made by `add_loaded`."""
     evidence = started(robot, recording)
     falls = np.linalg.norm(robot.gravity) > 0
-    shown = [e for e in effects if side in e.sides and position_side in e.position_sides and not e.passing]
-    shown = [e for e in shown if not e.sum_of]  # its parts are there
+    shown = [e for e in shown_by(effects, side, position_side) if not e.passing and not e.sum_of]  # its parts are there
     shown = [e for e in shown if falls or not e.turns_gravity]
     order = list(KINDS.values())
     shown.sort(key=lambda e: order.index(kind_of(e)) if kind_of(e).at_once else len(order))
     evidence.loaded = tuple(e for e in shown if e.loaded)
     _add(evidence, [e for e in shown if not e.loaded])
     return evidence
+
+
+def shown_by(effects: Iterable[AbstractEffect], side: str, position_side: str) -> list[AbstractEffect]:
+    """Those that a torque and an angle show that were taken on these sides of the gear."""
+    return [e for e in effects if side in e.sides and position_side in e.position_sides]
 
 
 def add_loaded(evidence: Evidence) -> None:

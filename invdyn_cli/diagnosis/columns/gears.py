@@ -30,10 +30,8 @@ class Gears(AbstractKind[AbstractGearEffect]):
         made = []
         for effect in effects:
             for joint in range(evidence.dofs):
-                load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
-                if inertia.min() > LEAST_INERTIA:  # links without inertia follow any gear: nothing of it shows
-                    shapes = effect.shapes(load, inertia, evidence.recording.filter.rate)
-                    made += [self.candidate(evidence, effect, joint, shape) for shape in shapes]
+                shapes = shapes_of(evidence, effect, joint)
+                made += [self.candidate(evidence, effect, joint, shape) for shape in shapes]
         return made
 
     def candidate(
@@ -76,6 +74,20 @@ class Gears(AbstractKind[AbstractGearEffect]):
         return max(3e-2 * value, 1e-6)
 
 
+def shapes_of(evidence: Evidence, effect: AbstractGearEffect, joint: int) -> Sequence[Parameters]:
+    """The trials of a gear on a joint."""
+    load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
+    if inertia.min() <= LEAST_INERTIA:  # links without inertia follow any gear: nothing of it shows
+        return []
+    return effect.shapes(load, inertia, evidence.recording.filter.rate)
+
+
+def torque(evidence: Evidence, effect: AbstractGearEffect, joint: int, parameters: Parameters) -> np.ndarray:
+    """(n, R) what a gear that yields changes of the torque, to first order in its deflection."""
+    parts = _yielded(evidence, effect, joint, parameters, _carried(evidence, joint))
+    return filtered(evidence.recording, [x for x, _ in parts])
+
+
 def load_on(evidence: Evidence, joint: int, beside: Beside = ()) -> np.ndarray:
     """(T,) of all pieces: the torque that a joint transmits with other effects."""
     return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
@@ -86,22 +98,30 @@ def _columns(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """(n, R) what a gear that yields changes of the torque with others, and the change with its compliance, to first
     order: it goes with the link's acceleration against the motor's, and with its angle; how far it yields [rad; m]."""
-    recording, compliance, carried = (
-        evidence.recording,
-        effect.compliance(parameters),
-        _carried(evidence, joint, beside),
-    )
+    recording, carried = evidence.recording, _carried(evidence, joint, beside)
+    compliance = effect.compliance(parameters)
 
     def yielded(factor: float) -> list[tuple[np.ndarray, float]]:
-        own, made = effect.from_compliance(factor * compliance), []
-        for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
-            b, b2 = effect.deflection(own, load, inertia, recording.filter.rate)
-            made.append((mass * b2 + slope * b, float(np.abs(b).max())))
-        return made
+        return _yielded(evidence, effect, joint, effect.from_compliance(factor * compliance), carried)
 
     softer = [more - less for (more, _), (less, _) in zip(yielded(1 + YIELD), yielded(1 - YIELD), strict=True)]
     parts, far = zip(*yielded(1.0), strict=True)
     return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * compliance), max(far)
+
+
+def _yielded(
+    evidence: Evidence,
+    effect: AbstractGearEffect,
+    joint: int,
+    parameters: Parameters,
+    carried: Sequence[tuple[Array, Array]],
+) -> list[tuple[np.ndarray, float]]:
+    """For every piece what the gear changes of the torque (n, T), not filtered, and how far it yields [rad; m]."""
+    made = []
+    for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
+        b, b2 = effect.deflection(parameters, load, inertia, evidence.recording.filter.rate)
+        made.append((mass * b2 + slope * b, float(np.abs(b).max())))
+    return made
 
 
 def _carried(evidence: Evidence, joint: int, beside: Beside = ()) -> list[tuple[Array, Array]]:
