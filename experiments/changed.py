@@ -1,0 +1,106 @@
+"""What has changed on a worn arm since an earlier log: one effect, or nothing (changed.md)."""
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from experiments.cases import SIZES
+from experiments.confusion import claims, matches
+from experiments.worn import ANOMALIES, LOUD, Drawn, drawn, said_of
+from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
+from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.types import Diagnosis, Finding
+
+CHANGES = (*ANOMALIES, "coulomb_friction", "viscous_friction", "torque_offset", "base_tilt")
+"""Anomalies, and what wear itself may become."""
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Two logs: what has changed between them, how many times the noise it makes on the joint that feels it most, how
+    it was spoken of, and what was claimed beside it."""
+
+    seed: int
+    said: str
+    hidden: str
+    times: float
+    result: str
+    named: tuple[str, ...]
+    false: tuple[str, ...]
+    verdict: str
+    seconds: float
+
+
+def told(one: Drawn, diagnosis: Diagnosis) -> tuple[str, list[Finding]]:
+    """How the change was spoken of, and what was claimed beside it."""
+    found = claims(diagnosis)
+    if one.anomaly is None:
+        return "none", found
+    how = {match: f for f in reversed(found) if (match := matches(one.anomaly, f))}
+    best = how.get("named", how.get("ambiguous"))
+    return ("missed" if best is None else matches(one.anomaly, best)), [f for f in found if f is not best]
+
+
+def count(seed: int, name: str) -> Counted:
+    """What a diagnosis says of a log beside its reference."""
+    one = drawn(seed, name)
+    started = time.perf_counter()
+    diagnosis = diagnose(one.log, one.scene.robot, reference=one.before())
+    seconds = time.perf_counter() - started
+    result, false = told(one, diagnosis)
+    hidden = f"{one.anomaly.effect}@{one.anomaly.joint}" if one.anomaly else "none"
+    named, beside = (tuple(map(said_of, x)) for x in (claims(diagnosis), false))
+    return Counted(seed, one.said, hidden, one.times, result, named, beside, diagnosis.verdict, seconds)
+
+
+@dataclass(frozen=True)
+class Changed(AbstractExperiment):
+    """Changes of worn arms, in turn, and worn arms on which nothing has changed."""
+
+    row: ClassVar[type] = Counted
+
+    seed: int = 0
+    logs: int = 32
+    clean: int = 10
+    only: Sequence[str] = CHANGES
+
+    def plan(self, rows: Sequence[Counted]) -> Iterable[tuple]:
+        """A job per log: its seed and its change."""
+        names = chosen("only", self.only, SIZES)
+        plan = [(1000 * self.seed + k, names[k % len(names)]) for k in range(self.logs)]
+        return plan + [(1000 * self.seed + 500 + k, "") for k in range(self.clean)]
+
+    def run(self, folder: Path, seed: int, name: str) -> Iterable[Counted]:
+        """Draw, diagnose, judge one log."""
+        yield count(seed, name)
+
+    def line(self, row: Counted) -> str:
+        """What has changed and what was named."""
+        return (
+            f"{row.result}: {row.seed} {row.hidden} ({row.times:.1f} times the noise) -> {row.named} "
+            f"({row.said}; {row.seconds:.0f} s, {row.verdict})"
+        )
+
+    def table(self, rows: Sequence[Counted]) -> str:
+        """A row per change, as Markdown, and what holds for all logs."""
+        lines = ["| changed | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
+        for name in dict.fromkeys(c.hidden.split("@")[0] for c in rows):
+            own = [c for c in rows if c.hidden.split("@")[0] == name]
+            cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
+            lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
+        loud = [c for c in rows if c.times > LOUD]
+        right = sum(c.result in ("named", "ambiguous") for c in loud)
+        return "\n".join(
+            [
+                *lines,
+                "",
+                f"Changes that make over {LOUD:g} times the noise: {right} of {len(loud)} right or rightly ambiguous; "
+                f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",
+                f"Seconds a log: median {np.median([c.seconds for c in rows]):.0f}, "
+                f"longest {max(c.seconds for c in rows):.0f}.",
+            ]
+        )
