@@ -13,6 +13,7 @@ from experiments.confusion import claims, matches
 from experiments.worn import ANOMALIES, LOUD, Drawn, drawn, said_of
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Finding
 
 CHANGES = (*ANOMALIES, "coulomb_friction", "viscous_friction", "torque_offset", "base_tilt")
@@ -42,7 +43,13 @@ def told(one: Drawn, diagnosis: Diagnosis) -> tuple[str, list[Finding]]:
         return "none", found
     how = {match: f for f in reversed(found) if (match := matches(one.anomaly, f))}
     best = how.get("named", how.get("ambiguous"))
-    return ("missed" if best is None else matches(one.anomaly, best)), [f for f in found if f is not best]
+    rest = [f for f in found if f is not best and not _brought(one.anomaly, f)]
+    return ("missed" if best is None else matches(one.anomaly, best)), rest
+
+
+def _brought(change: Hidden, finding: Finding) -> bool:
+    """Whether a finding is the rotor that a gear with play or a spring brings with it."""
+    return (finding.effect, finding.joint) == ("rotor_inertia", change.joint) and "rotor" in change.parameters
 
 
 def count(seed: int, name: str) -> Counted:
