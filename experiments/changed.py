@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.cases import SIZES
-from experiments.confusion import claims, matches
-from experiments.worn import ANOMALIES, LOUD, Drawn, drawn, said_of
+from experiments.confusion import claims
+from experiments.worn import ANOMALIES, LOUD, drawn, said_of, told
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.simulation.hidden import Hidden
-from invdyn_cli.types import Diagnosis, Finding
+from invdyn_cli.types import Finding
 
 CHANGES = (*ANOMALIES, "coulomb_friction", "viscous_friction", "torque_offset", "base_tilt")
 """Anomalies, and what wear itself may become."""
@@ -36,17 +36,6 @@ class Counted:
     seconds: float
 
 
-def told(one: Drawn, diagnosis: Diagnosis) -> tuple[str, list[Finding]]:
-    """How the change was spoken of, and what was claimed beside it."""
-    found = claims(diagnosis)
-    if one.anomaly is None:
-        return "none", found
-    how = {match: f for f in reversed(found) if (match := matches(one.anomaly, f))}
-    best = how.get("named", how.get("ambiguous"))
-    rest = [f for f in found if f is not best and not _brought(one.anomaly, f)]
-    return ("missed" if best is None else matches(one.anomaly, best)), rest
-
-
 def _brought(change: Hidden, finding: Finding) -> bool:
     """Whether a finding is the rotor that a gear with play or a spring brings with it."""
     return (finding.effect, finding.joint) == ("rotor_inertia", change.joint) and "rotor" in change.parameters
@@ -58,9 +47,11 @@ def count(seed: int, name: str) -> Counted:
     started = time.perf_counter()
     diagnosis = diagnose(one.log, one.scene.robot, reference=one.before())
     seconds = time.perf_counter() - started
-    result, false = told(one, diagnosis)
-    hidden = f"{one.anomaly.effect}@{one.anomaly.joint}" if one.anomaly else "none"
-    named, beside = (tuple(map(said_of, x)) for x in (claims(diagnosis), false))
+    change, found = one.anomaly, claims(diagnosis)
+    result, rest = told(change, found)
+    false = [f for f in rest if change is None or not _brought(change, f)]
+    hidden = f"{change.effect}@{change.joint}" if change else "none"
+    named, beside = (tuple(map(said_of, x)) for x in (found, false))
     return Counted(seed, one.said, hidden, one.times, result, named, beside, diagnosis.verdict, seconds)
 
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
-from experiments.confusion import claims, judge, matches
-from experiments.worn import ANOMALIES, beyond_wear, said_of, several
+from experiments.confusion import claims, judge
+from experiments.worn import ANOMALIES, beyond_wear, said_of, several, told_by
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.types import Diagnosis
@@ -49,8 +49,7 @@ def count(task: str, seed: int, case: Case, diagnosis: Diagnosis, seconds: float
     """What a diagnosis found of what was hidden: each finding stands for one hidden effect at most."""
     left, missed = list(claims(diagnosis)), []
     for hidden in case.hidden:
-        how = {match: f for f in reversed(left) if (match := matches(hidden, f))}
-        best = how.get("named", how.get("ambiguous"))
+        best = told_by(hidden, left)
         if best is None:
             missed.append(f"{hidden.effect}@{hidden.joint}")
         else:

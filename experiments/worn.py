@@ -287,15 +287,22 @@ def terms_of(one: Drawn, diagnosis: Diagnosis) -> list[Term]:
 
 def spoken(anomaly: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
     """How an anomaly was spoken of, and the anomalies that were claimed beside it."""
-    best = None
-    if anomaly is not None:
-        how = {match: f for f in reversed(found) if (match := matches(anomaly, f))}
-        best = how.get("named", how.get("ambiguous"))
-    rest = beyond_wear([f for f in found if f is not best])
-    if anomaly is None:
-        return "none", rest
-    result = "missed" if best is None else matches(anomaly, best)
-    return result, rest
+    result, rest = told(anomaly, found)
+    return result, beyond_wear(rest)
+
+
+def told(hidden: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
+    """How what was hidden, if anything, was spoken of, and the other findings."""
+    if hidden is None:
+        return "none", list(found)
+    best = told_by(hidden, found)
+    return "missed" if best is None else matches(hidden, best), [f for f in found if f is not best]
+
+
+def told_by(hidden: Hidden, found: Sequence[Finding]) -> Finding | None:
+    """The finding that is what was hidden: the first that names it, else the first that has it among others."""
+    how = {match: f for f in reversed(found) if (match := matches(hidden, f))}
+    return how.get("named", how.get("ambiguous"))
 
 
 def beyond_wear(found: Iterable[Finding]) -> list[Finding]:
