@@ -1,5 +1,6 @@
 """The gear beside which the standard model is fitted at first, on a simulated arm that shares no code with it."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
@@ -23,14 +23,15 @@ def worn(seed: int, folder, bits: int, gap: float = 0.0) -> tuple[Case, str | No
     draw = np.random.default_rng(seed)
     (folder / "arm.urdf").write_text(random_arm(draw, 3))
     robot = load_urdf(folder / "arm.urdf")
-    scene = scene_of(robot, Multisine(), 30.0, seed)
+    scene = scene_of(robot, Multisine(), 25.0, seed)
     hidden = drawn_wear(draw, scene)
     if gap:
         one = sized(draw, scene, "backlash")
-        hidden.append(Hidden(one.effect, one.joint, {**one.parameters, "gap": gap}))
+        soft = {"gap": gap, "stiffness": 2e4, "damping_ratio": 0.3}  # teeth that few steps of the physics resolve
+        hidden.append(replace(one, parameters={**one.parameters, **soft}))
     noise = Noise(position=1e-6, position_quantum=2 * np.pi / 2**bits, torque=tuple(0.005 * scene.torque))
     steps = max([4, *(substeps_for(x, 500.0) for x in hidden)])
-    how: dict[str, Any] = {"duration": 30.0, "rate": 500.0, "seed": seed, "position_side": "motor", "substeps": steps}
+    how: dict[str, Any] = {"duration": 25.0, "rate": 500.0, "seed": seed, "position_side": "motor", "substeps": steps}
     case = prepared(record(robot, [scene.reference], hidden, noise=noise, **how), robot, None, None, Options(), EFFECTS)
     assert isinstance(case, Case)
     return case, hidden[-1].joint if gap else None
