@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.confusion import claims
-from experiments.worn import Worn, drawn, said_of, spoken
+from experiments.told import said_of
+from experiments.worn import Worn, drawn, spoken
 from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.case import Case, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate

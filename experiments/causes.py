@@ -23,7 +23,8 @@ import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, draw_case
 from experiments.confusion import LOUD, MAIN, matches, relative_error
-from experiments.worn import ANOMALIES, drawn, said_of
+from experiments.told import said_of
+from experiments.worn import ANOMALIES, drawn
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.errors import UsageError, closest, listed, shortened
 from invdyn_cli.files import write_file

@@ -10,7 +10,8 @@ import numpy as np
 
 from experiments.cases import SIZES
 from experiments.confusion import claims
-from experiments.worn import ANOMALIES, LOUD, drawn, said_of, told
+from experiments.told import by_kind, jobs, name_of, said_of, told
+from experiments.worn import ANOMALIES, LOUD, drawn
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.simulation.hidden import Hidden
@@ -50,9 +51,8 @@ def count(seed: int, name: str) -> Counted:
     change, found = one.anomaly, claims(diagnosis)
     result, rest = told(change, found)
     false = [f for f in rest if change is None or not _brought(change, f)]
-    hidden = f"{change.effect}@{change.joint}" if change else "none"
     named, beside = (tuple(map(said_of, x)) for x in (found, false))
-    return Counted(seed, one.said, hidden, one.times, result, named, beside, diagnosis.verdict, seconds)
+    return Counted(seed, one.said, name_of(change), one.times, result, named, beside, diagnosis.verdict, seconds)
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,7 @@ class Changed(AbstractExperiment):
 
     def plan(self, rows: Sequence[Counted]) -> Iterable[tuple]:
         """A job per log: its seed and its change."""
-        names = chosen("only", self.only, SIZES)
-        plan = [(1000 * self.seed + k, names[k % len(names)]) for k in range(self.logs)]
-        return plan + [(1000 * self.seed + 500 + k, "") for k in range(self.clean)]
+        return jobs(self.seed, chosen("only", self.only, SIZES), self.logs, self.clean)
 
     def run(self, folder: Path, seed: int, name: str) -> Iterable[Counted]:
         """Draw, diagnose, judge one log."""
@@ -85,16 +83,11 @@ class Changed(AbstractExperiment):
 
     def table(self, rows: Sequence[Counted]) -> str:
         """A row per change, as Markdown, and what holds for all logs."""
-        lines = ["| changed | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
-        for name in dict.fromkeys(c.hidden.split("@")[0] for c in rows):
-            own = [c for c in rows if c.hidden.split("@")[0] == name]
-            cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
-            lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
         loud = [c for c in rows if c.times > LOUD]
         right = sum(c.result in ("named", "ambiguous") for c in loud)
         return "\n".join(
             [
-                *lines,
+                *by_kind(rows, "changed"),
                 "",
                 f"Changes that make over {LOUD:g} times the noise: {right} of {len(loud)} right or rightly ambiguous; "
                 f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",

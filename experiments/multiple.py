@@ -10,7 +10,8 @@ import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
 from experiments.confusion import claims, judge
-from experiments.worn import ANOMALIES, beyond_wear, said_of, several, told_by
+from experiments.told import name_of, said_of, told_by
+from experiments.worn import ANOMALIES, beyond_wear, several
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.types import Diagnosis
@@ -51,7 +52,7 @@ def count(task: str, seed: int, case: Case, diagnosis: Diagnosis, seconds: float
     for hidden in case.hidden:
         best = told_by(hidden, left)
         if best is None:
-            missed.append(f"{hidden.effect}@{hidden.joint}")
+            missed.append(name_of(hidden))
         else:
             left.remove(best)
     outcome = judge(case, diagnosis, seed, seconds)

@@ -13,7 +13,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import SIZES, Case, Scene, draw_effect, draw_scene, excess, felt, scene_of
-from experiments.confusion import claims, matches
+from experiments.confusion import claims
+from experiments.told import by_kind, jobs, name_of, said_of, told
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
@@ -291,20 +292,6 @@ def spoken(anomaly: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[
     return result, beyond_wear(rest)
 
 
-def told(hidden: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
-    """How what was hidden, if anything, was spoken of, and the other findings."""
-    if hidden is None:
-        return "none", list(found)
-    best = told_by(hidden, found)
-    return "missed" if best is None else matches(hidden, best), [f for f in found if f is not best]
-
-
-def told_by(hidden: Hidden, found: Sequence[Finding]) -> Finding | None:
-    """The finding that is what was hidden: the first that names it, else the first that has it among others."""
-    how = {match: f for f in reversed(found) if (match := matches(hidden, f))}
-    return how.get("named", how.get("ambiguous"))
-
-
 def beyond_wear(found: Iterable[Finding]) -> list[Finding]:
     """The findings that claim more than what every arm has."""
     return [f for f in found if f.effect not in STANDARD and not _usual(f)]
@@ -328,12 +315,11 @@ def count(seed: int, name: str) -> Counted:
     terms = terms_of(one, diagnosis)
     loud, faint = (tuple(float(x.error) for x in terms if x.faint == faint) for faint in (False, True))
     covered = tuple(bool(x.covered) for x in terms)
-    hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else "none"
     false = tuple(map(said_of, false))
     return Counted(
         seed,
         one.said,
-        hidden,
+        name_of(anomaly),
         one.times,
         one.beyond,
         result,
@@ -345,12 +331,6 @@ def count(seed: int, name: str) -> Counted:
         diagnosis.verdict,
         seconds,
     )
-
-
-def said_of(finding: Finding) -> str:
-    """A finding as effect@joint, with its alternatives."""
-    other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
-    return f"{finding.effect}{other}@{finding.joint}"
 
 
 @dataclass(frozen=True)
@@ -366,9 +346,7 @@ class Worn(AbstractExperiment):
 
     def plan(self, rows: Sequence[Counted]) -> Iterable[tuple]:
         """A job per log: its seed and its anomaly."""
-        names = chosen("only", self.only, SIZES)
-        plan = [(1000 * self.seed + k, names[k % len(names)]) for k in range(self.logs)]
-        return plan + [(1000 * self.seed + 500 + k, "") for k in range(self.clean)]
+        return jobs(self.seed, chosen("only", self.only, SIZES), self.logs, self.clean)
 
     def run(self, folder: Path, seed: int, name: str) -> Iterable[Counted]:
         """Draw, diagnose, judge one log."""
@@ -384,11 +362,6 @@ class Worn(AbstractExperiment):
 
     def table(self, rows: Sequence[Counted]) -> str:
         """A row per anomaly, as Markdown, and what holds for all logs."""
-        lines = ["| anomaly | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
-        for name in dict.fromkeys(c.hidden.split("@")[0] for c in rows):
-            own = [c for c in rows if c.hidden.split("@")[0] == name]
-            cells = [len(own), *(sum(c.result == r for c in own) for r in ("named", "ambiguous", "missed"))]
-            lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(c.false) for c in own)} |")
         errors, faint = np.array([e for c in rows for e in c.errors]), np.array([e for c in rows for e in c.faint])
         covered = [x for c in rows for x in c.covered]
         worn = [c for c in rows if c.hidden != "none"]
@@ -398,7 +371,7 @@ class Worn(AbstractExperiment):
         seconds = sorted(c.seconds for c in rows)
         return "\n".join(
             [
-                *lines,
+                *by_kind(rows, "anomaly"),
                 "",
                 f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
                 f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise, "

@@ -1,8 +1,8 @@
 """The gear that yields, if any, beside which the standard model is fitted at first.
 
-Play and springs let a link move against its motor. What a standard model makes up for that with (other links, friction
-that changes its side gradually) hides them afterwards: the load of a joint decides where its play is
-crossed, and that load is of the links. Nothing is named here.
+Play and springs let a link move against its motor. A standard model makes up for that with other links and with
+friction that changes its side gradually, and these hide the gear afterwards: play is crossed where a joint's load
+changes its sign, and the load is that of the links. Nothing is named here.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns import gears
 from invdyn_cli.diagnosis.columns.evidence import slow_share, slow_squares
 from invdyn_cli.diagnosis.search.equations import inverse_root
-from invdyn_cli.diagnosis.search.feigned import EVIDENCE, MOSTLY
+from invdyn_cli.diagnosis.search.feigned import asked_by_noise
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.diagnosis.transition import TOLD
 from invdyn_cli.effects.composition import EffectInstance
@@ -53,7 +53,7 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
             np.stack([slow_squares(evidence, x[:, j] * rows, j) for j in range(evidence.dofs)]) for x in (before, after)
         )
         share = slow_share(1 / plain.noise**2 @ (slow - fewer))
-        if gain > most and (share >= MOSTLY or share * gain > EVIDENCE):
+        if gain > most and not asked_by_noise(share, gain):
             found, most = one, gain
     return found
 
@@ -76,9 +76,8 @@ def _squares(columns: Columns, residual: np.ndarray, rows: np.ndarray) -> Callab
     fitted = fit(motions, prior, times)
     precise = 1 / np.maximum(fitted.noise**2 * times, 1e-300)
     scale = prior.at(fitted.share)
-    normal = np.einsum("j,jab->ab", precise, np.sum([m.grams for m in motions], axis=0)[:, :-1, :-1]) * np.outer(
-        scale, scale
-    )
+    grams = np.sum([m.grams for m in motions], axis=0)[:, :-1, :-1]
+    normal = np.einsum("j,jab->ab", precise, grams) * np.outer(scale, scale)
     root = scale[:, None] * inverse_root(normal, np.ones(len(scale)))
     weights = np.where(rows[:, None] & columns.evidence.valid, precise, 0.0)
 

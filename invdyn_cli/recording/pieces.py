@@ -153,7 +153,7 @@ class Recording:
 
 
 def needed(rate: float, cutoff: float) -> int:
-    """A piece with more samples than this is used behind a low-pass at this cut-off [Hz]; a shorter one is not."""
+    """Number of samples. Only pieces with more than that are used, where a low-pass has this cut-off [Hz]."""
     return 3 * settling(rate, cutoff) + 8
 
 

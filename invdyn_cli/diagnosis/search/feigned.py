@@ -27,7 +27,11 @@ def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> 
         others = tuple(x for x in every if x is not c)
         before = evidence.residual(others, scorer.quick(others)[1])
         saved = sum(scorer.weights[j] * (slow_squares(evidence, before[:, j], j) - left[j]) for j in c.columns)
-        share = slow_share(np.asarray(saved))
-        if share < MOSTLY and share * (scorer.loss(others) - loss) < EVIDENCE:
+        if asked_by_noise(slow_share(np.asarray(saved)), scorer.loss(others) - loss):
             odd.add(c.key)
     return odd
+
+
+def asked_by_noise(share: float, evidence: float) -> bool:
+    """Whether evidence, a `share` of which is saved where the arm moves, is no more than what encoder noise feigns."""
+    return share < MOSTLY and share * evidence < EVIDENCE

@@ -1,0 +1,61 @@
+"""How a diagnosis spoke of what was hidden, and the table by kind of logs that were counted."""
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+from experiments.confusion import matches
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.types import Finding
+
+
+class Row(Protocol):
+    """What a counted log says of itself: effect@joint or "none", how that was spoken of, and what was claimed beside
+    it."""
+
+    @property
+    def hidden(self) -> str: ...
+    @property
+    def result(self) -> str: ...
+    @property
+    def false(self) -> Sequence[str]: ...
+
+
+def told(hidden: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Finding]]:
+    """How what was hidden, if anything, was spoken of, and the other findings."""
+    if hidden is None:
+        return "none", list(found)
+    best = told_by(hidden, found)
+    return "missed" if best is None else matches(hidden, best), [f for f in found if f is not best]
+
+
+def told_by(hidden: Hidden, found: Sequence[Finding]) -> Finding | None:
+    """The finding that is what was hidden: the first that names it, else the first that has it among others."""
+    how = {match: f for f in reversed(found) if (match := matches(hidden, f))}
+    return how.get("named", how.get("ambiguous"))
+
+
+def said_of(finding: Finding) -> str:
+    """A finding as effect@joint, with its alternatives."""
+    other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
+    return f"{finding.effect}{other}@{finding.joint}"
+
+
+def name_of(hidden: Hidden | None) -> str:
+    """What was hidden as effect@joint, or "none"."""
+    return f"{hidden.effect}@{hidden.joint}" if hidden else "none"
+
+
+def jobs(seed: int, names: Sequence[str], logs: int, clean: int) -> Iterable[tuple[int, str]]:
+    """The seed and the effect of every log: the names take turns, and then come logs without one."""
+    plan = [(1000 * seed + k, names[k % len(names)]) for k in range(logs)]
+    return plan + [(1000 * seed + 500 + k, "") for k in range(clean)]
+
+
+def by_kind(rows: Sequence[Row], title: str) -> list[str]:
+    """A line for each kind of what was hidden, as a Markdown table."""
+    lines = [f"| {title} | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
+    for name in dict.fromkeys(row.hidden.split("@")[0] for row in rows):
+        own = [row for row in rows if row.hidden.split("@")[0] == name]
+        cells = [len(own), *(sum(row.result == r for row in own) for r in ("named", "ambiguous", "missed"))]
+        lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(row.false) for row in own)} |")
+    return lines
