@@ -18,12 +18,13 @@ LONG = 3.0
 """Length of the stretches whose spectra are compared, in periods of the lowest cut-off."""
 
 
-def heard(columns: Columns, possible: Sequence[float]) -> tuple[float, ...]:
+def heard(columns: Columns, target: np.ndarray, possible: Sequence[float]) -> tuple[float, ...]:
     """The cut-off [Hz] of each joint's low-pass (n,): the highest of those `possible`, and no higher than now, up to
-    which what the standard model leaves is on average at most DENSER times as dense as in any narrower band."""
+    which what the standard model leaves of `target` (R, n) is on average at most DENSER times as dense as in any
+    narrower band."""
     evidence, filter = columns.evidence, columns.evidence.recording.filter
-    rows, nominal = evidence.role == ROLES.index("train"), evidence.residual((), np.zeros(0))
-    left = nominal - columns.of(columns.fit(nominal, rows).theta)
+    rows = evidence.role == ROLES.index("train")
+    left = target - columns.of(columns.fit(target, rows).theta)
     shortest = min(len(piece.t) for piece in evidence.recording.pieces)
     possible = [c for c in possible if shortest > needed(filter.rate, c)]
     rate = filter.rate / filter.keep

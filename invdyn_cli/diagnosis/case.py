@@ -149,7 +149,7 @@ def prepared(
             measured = replace(measured, transition=gradual)
             changed, recording, lead = asked(measured)
             columns = standard.columns_of(started(changed, recording), log.torque_side)
-        heard = band.heard(columns, options.conditioning.cutoffs)
+        heard = band.heard(columns, yielding.left(columns, gear), options.conditioning.cutoffs)
         if heard != recording.filter.cutoffs:
             measured = replace(rows(heard), transition=gradual)
             changed, recording, lead = asked(measured)

@@ -72,7 +72,7 @@ class JointElasticity(AbstractGearEffect):
     """
 
     resonances: tuple[float, ...] = (2.7, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0)
-    damping_ratio: float = 0.5
+    damping_ratio: float = 0.2
 
     name = "joint_elasticity"
     title = "joint elasticity"

@@ -6,6 +6,7 @@ role to another.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -51,6 +52,11 @@ class Preparation:
     train_share: float = 0.7
     longest: float = 270.0
     stretch: float = 20.0
+
+
+REAL, SPECTRUM = 100.0, 2.0
+"""How many times as dense as the noise of positions a motion is which that noise does not make; and the length [s] of
+the stretches whose spectra are averaged. A controller's answer to that noise moves a joint as much as the noise."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,21 @@ class Recording:
     transition: tuple[float, ...]
     notes: tuple[str, ...] = ()
     details: Mapping[str, object] = field(default_factory=dict)
+
+    @cached_property
+    def real(self) -> np.ndarray:
+        """(n,) [Hz] up to which each joint's motion is REAL times as dense as the noise of its positions; 0 where its
+        pieces are too short to tell. Second differences of both are compared: they leak less."""
+        rate = self.filter.rate
+        length = round(SPECTRUM * rate)
+        parts = [np.diff(p.q, 2, axis=1) for p in self.pieces if len(p.t) > length + 2]
+        if not parts:
+            return np.zeros(len(self.joints))
+        f = np.fft.rfftfreq(length, 1 / rate)
+        spectra = [scipy.signal.welch(x, rate, nperseg=length, axis=1)[1] for x in parts]
+        motion = np.average(spectra, axis=0, weights=[x.shape[1] for x in parts])
+        noise = 2 * self.period * np.outer(self.position_noise**2, (2 * np.sin(np.pi * f / rate)) ** 4)
+        return np.array([f[np.argmin(x)] if not x.all() else f[-1] for x in (motion > REAL * noise)[:, 1:]])
 
     def stretch(self, piece: Piece) -> Span:
         """Where and when a piece was."""

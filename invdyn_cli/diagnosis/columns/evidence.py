@@ -288,7 +288,8 @@ def _long(evidence: Evidence, joint: int) -> tuple[float, float, list[np.ndarray
     is longer than that filter's memory."""
     filter = evidence.recording.filter
     rate = filter.rate / filter.keep
-    cutoff = min(SLOW * filter.widest[joint], filter.cutoffs[joint], 0.45 * rate)
+    moving = max(SLOW * filter.widest[joint], evidence.recording.real[joint])
+    cutoff = min(moving, filter.cutoffs[joint], 0.45 * rate)
     pieces = [evidence.piece == number for number in np.unique(evidence.piece)]
     return rate, cutoff, [at for at in pieces if at.sum() > settling(rate, cutoff)]
 
