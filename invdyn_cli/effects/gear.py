@@ -67,8 +67,8 @@ class JointElasticity(AbstractGearEffect):
 
     Attributes:
         resonances: of the link on its spring, motor held, to try [Hz]; the found stiffness is refined between them.
-        damping_ratio: of that resonance in the model; more than a gear has, or every error of the measured motion would
-            ring on: below the resonance it plays no part.
+        damping_ratio: of that resonance in the model; more than most gears have, or every error of the measured motion
+            would ring on. Below the resonance it plays no part (docs/decisions/011).
     """
 
     resonances: tuple[float, ...] = (2.7, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0)

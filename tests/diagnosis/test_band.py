@@ -12,9 +12,8 @@ from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
 def heard(*terms):
     """The cut-offs before, and those in which a log of 30 s with these terms and white noise is heard."""
     evidence = evidence_of(log_of(raw(*moved(30.0), *terms, torque=0.02, position=1e-7)), ("coulomb_friction",))
-    return evidence.recording.filter.cutoffs, band.heard(
-        standard.columns_of(evidence, "unknown"), Preparation().cutoffs
-    )
+    columns, target = standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0))
+    return evidence.recording.filter.cutoffs, band.heard(columns, target, Preparation().cutoffs)
 
 
 def rumble(low, high, size):

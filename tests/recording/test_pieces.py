@@ -197,3 +197,23 @@ def test_trajectories_too_short_to_be_parted_judge_as_wholes(handful):
     """Where no part of a trajectory is long enough to judge, the last trajectories do."""
     pieces = recording_of(log_of(*handful[:10]), cutoffs=(3.0,)).pieces
     assert [p.role for p in pieces] == ["train"] * 7 + ["test"] * 3
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+def test_motion_is_real_up_to_where_noise_of_positions_is_as_dense(rate):
+    """Beside white noise of 1e-5 rad, motion of a thousand times its density reaches to 12 Hz on the second joint; that
+    of the other ones, sums of slow sines, does not. Half an octave is what a low-pass's slope and spectra blur."""
+    t, m = moved(60.0, rate)
+    noise = 1e-5
+    shaken = np.random.default_rng(0).normal(size=len(t)) * noise * np.sqrt(1000)
+    swing = sosfiltfilt(butter(8, 12.0, fs=rate, output="sos"), shaken)
+    m = replace(m, q=m.q + np.eye(m.q.shape[1])[1] * swing[:, None])
+    real = recording_of(log_of(raw(t, m, torque=5.0, position=noise)), cutoffs=(30.0,)).real
+    assert 12.0 / 1.2 < real[1] < 12.0 * 1.2
+    assert max(real[0], real[2]) < 6.0
+
+
+def test_nothing_is_known_to_be_real_of_short_pieces():
+    """Half a second holds no spectrum of two seconds: 0, so that nothing is taken for motion that may be noise."""
+    windows = {"train": [("run", 0.5 * k, 0.5 * k + 0.45) for k in range(20)]}
+    assert not recording_of(log_of(raw(*moved(), position=1e-6)), windows, cutoffs=(30.0,)).real.any()

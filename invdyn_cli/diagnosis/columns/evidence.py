@@ -44,7 +44,7 @@ SPARE = 64
 """Number of columns for which there is space before a table is copied."""
 
 SLOW = 0.25
-"""Part of a joint's frequency band in which the arm moves."""
+"""Part of a joint's frequency band in which the arm moves, if its motion is not real (`Recording.real`) beyond it."""
 
 ADJOINING = 0.1
 """[s] Longest gap between two pieces of a trajectory across which the state of an effect with a memory continues."""
@@ -261,8 +261,8 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
 
 
 def slow(evidence: Evidence, x: np.ndarray, joint: int) -> np.ndarray:
-    """(R,) of x (R,) the lowest part of a joint's band, piece by piece: the arm moves there, and the noise of
-    differentiated positions is small. 0 on pieces that are shorter than the filter's memory."""
+    """(R,) of x (R,) the part of a joint's band where the arm moves, piece by piece: the noise of differentiated
+    positions is small there. 0 on pieces that are shorter than the filter's memory."""
     out, (rate, cutoff, pieces) = np.zeros(len(x)), _long(evidence, joint)
     for at in pieces:
         out[at] = lowpass(x[at], rate, cutoff)
@@ -284,8 +284,8 @@ def slow_share(saved: np.ndarray) -> float:
 
 
 def _long(evidence: Evidence, joint: int) -> tuple[float, float, list[np.ndarray]]:
-    """Rate of the rows and cut-off [Hz] of the lowest part of a joint's band, and the rows (R,) bool of each piece that
-    is longer than that filter's memory."""
+    """Rate of the rows and cut-off [Hz] of the part of a joint's band where the arm moves, and the rows (R,) bool of each
+    piece that is longer than that filter's memory."""
     filter = evidence.recording.filter
     rate = filter.rate / filter.keep
     moving = max(SLOW * filter.widest[joint], evidence.recording.real[joint])
