@@ -284,8 +284,8 @@ def slow_share(saved: np.ndarray) -> float:
 
 
 def _long(evidence: Evidence, joint: int) -> tuple[float, float, list[np.ndarray]]:
-    """Rate of the rows and cut-off [Hz] of the part of a joint's band where the arm moves, and the rows (R,) bool of each
-    piece that is longer than that filter's memory."""
+    """Rate of the rows and cut-off [Hz] of the part of a joint's band where the arm moves, and the rows (R,) bool of
+    each piece that is longer than that filter's memory."""
     filter = evidence.recording.filter
     rate = filter.rate / filter.keep
     moving = max(SLOW * filter.widest[joint], evidence.recording.real[joint])
