@@ -35,7 +35,7 @@ venv: $(INSTALLED)  ## the environment: .venv with the package (editable) and wh
 run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs/runs
 	$(BIN)/invdyn run model=ffnn data=sim_noisy
 
-test: lint  ## everything that must hold: lint, then all tests
+test: $(INSTALLED)  ## everything that must hold: all tests; one of them is lint
 	$(TESTED) $(BIN)/python -m pytest -n 2 --dist worksteal
 
 benchmarks: $(INSTALLED)  ## tests that are no part of `make test`: the same claims on more effects, seeds and sizes

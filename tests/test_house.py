@@ -1,6 +1,7 @@
 """Rules of the house that a reader would have to remember."""
 
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -34,6 +35,20 @@ def test_nothing_is_called_utils():
 def test_every_module_says_what_it_is():
     """Each module begins with a docstring, empty __init__.py files aside."""
     assert [p for p in MODULES if p.read_text() and not p.read_text().startswith(('"""', 'r"""'))] == []
+
+
+@pytest.mark.parametrize("tool", ["ruff check --quiet", "ruff format --check --quiet", "pyright"])
+def test_lint_finds_nothing(tool):
+    """Style, formatting and types are those of `make lint`, which `make test` does not call: here it is done beside
+    other tests."""
+    name, *argv = tool.split()
+    command = [
+        str(Path(sys.executable).parent / name),
+        *argv,
+        *(["--pythonpath", sys.executable] * (name == "pyright")),
+    ]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout + said.stderr
 
 
 def test_imports_run_down_only():

@@ -146,6 +146,7 @@ def test_it_does_not_matter_what_chooses(windows, twice, robot):
     assert found.parameters["coulomb"].value == pytest.approx(1.5, rel=0.02)
 
 
+@pytest.mark.benchmark  # rows and blocks are summed
 def test_the_order_of_trajectories_does_not_matter(usual, twice, robot):
     """The same log with its trajectories the other way round gives the same cause; its size differs by less than its
     interval is wide."""

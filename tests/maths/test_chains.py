@@ -38,6 +38,7 @@ def test_a_chain_is_found_from_its_torques(seed, tmp_path):
     np.testing.assert_allclose(found.extras[0], damping, rtol=1e-4)
 
 
+@pytest.mark.benchmark  # the contract of `dbm` asks for the same fit twice
 def test_another_draw_makes_other_searches():
     """The same seed makes the same searches; another one others."""
     robot = chains.robot(np.zeros((2, 3)) + 0.3, np.zeros((2, 3)) + 0.1)

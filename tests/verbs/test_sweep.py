@@ -165,6 +165,7 @@ def test_as_slurm_runs_them(tmp_path):
     assert [row["status"] for row in rows_of(tmp_path / "sweep")] == ["ran", "failed"]
 
 
+@pytest.mark.benchmark  # what shares a program, what fails and the table are those of the sweeps above
 @pytest.mark.skipif(
     importlib.util.find_spec("hydra_plugins.hydra_optuna_sweeper") is None, reason="no hydra-optuna-sweeper"
 )
