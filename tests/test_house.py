@@ -42,12 +42,8 @@ def test_lint_finds_nothing(tool):
     """Style, formatting and types are those of `make lint`, which `make test` does not call: here it is done beside
     other tests."""
     name, *argv = tool.split()
-    command = [
-        str(Path(sys.executable).parent / name),
-        *argv,
-        *(["--pythonpath", sys.executable] * (name == "pyright")),
-    ]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    argv += ["--pythonpath", sys.executable] if name == "pyright" else []
+    said = subprocess.run([Path(sys.executable).parent / name, *argv], cwd=ROOT, capture_output=True, text=True)
     assert said.returncode == 0, said.stdout + said.stderr
 
 
