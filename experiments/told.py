@@ -51,11 +51,16 @@ def jobs(seed: int, names: Sequence[str], logs: int, clean: int) -> Iterable[tup
     return plan + [(1000 * seed + 500 + k, "") for k in range(clean)]
 
 
-def by_kind(rows: Sequence[Row], title: str) -> list[str]:
-    """A line for each kind of what was hidden, as a Markdown table."""
-    lines = [f"| {title} | logs | named | ambiguous | missed | false beside it |", "|---|" + "---:|" * 5]
+def by_kind(rows: Sequence[Row], title: str, loud: Sequence[Row] = (), said: str = "") -> list[str]:
+    """A line for each kind of what was hidden, as a Markdown table; at its end, of those that are `loud`, how many were
+    named or ambiguous, if a heading is `said`."""
+    heads = [title, "logs", "named", "ambiguous", "missed", "false beside it", *([said] if said else [])]
+    lines = [f"| {' | '.join(heads)} |", "|---|" + "---:|" * (len(heads) - 1)]
     for name in dict.fromkeys(row.hidden.split("@")[0] for row in rows):
         own = [row for row in rows if row.hidden.split("@")[0] == name]
         cells = [len(own), *(sum(row.result == r for row in own) for r in ("named", "ambiguous", "missed"))]
-        lines.append(f"| {name} | {' | '.join(map(str, cells))} | {sum(len(row.false) for row in own)} |")
+        cells.append(sum(len(row.false) for row in own))
+        of_loud = [row.result != "missed" for row in own if row in loud]
+        cells += [f"{sum(of_loud)} of {len(of_loud)}"] if said else []
+        lines.append(f"| {name} | {' | '.join(map(str, cells))} |")
     return lines

@@ -371,7 +371,7 @@ class Worn(AbstractExperiment):
         seconds = sorted(c.seconds for c in rows)
         return "\n".join(
             [
-                *by_kind(rows, "anomaly"),
+                *by_kind(rows, "anomaly", loud, f"right, over {LOUD:g} times the noise"),
                 "",
                 f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
                 f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise, "
