@@ -7,6 +7,7 @@ and an import may lose it. Therefore a thread of ours receives the signal, too, 
 has not done so. Files are written completely or not at all (`files`), so that nothing is damaged.
 """
 
+import multiprocessing
 import os
 import signal
 import sys
@@ -41,6 +42,13 @@ def watch() -> None:
 def ignore() -> None:
     """From here on Ctrl-C does nothing, because the work is done."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def end_with_parent() -> None:
+    """From here on this process ends when the one that started it does, however that ends."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 def was_asked() -> bool:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 import yaml
@@ -32,7 +33,8 @@ from invdyn_cli.verbs import listing
 from invdyn_cli.verbs.experiment import SHARED, _value, put
 from invdyn_cli.verbs.launch import config_folder
 from invdyn_cli.verbs.objects import instantiate
-from tests.commands import ENVIRONMENT, ROOT, invdyn, tree, usually
+from tests.commands import ENVIRONMENT, ROOT, invdyn, script, tree, usually
+from tests.verbs.test_together import children, wait
 
 SPECS = {name: listing.read(name) for name in sorted(path.stem for path in (ROOT / "experiments").glob("*.yaml"))}
 CLASSES = [name for name, spec in SPECS.items() if "_target_" in spec]
@@ -219,6 +221,20 @@ def test_ctrl_c_keeps_what_has_finished(own, tmp_path, workers):
     before = tree(kept)
     assert any("sum 55 of" in line for line in own("numbers=6", "seconds=0.4").out)
     assert before.items() <= tree(kept).items()
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")
+@pytest.mark.parametrize("how", usually([signal.SIGTERM], [signal.SIGTERM, signal.SIGKILL]))
+def test_processes_end_with_the_command(own, tmp_path, how):
+    """However it is killed: none goes on alone with its job, or waits for another."""
+    argv = (script(), "experiment", "squares", "folder=out", "numbers=50", "seconds=0.5", "workers=2")
+    process = subprocess.Popen(argv, cwd=tmp_path, env={**os.environ, **ENVIRONMENT}, stdout=subprocess.DEVNULL)
+    wait(lambda: bool(list(tmp_path.glob("out/jobs/*.json"))), 120)
+    started = children(process.pid)
+    assert len(started) > 1
+    process.send_signal(how)
+    process.wait()
+    wait(lambda: not any(Path(f"/proc/{pid}").is_dir() for pid in started), 20)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from invdyn_cli import interruption
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.errors import InvdynError, RunFileError, UsageError
@@ -120,8 +121,9 @@ def _executor(workers: int) -> Iterator[Executor]:
 
 
 def _begin(folders: list[Path], path: list[str]) -> None:
-    """A new process finds experiments where its parent does, and ends silently on Ctrl-C."""
+    """A new process finds experiments where its parent does, and ends silently on Ctrl-C and with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    interruption.end_with_parent()
     sys.path[:] = path
     admit(folders)
     use_compilation_cache()

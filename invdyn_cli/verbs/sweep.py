@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import os
-import threading
 import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -115,7 +114,7 @@ class Made:
 def writers() -> Iterator[Executor]:
     """Processes that write files, one per core, started when there is something to write; they end with this one."""
     os.environ["PYTHONWARNINGS"] = ",".join(x for x in (os.environ.get("PYTHONWARNINGS"), SILENT) if x)
-    pool = ProcessPoolExecutor(_cores(), multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(_cores(), multiprocessing.get_context("spawn"), initializer=_begin)
     try:
         yield pool
     finally:
@@ -133,12 +132,10 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _end_with_parent() -> None:
+def _begin() -> None:
     """Leave Ctrl-C to the process that started this one, and end when it does."""
     interruption.ignore()
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    interruption.end_with_parent()
 
 
 @contextmanager

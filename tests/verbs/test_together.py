@@ -119,7 +119,7 @@ def test_processes_that_write_end_with_the_sweep(tmp_path):
     argv = ("run", "-m", "model=ffnn", "model.epochs=1", *TINY, "seed=range(16)", f"hydra.sweep.dir={tmp_path / 'out'}")
     process = subprocess.Popen([sys.executable, "-c", code, *argv], cwd=tmp_path, stderr=subprocess.DEVNULL)
     wait(lambda: any(tmp_path.glob("out/*/metrics.json")), 120)
-    own = _children(process.pid)
+    own = children(process.pid)
     assert len(own) > 1
     process.kill()
     process.wait()
@@ -134,7 +134,8 @@ def wait(until: Callable[[], bool], seconds: float) -> None:
         time.sleep(0.1)
 
 
-def _children(pid: int) -> list[int]:
+def children(pid: int) -> list[int]:
+    """The processes that this one has started."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text()
     return [int(child) for child in children.split()]
 
