@@ -54,9 +54,10 @@ class Preparation:
     stretch: float = 20.0
 
 
-REAL, SPECTRUM = 100.0, 2.0
-"""How many times as dense as the noise of positions a motion is which that noise does not make; and the length [s] of
-the stretches whose spectra are averaged. A controller's answer to that noise moves a joint as much as the noise."""
+REAL, PLAIN, HIGHEST, SPECTRUM = 100.0, 10.0, 55.0, 2.0
+"""A motion that the noise of positions does not make is REAL times as dense, and PLAIN times as dense as just below
+HIGHEST [Hz], since an encoder that is quiet at rest may have more noise in motion; and the length [s] of the stretches
+whose spectra are averaged. A controller's answer to that noise moves a joint about as much as the noise."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class Recording:
 
     @cached_property
     def real(self) -> np.ndarray:
-        """(n,) [Hz] up to which each joint's motion is REAL times as dense as the noise of its positions; 0 where its
+        """(n,) [Hz] up to which each joint's motion is REAL: much denser than the noise of its positions; 0 where its
         pieces are too short to tell. Second differences of both are compared: they leak less."""
         rate = self.filter.rate
         length = round(SPECTRUM * rate)
@@ -166,7 +167,11 @@ class Recording:
         spectra = [scipy.signal.welch(x, rate, nperseg=length, axis=1)[1] for x in parts]
         motion = np.average(spectra, axis=0, weights=[x.shape[1] for x in parts])
         noise = 2 * self.period * np.outer(self.position_noise**2, (2 * np.sin(np.pi * f / rate)) ** 4)
-        return np.array([f[np.argmin(x)] if not x.all() else f[-1] for x in (motion > REAL * noise)[:, 1:]])
+        times = motion[:, 1:] / np.maximum(noise[:, 1:], 1e-300)
+        highest = min(HIGHEST, 0.45 * rate)
+        floor = np.median(times[:, (f[1:] > 0.75 * highest) & (f[1:] <= highest)], axis=1)
+        real = times > np.maximum(REAL, PLAIN * floor)[:, None]
+        return f[np.where(real.all(1), -1, np.argmin(real, axis=1))]
 
     def stretch(self, piece: Piece) -> Span:
         """Where and when a piece was."""

@@ -213,6 +213,15 @@ def test_motion_is_real_up_to_where_noise_of_positions_is_as_dense(rate):
     assert max(real[0], real[2]) < 6.0
 
 
+def test_noise_that_is_there_in_motion_alone_is_not_real():
+    """An encoder has thirty times its noise, 900 times as dense, in the last two thirds of a log."""
+    t, m = moved(60.0)
+    draw = np.random.default_rng(0)
+    noise = np.where(t[:, None] < 20.0, 1e-6, 3e-5) * draw.normal(size=m.q.shape)
+    real = recording_of(log_of(raw(t, replace(m, q=m.q + noise), torque=5.0)), cutoffs=(30.0,)).real
+    assert real.max() < 6.0
+
+
 def test_nothing_is_known_to_be_real_of_short_pieces():
     """Half a second holds no spectrum of two seconds: 0, so that nothing is taken for motion that may be noise."""
     windows = {"train": [("run", 0.5 * k, 0.5 * k + 0.45) for k in range(20)]}
