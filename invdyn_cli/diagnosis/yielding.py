@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from invdyn_cli.diagnosis.columns import gears
-from invdyn_cli.diagnosis.columns.evidence import slow_share, slow_squares
+from invdyn_cli.diagnosis.columns.evidence import slow_saved, slow_share
 from invdyn_cli.diagnosis.search.equations import inverse_root
 from invdyn_cli.diagnosis.search.feigned import asked_by_noise
 from invdyn_cli.diagnosis.standard import Columns
@@ -49,11 +49,9 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
         after = nominal - made - columns.of(fitted.theta)
         independent = used.sum(1) / np.minimum(columns.times(before, rows), columns.times(after, rows))
         gain = 2 * float(independent @ np.log(plain.noise / fitted.noise))
-        slow, fewer = (
-            np.stack([slow_squares(evidence, x[:, j] * rows, j) for j in range(evidence.dofs)]) for x in (before, after)
-        )
-        share = slow_share(1 / plain.noise**2 @ (slow - fewer))
-        if gain > most and not asked_by_noise(share, gain):
+        trained, precise = rows[:, None], 1 / plain.noise**2
+        saved = slow_saved(evidence, range(evidence.dofs), True, before * trained, after * trained, precise)
+        if gain > most and not asked_by_noise(slow_share(saved), gain):
             found, most = one, gain
     return found
 

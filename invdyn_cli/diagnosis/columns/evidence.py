@@ -5,7 +5,7 @@ set of columns: fixed ones with factor one (a trial delay of 6 ms), and free one
 correction). Everything in the search is computed from the Gram matrices of the tables, by blocks.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -44,7 +44,8 @@ SPARE = 64
 """Number of columns for which there is space before a table is copied."""
 
 SLOW = 0.25
-"""Part of a joint's frequency band in which the arm moves, if its motion is not real (`Recording.real`) beyond it."""
+"""Part of a joint's frequency band in which the arm moves; for a gear, whose resonance lies above, also as far as the
+joint's motion is real (`Recording.real`)."""
 
 ADJOINING = 0.1
 """[s] Longest gap between two pieces of a trajectory across which the state of an effect with a memory continues."""
@@ -260,21 +261,33 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
     return np.concatenate(each, axis=-1)
 
 
-def slow(evidence: Evidence, x: np.ndarray, joint: int) -> np.ndarray:
-    """(R,) of x (R,) the part of a joint's band where the arm moves, piece by piece: the noise of differentiated
-    positions is small there. 0 on pieces that are shorter than the filter's memory."""
-    out, (rate, cutoff, pieces) = np.zeros(len(x)), _long(evidence, joint)
+def slow(evidence: Evidence, x: np.ndarray, joint: int, gear: bool = False) -> np.ndarray:
+    """(R,) of x (R,) the part of a joint's band where the arm, or a `gear`, moves, piece by piece: the noise of
+    differentiated positions is small there. 0 on pieces that are shorter than the filter's memory."""
+    out, (rate, cutoff, pieces) = np.zeros(len(x)), _long(evidence, joint, gear)
     for at in pieces:
         out[at] = lowpass(x[at], rate, cutoff)
     return out
 
 
-def slow_squares(evidence: Evidence, residual: np.ndarray, joint: int) -> np.ndarray:
+def slow_squares(evidence: Evidence, residual: np.ndarray, joint: int, gear: bool = False) -> np.ndarray:
     """(2,) sums of squares of a joint's residual (R,) on pieces that are long enough: of its slow part, and whole."""
     moving = np.zeros(len(residual))
-    for at in _long(evidence, joint)[2]:
+    for at in _long(evidence, joint, gear)[2]:
         moving[at] = residual[at] * evidence.valid[at, joint]
-    return np.array([np.sum(slow(evidence, moving, joint) ** 2), np.sum(moving**2)])
+    return np.array([np.sum(slow(evidence, moving, joint, gear) ** 2), np.sum(moving**2)])
+
+
+def slow_saved(
+    evidence: Evidence, joints: Iterable[int], gear: bool, before: np.ndarray, after: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """(2,) what an effect, a `gear` or not, saves on some joints, from the residuals (R, n) without and with it, in
+    noise variances: where the arm moves, and everywhere."""
+
+    def squares(x: np.ndarray) -> np.ndarray:
+        return np.sum([weights[j] * slow_squares(evidence, x[:, j], j, gear) for j in joints], axis=0)
+
+    return squares(before) - squares(after)
 
 
 def slow_share(saved: np.ndarray) -> float:
@@ -283,12 +296,12 @@ def slow_share(saved: np.ndarray) -> float:
     return float(np.clip(saved[0] / saved[1], 0.0, 1.0)) if saved[1] > 0 else 1.0
 
 
-def _long(evidence: Evidence, joint: int) -> tuple[float, float, list[np.ndarray]]:
+def _long(evidence: Evidence, joint: int, gear: bool) -> tuple[float, float, list[np.ndarray]]:
     """Rate of the rows and cut-off [Hz] of the part of a joint's band where the arm moves, and the rows (R,) bool of
     each piece that is longer than that filter's memory."""
     filter = evidence.recording.filter
     rate = filter.rate / filter.keep
-    moving = max(SLOW * filter.widest[joint], evidence.recording.real[joint])
+    moving = max(SLOW * filter.widest[joint], evidence.recording.real[joint] if gear else 0.0)
     cutoff = min(moving, filter.cutoffs[joint], 0.45 * rate)
     pieces = [evidence.piece == number for number in np.unique(evidence.piece)]
     return rate, cutoff, [at for at in pieces if at.sum() > settling(rate, cutoff)]

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow, slow_share, slow_squares
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow, slow_saved, slow_share
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
@@ -99,7 +99,7 @@ class Claim:
         """Of what it makes where the arm moves (`slow`), the share that may be saved there, at most: an effect has one
         size at all frequencies. Above, a controller answers to the noise of encoders, and the logged motion has that
         noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
-        return self._one_size(lambda x, j: slow(self.inquiry.evidence, x, j))
+        return self._one_size(lambda x, j: slow(self.inquiry.evidence, x, j, self.candidate.effect.yields))
 
     @cached_property
     def fast_gain(self) -> float:
@@ -148,11 +148,8 @@ class Claim:
     @cached_property
     def slow_evidence(self) -> float:
         """Of its evidence, the share that it saves where the arm moves."""
-        evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
-        saved = np.zeros(2)
-        for j in self.candidate.columns:
-            before, after = (slow_squares(evidence, x[:, j], j) for x in (self.before, self.after))
-            saved += weights[j] * (before - after)
+        one, weights = self.candidate, self.inquiry.noise.weights
+        saved = slow_saved(self.inquiry.evidence, one.columns, one.effect.yields, self.before, self.after, weights)
         return self.evidence * slow_share(saved)
 
     @cached_property

@@ -1,9 +1,7 @@
 """Delays and soft gears of a worn arm that only the noise of encoders asks for. They are taken out of the search: what
 gains by that on many joints is found before what is there."""
 
-import numpy as np
-
-from invdyn_cli.diagnosis.columns.evidence import slow_share, slow_squares
+from invdyn_cli.diagnosis.columns.evidence import slow_saved, slow_share
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 
 EVIDENCE = 250.0
@@ -22,12 +20,11 @@ def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> 
     if not late:
         return odd
     loss, after = scorer.loss(every), evidence.residual(every, scorer.quick(every)[1])
-    left = {j: slow_squares(evidence, after[:, j], j) for j in {j for c in late for j in c.columns}}
     for c in late:
         others = tuple(x for x in every if x is not c)
         before = evidence.residual(others, scorer.quick(others)[1])
-        saved = sum(scorer.weights[j] * (slow_squares(evidence, before[:, j], j) - left[j]) for j in c.columns)
-        if asked_by_noise(slow_share(np.asarray(saved)), scorer.loss(others) - loss):
+        saved = slow_saved(evidence, c.columns, c.effect.yields, before, after, scorer.weights)
+        if asked_by_noise(slow_share(saved), scorer.loss(others) - loss):
             odd.add(c.key)
     return odd
 
