@@ -168,8 +168,8 @@ class Recording:
         motion = np.average(spectra, axis=0, weights=[x.shape[1] for x in parts])
         noise = 2 * self.period * np.outer(self.position_noise**2, (2 * np.sin(np.pi * f / rate)) ** 4)
         times = motion[:, 1:] / np.maximum(noise[:, 1:], 1e-300)
-        highest = min(HIGHEST, 0.45 * rate)
-        floor = np.median(times[:, (f[1:] > 0.75 * highest) & (f[1:] <= highest)], axis=1)
+        low, high = np.searchsorted(f[1:], np.multiply((0.75, 1.0), min(HIGHEST, 0.45 * rate)))
+        floor = np.median(times[:, low : max(low + 1, high)], axis=1)
         real = times > np.maximum(REAL, PLAIN * floor)[:, None]
         return f[np.where(real.all(1), -1, np.argmin(real, axis=1))]
 
