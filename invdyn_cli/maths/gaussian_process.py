@@ -21,15 +21,20 @@ from invdyn_cli.types import Array, PyTree
 
 Gram = Callable[[PyTree, Array, Array], Array]
 
-JITTER = 1e-10
-"""Added to the diagonal of a kernel matrix, as a share of its mean: rounding makes the smallest eigenvalues negative
-from about 1e-16 times the number of rows."""
+JITTER = 1e-8
+"""Added to the diagonal of a kernel matrix, as a share of its mean, no more than the least noise: rounding makes the
+smallest eigenvalues negative
+from about 1e-16 times the number of rows, and rows of an arm at rest are alike."""
 
 LEAST_NOISE = 1e-4
 """Share of the target's spread: a smaller noise is lost in the rounding of kernel matrices of some thousand rows."""
 
 REACH = 8.0
 """Largest change of the logarithms of hyperparameters from their start: a factor of 3,000 in both directions."""
+
+REFUSED = 10.0
+"""Loss over that of the start, in lengths of the first step, of hyperparameters whose kernel matrix is singular: the
+search takes a step of some hundredths of that instead. With an infinite loss it takes none, and ends there."""
 
 NOISE_STEPS = 8
 """Iterations in which only the noise is learned, before a second start: where it is most of a target, as of another
@@ -65,6 +70,8 @@ def minimise(
 ) -> PyTree:
     """The hyperparameters near `start` that minimise loss(hyper, *data), by L-BFGS-B in at most so many steps.
 
+    The loss is divided by its slope at the start: with bounds on all sides the first step is as long as the slope.
+
     Args:
         loss: a function at module level (or a partial of one that hashes), so that it is compiled once.
         floor: lower bounds, a tree like `start`; values of -inf leave those of REACH.
@@ -77,12 +84,19 @@ def minimise(
     lower = at - reach if floor is None else np.maximum(at - reach, np.asarray(ravel_pytree(floor)[0]))
     done = iter(range(1, 10**9))
 
-    def both(point: np.ndarray) -> tuple[float, np.ndarray]:
+    def evaluated(point: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = _value_and_slope(loss, back(jnp.asarray(point)), *data)
-        progress(min(1.0, next(done) / (1.3 * steps)), f"minus log evidence {float(value):.4g}")
-        if not np.isfinite(value):
-            return 1e300, np.zeros_like(point)
-        return float(value), np.asarray(ravel_pytree(slope)[0])
+        return float(value), np.where(reach > 0, np.asarray(ravel_pytree(slope)[0]), 0.0)
+
+    value, slope = evaluated(np.maximum(at, lower))
+    unit = float(np.linalg.norm(slope)) or 1.0
+    refused = value / unit + REFUSED
+
+    def both(point: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = evaluated(point)
+        progress(min(1.0, next(done) / (1.3 * steps)), f"minus log evidence {value:.4g}")
+        finite = np.isfinite(value) and np.isfinite(slope).all()
+        return (value / unit, slope / unit) if finite else (refused, np.zeros_like(point))
 
     bounds = list(zip(lower, at + reach, strict=True))
     found = scipy.optimize.minimize(
@@ -208,7 +222,8 @@ def projected(gram: Gram, hyper: PyTree, inducing: Array, x: Array, y: Array) ->
     """The projected process of all rows on m inducing inputs: coefficients (n, m), and (n, m, m) for the variance.
 
     mean_j(z) = k coefficients_j and var_j(z) = k(z, z) - k spread_j k' with k = gram(hyper_j, z, inducing)
-    (Rasmussen and Williams 2006, equations 8.26 and 8.27; the posterior of Titsias 2009).
+    (Snelson and Ghahramani 2006: what the inducing inputs cannot represent of a row is noise of that row; Quinonero-Candela
+    and Rasmussen 2005, equation 24).
     """
     n, m = y.shape[1], len(inducing)
     moments = jnp.zeros((n, m, m)), jnp.zeros((n, m))
@@ -235,7 +250,9 @@ def _add(gram: Gram, hyper: PyTree, inducing: Array, x: Array, y: Array, moments
     def one(part: tuple) -> tuple[Array, Array]:
         hyper, y, square, product = part
         white = solve_triangular(_factor(gram, hyper, inducing, noisy=False), gram(hyper, inducing, x), lower=True)
-        return square + white @ white.T, product + white @ y
+        unseen = jnp.maximum(_prior_variance(gram, hyper, x) - jnp.sum(white**2, 0), 0.0)
+        weighted = white / (jnp.exp(2 * hyper["noise"]) + unseen)
+        return square + weighted @ white.T, product + weighted @ y
 
     return jax.lax.map(one, (hyper, y.T, *moments))
 
@@ -244,11 +261,10 @@ def _add(gram: Gram, hyper: PyTree, inducing: Array, x: Array, y: Array, moments
 def _projected(gram: Gram, hyper: PyTree, inducing: Array, squares: Array, products: Array) -> tuple[Array, Array]:
     def one(part: tuple) -> tuple[Array, Array]:
         hyper, square, product = part
-        noise = jnp.exp(2 * hyper["noise"])
         lower = _factor(gram, hyper, inducing, noisy=False)
-        middle = jnp.linalg.cholesky(noise * jnp.eye(len(square)) + square)
+        middle = jnp.linalg.cholesky(jnp.eye(len(square)) + square)
         back = partial(solve_triangular, lower, lower=True, trans=1)
-        kept = jnp.eye(len(square)) - noise * cho_solve((middle, True), jnp.eye(len(square)))
+        kept = jnp.eye(len(square)) - cho_solve((middle, True), jnp.eye(len(square)))
         return back(cho_solve((middle, True), product)), back(back(kept).T)
 
     return jax.lax.map(one, (hyper, squares, products))

@@ -20,8 +20,8 @@ from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 class AbstractKernelModel(AbstractModel):
     """A kernel over inputs that are made of the state, and a process with it for every joint.
 
-    Exact inference up to `exact` samples; beyond, all samples are projected on inducing inputs (section 8.3.4 of
-    Rasmussen and Williams 2006; the posterior of Titsias 2009). `variance` gives the predictive variance.
+    Exact inference up to `exact` samples; beyond, all samples are projected on inducing inputs (Snelson and Ghahramani
+    2006). `variance` gives the predictive variance.
 
     Attributes:
         kernel: covariance (N, M) of one joint's standardised torque between inputs (N, k) and (M, k).

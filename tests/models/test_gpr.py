@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -77,6 +78,47 @@ def test_as_many_inducing_inputs_as_samples_are_exact(data):
     assert np.abs(SMALL.predict(exact, motion) - other.predict(projected, motion)).max() < 1e-4 * size.max()
     difference = SMALL.variance(exact, motion) - other.variance(projected, motion)
     assert np.abs(difference / size**2).max() < 1e-4
+
+
+def test_inducing_inputs_are_those_of_snelson_and_ghahramani(data):
+    """Mean and variance of the projected process, from dense matrices of all rows: what the inducing inputs cannot
+    represent of a row counts as its noise (Quinonero-Candela and Rasmussen 2005, equation 24). To 1e-5: the kernel
+    matrix of the inducing inputs has 1e-8 on its diagonal."""
+    model = replace(SMALL, exact=1, inducing=25)
+    fit = model.fit(data, KEY)
+    p, rows = fit.params, slice(0, 40)
+    x, y = standardised(p, data.motion, data.tau)
+    mean, variance = model.predict(fit, data.motion[rows]), model.variance(fit, data.motion[rows])
+    for j in range(2):
+        hyper = {name: leaf[j] for name, leaf in p["hyper"].items()}
+
+        def k(a, b, hyper=hyper):
+            squares = (((a[:, None] - b[None]) / np.exp(hyper["scale"])) ** 2).sum(-1)
+            return np.exp(2 * hyper["signal"] - 0.5 * squares)
+
+        own, size = p["inputs"], np.exp(2 * hyper["signal"])
+        inner = np.linalg.inv(k(own, own) + gp.JITTER * size * np.eye(len(own)))
+        shared = k(x, own) @ inner @ k(own, x)
+        total = shared + np.diag(size - np.diag(shared) + np.exp(2 * hyper["noise"]))
+        across = shared[rows]
+        theirs = across @ np.linalg.solve(total, y[:, j])
+        left = size - np.diag(across @ np.linalg.solve(total, across.T))
+        scale = p["target_scale"][j]
+        np.testing.assert_allclose((mean[:, j] - p["target_mean"][j]) / scale, theirs, atol=1e-5)
+        np.testing.assert_allclose(variance[:, j] / scale**2, left, atol=1e-5)
+
+
+def steep(hyper, target):
+    """As an evidence of many rows: steep, and not a number where the kernel matrix is singular."""
+    away = hyper["a"] - target
+    return 300 * jnp.sum(jnp.where(jnp.abs(hyper["a"]) < 2, away**2, jnp.nan))
+
+
+def test_a_singular_kernel_matrix_does_not_end_the_search():
+    """The minimum is found although the loss is not a number at the bounds, where a step as long as the slope leads."""
+    target = np.array([0.9, -1.3])
+    found = gp.minimise(steep, {"a": np.zeros(2)}, target, steps=40)
+    np.testing.assert_allclose(found["a"], target, atol=1e-3)
 
 
 def test_learns_an_arm():
