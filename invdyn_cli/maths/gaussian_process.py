@@ -22,9 +22,8 @@ from invdyn_cli.types import Array, PyTree
 Gram = Callable[[PyTree, Array, Array], Array]
 
 JITTER = 1e-8
-"""Added to the diagonal of a kernel matrix, as a share of its mean, no more than the least noise: rounding makes the
-smallest eigenvalues negative
-from about 1e-16 times the number of rows, and rows of an arm at rest are alike."""
+"""Added to the diagonal of a kernel matrix, as a share of its mean, no more than the least noise adds: rounding
+makes the smallest eigenvalues negative, of rows of an arm at rest, which are alike, more than of others."""
 
 LEAST_NOISE = 1e-4
 """Share of the target's spread: a smaller noise is lost in the rounding of kernel matrices of some thousand rows."""
@@ -222,8 +221,8 @@ def projected(gram: Gram, hyper: PyTree, inducing: Array, x: Array, y: Array) ->
     """The projected process of all rows on m inducing inputs: coefficients (n, m), and (n, m, m) for the variance.
 
     mean_j(z) = k coefficients_j and var_j(z) = k(z, z) - k spread_j k' with k = gram(hyper_j, z, inducing)
-    (Snelson and Ghahramani 2006: what the inducing inputs cannot represent of a row is noise of that row; Quinonero-Candela
-    and Rasmussen 2005, equation 24).
+    (Snelson and Ghahramani 2006: what the inducing inputs cannot represent of a row is noise of that row;
+    Quinonero-Candela and Rasmussen 2005, equation 24).
     """
     n, m = y.shape[1], len(inducing)
     moments = jnp.zeros((n, m, m)), jnp.zeros((n, m))
