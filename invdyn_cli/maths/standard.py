@@ -168,12 +168,13 @@ def within(prior: Prior, theta: Array, covariance: Array) -> np.ndarray:
     Args:
         covariance: (p, p) of the posterior.
     """
-    theta, free = np.array(theta, float), ~prior.inertial & (prior.scale > 0)
+    theta, known = np.array(theta, float), prior.scale > 0
     if np.all(theta >= prior.lower):
         return theta
-    scale = np.where(prior.scale > 0, prior.scale, 1.0)
-    known = np.linalg.inv(np.asarray(covariance) / np.outer(scale, scale))[np.ix_(free, free)]
-    theta[free] = _bounded(theta[free], known, prior.lower[free], scale[free])
+    free, scale = ~prior.inertial & known, prior.scale[known]
+    precision = np.linalg.inv(np.asarray(covariance)[np.ix_(known, known)] / np.outer(scale, scale))
+    own = free[known]
+    theta[free] = _bounded(theta[free], precision[np.ix_(own, own)], prior.lower[free], scale[own])
     return theta
 
 

@@ -130,3 +130,18 @@ def test_a_line_is_least_squares_of_each_joint():
     got = standard.line([sums(x[:1], y[:1])], np.array([0, 0, 0, 1, 1, 1], bool))
     np.testing.assert_allclose(got[3:5], np.linalg.lstsq(x[0][:, 3:5], y[0], rcond=None)[0], rtol=1e-8)
     assert not got[[0, 1, 2, 5]].any()
+
+
+def test_bounds_hold_beside_a_column_without_rows():
+    """A joint that rests on all rows has no coefficient: the bounded ones are those of the model without it."""
+    rng = np.random.default_rng(11)
+    x, theta, noise = drawn(rng)
+    y = x @ theta + noise * rng.normal(size=x.shape[:2])
+    known = prior(positive=(4, 5))
+    found = standard.fit([sums(x, y)], known, np.ones(2), 0.1)
+    moved = np.r_[found.theta[:4], -0.2, found.theta[5]]
+    wide = Prior(*(np.insert(part, 4, zero) for part, zero in zip(vars(known).values(), (0.0, 0, 0, 0.0), strict=True)))
+    covariance = np.insert(np.insert(found.covariance, 4, 0.0, axis=0), 4, 0.0, axis=1)
+    got = standard.within(wide, np.insert(moved, 4, 0.0), covariance)
+    np.testing.assert_allclose(np.delete(got, 4), standard.within(known, moved, found.covariance), atol=1e-12)
+    assert got[4] == 0 and got[5] == 0

@@ -6,18 +6,25 @@ LEAST_PRECISION = 1e-9
 """Share of a column's own square that is added to it, so that columns that cancel each other cause no failure."""
 
 
+def _scales(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """The size of each coefficient's column with its prior; one of a column that is zero on all rows, whose coefficient
+    is then zero."""
+    squares = np.diag(normal) + precision
+    return np.sqrt(np.where(squares > 0, squares, 1.0))
+
+
 def inverted(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """The inverse of the normal matrix with the prior, as `solved` uses it."""
     if not len(normal):
         return normal
-    scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
+    scale = _scales(normal, precision)
     scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
     return np.linalg.inv(scaled) / np.outer(scale, scale)
 
 
 def inverse_root(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """A root (k, k) of the inverse of the normal matrix with the prior: times its own transpose it is that inverse."""
-    scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
+    scale = _scales(normal, precision)
     values, vectors = np.linalg.eigh((normal + np.diag(precision)) / np.outer(scale, scale))
     return vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / scale[:, None]
 
@@ -26,6 +33,6 @@ def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarr
     """Coefficients (k,) of the normal equations with the prior."""
     if not len(r):
         return r
-    scale = np.sqrt(np.maximum(np.diag(normal) + precision, 1e-300))
+    scale = _scales(normal, precision)
     scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
     return np.linalg.solve(scaled, r / scale) / scale

@@ -49,6 +49,10 @@ EDGE = 1.0
 """[s] A window whose edge is nearer to an end of its trajectory begins or ends there; one that does both is no
 window."""
 
+SEEN = 0.5
+"""Share of what a window explains that must be of joints which also move outside it, for longer than EDGE: of a joint
+that moves in it alone, nothing says that it comes and goes."""
+
 PARTS, FINEST = 6, 0.2
 """Blocks that a window is parted into, and the shortest of them [s], so that some choose and others judge; at least
 TURN of them."""
@@ -214,7 +218,11 @@ def _window(
         if place.effect.refuse(place.effect.found(factors.tolist(), {}, evidence.robot, place.joint)):
             continue
         there, own = rows[a:b], used[rows[a:b]]
-        gained = np.sum(own * ((after + made)[there] ** 2 - after[there] ** 2), axis=1)
+        gained = own * ((after + made)[there] ** 2 - after[there] ** 2)
+        seen = np.sum(used[rows] > 0, axis=0) - np.sum(own > 0, axis=0) > EDGE / evidence.recording.period
+        if gained[:, seen].sum() < SEEN * gained.sum():
+            continue
+        gained = gained.sum(axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
         if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(gained) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
