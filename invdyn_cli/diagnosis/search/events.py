@@ -204,7 +204,11 @@ def _window(
         first, last = np.triu_indices(len(grid), 1)
         a, b = grid[first], grid[last]
         long = time[b - 1] - time[a] >= SHORTEST
+        moves = used[rows][:, windowed.felt] > 0
+        count = np.concatenate([np.zeros((1, len(windowed.felt))), np.cumsum(moves, axis=0)])[grid]
+        outside = evidence.recording.period * (moves.sum(axis=0) - count[last] + count[first])
         long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
+        long &= outside.mean(axis=1) >= EDGE
         if not long.any():
             continue
         sums = windowed.on(grid)
@@ -219,8 +223,8 @@ def _window(
             continue
         there, own = rows[a:b], used[rows[a:b]]
         gained = own * ((after + made)[there] ** 2 - after[there] ** 2)
-        seen = np.sum(used[rows] > 0, axis=0) - np.sum(own > 0, axis=0) > EDGE / evidence.recording.period
-        if gained[:, seen].sum() < SEEN * gained.sum():
+        seen = outside[at] >= EDGE
+        if gained[:, windowed.felt][:, seen].sum() < SEEN * gained.sum():
             continue
         gained = gained.sum(axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
