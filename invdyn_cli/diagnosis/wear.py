@@ -31,18 +31,25 @@ FELT = 0.1
 """Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
 
 
-def worn_links(columns: Columns, weights: np.ndarray, share: float) -> Hypothesis:
+def worn_links(columns: Columns, weights: np.ndarray, share: float, moved: np.ndarray | None = None) -> Hypothesis:
     """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
     their parameters, in units of the share, that make FELT noise variances of torque at least, `weights` (n,) being
-    the inverse of a row's."""
+    the inverse of a row's. Where the evidence's links are `moved` (10 n,) from the URDF's already, a fixed column takes
+    that back in these directions: what is believed of links is about the URDF's, not about a fit to the same rows."""
     evidence, n = columns.evidence, columns.evidence.dofs
     scale = share * link_scales(evidence.robot).ravel()
     rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]
     normal = np.sum([w * x @ x.T for w, x in zip(weights, rows, strict=True)], axis=0)
     values, vectors = np.linalg.eigh(normal)
     moves = vectors[:, values > FELT].T * scale
-    where = {j: ((), evidence.append(j, list(moves @ columns.links[:, j]))) for j in range(n)}
-    return (Candidate(LINK, None, {}, where, np.ones(len(moves))),) if len(moves) else ()
+    if not len(moves):
+        return ()
+    where = {}
+    for j in range(n):
+        made = moves @ columns.links[:, j]
+        fixed = () if moved is None else evidence.append(j, [-(moves @ (moved / scale**2)) @ made])
+        where[j] = fixed, evidence.append(j, list(made))
+    return (Candidate(LINK, None, {}, where, np.ones(len(moves))),)
 
 
 def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:
@@ -112,9 +119,9 @@ def beside(
     """The evidence with links as the standard model has them, `worn_links`, and the anomalies among what was found that
     last, as trials there; `weights` (n,) are the inverse of a row's noise variance, if it is known."""
     evidence, found = columns.evidence, [a for a in acting if a.when is None]
-    changed = np.asarray(evidence.robot.inertial) + wear.theta[: len(columns.links)].reshape(-1, 10)
-    worn = with_links(evidence, changed)
+    moved = wear.theta[: len(columns.links)]
+    worn = with_links(evidence, np.asarray(evidence.robot.inertial) + moved.reshape(-1, 10))
     weights = measure(worn, worn.role == ROLES.index("train")).weights if weights is None else weights
-    links = worn_links(columns, weights, wear.share)
+    links = worn_links(columns, weights, wear.share, moved)
     start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
     return worn, links, tuple(start)
