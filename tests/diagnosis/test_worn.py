@@ -54,6 +54,24 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
     assert np.mean(left) < wear.FELT * (len(scale) - len(worn.precision))
 
 
+def test_links_that_were_moved_are_believed_about_the_urdf():
+    """A fixed column takes back what links that were moved to a fit make, to the noise: the prior of the free columns
+    is then about the URDF. About the fit, which has seen the same rows, a small prior would cost nothing, and an
+    encoder offset be named that an error of one link explains."""
+    evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), NAMES)
+    columns = standard.columns_of(evidence, "unknown")
+    weights = noise.measure(evidence, np.ones(len(evidence.tau), bool)).weights
+    by = 0.05 * link_scales(evidence.robot).ravel() * np.random.default_rng(5).normal(size=10 * evidence.dofs)
+    (about,) = wear.worn_links(columns, weights, 0.05, by)
+    (plain,) = wear.worn_links(columns, weights, 0.05)
+    torque, left = np.tensordot(by, columns.links, 1), 0.0
+    for j, (fixed, _) in about.columns.items():
+        valid = evidence.valid[:, j]
+        left += weights[j] * np.sum((evidence.tables[j][:, fixed[0]] + torque[j])[valid] ** 2)
+    assert left < 3 * wear.FELT * (len(by) - len(about.precision))
+    assert not any(fixed for fixed, _ in plain.columns.values())
+
+
 def beside(robot, off, draw, *terms):
     """These terms, and what links that are off by up to a share make beside the robot's."""
     scale = off * link_scales(robot) * draw.uniform(-1, 1, (robot.dofs, 10))
