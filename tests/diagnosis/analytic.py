@@ -48,6 +48,16 @@ def moved(seconds: float = 40.0, rate: float = 500.0, seed: int = 0, late: float
     return t, motion(arm(), t + late, seed)
 
 
+def in_turn(seconds: float) -> tuple[np.ndarray, Motion]:
+    """t and sums of sines of one joint after the other, each in its share of the time; the others rest."""
+    t, m = moved(seconds)
+    dofs = m.q.shape[1]
+    turn = np.clip(dofs * t[:, None] / seconds - np.arange(dofs), 0.0, 1.0)
+    q = m.q * np.sin(np.pi * turn) ** 4
+    qd = np.gradient(q, t, axis=0)
+    return t, Motion(q, qd, np.gradient(qd, t, axis=0))
+
+
 def raw(
     t: np.ndarray, m: Motion, term: Term = nothing, *, torque: float = 0.0, position: float = 0.0, seed: int = 0
 ) -> RawTrajectory:

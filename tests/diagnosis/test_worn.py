@@ -26,7 +26,7 @@ from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Motion
 from tests.commands import usually
-from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
+from tests.diagnosis.analytic import arm, evidence_of, in_turn, log_of, moved, on, raw
 
 NAMES = ("coulomb_friction", "link_inertia_error")
 
@@ -94,6 +94,19 @@ def test_wear_is_asked_for_where_links_are_off(off):
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
     fitted = wear.of(standard.columns_of(evidence, "unknown"), inquiry)
     assert (fitted is None) == (off == 0.0)
+
+
+def test_joints_that_move_one_after_the_other():
+    """Links are 5 % off, every joint has friction, and one has a ripple: that is named alone, and the Coulomb
+    friction of each joint is told to 10 %, as it is of one that moves at the end alone."""
+    friction = [on(j, lambda t, q, qd, qdd: 3.0 * np.tanh(qd / 0.01) + 2.0 * qd) for j in range(3)]
+    wave = on(1, lambda t, q, qd, qdd: 2.0 * np.sin(20 * q))
+    term = beside(arm(), 0.05, np.random.default_rng(2), *friction, wave)
+    found = diagnose(log_of(raw(*in_turn(60.0), term, torque=0.1, position=1e-5)), arm())
+    named = [(f.effect, f.joint) for f in claims(found) if f.group != "standard"]
+    assert named == [("torque_ripple", arm().joints[1])]
+    for joint in arm().joints:
+        assert found.standard[joint]["coulomb"]["value"] == pytest.approx(3.0, rel=0.1)
 
 
 def test_links_may_be_farther_off_than_was_fitted():

@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from invdyn_cli.diagnosis.columns.evidence import filtered
 from invdyn_cli.errors import LogError
 from invdyn_cli.log import RawTrajectory
-from tests.diagnosis.analytic import arm, column, evidence_of, log_of, moved, on, raw, recording_of
+from tests.diagnosis.analytic import arm, column, evidence_of, in_turn, log_of, moved, on, raw, recording_of
 from tests.diagnosis.sick import motion
 
 FRICTION = on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd) + 0.5 * qd)
@@ -64,6 +64,19 @@ def test_the_first_share_of_every_trajectory_chooses():
         ("run", "train"), ("run", "test"), ("more", "train"), ("more", "test"),
     ]  # fmt: skip
     np.testing.assert_allclose([len(p.t) / 250 for p in pieces], [14, 6, 21, 9], atol=0.02)
+
+
+def test_of_joints_that_move_one_after_the_other_all_are_learned():
+    """A third of every joint's way, at least, is in what chooses, and some in what judges; with all joints in motion
+    the first share of the whole is."""
+    pieces = recording_of(log_of(raw(*in_turn(60.0)))).pieces
+    ways = {
+        role: np.sum([np.abs(np.diff(p.q)).sum(axis=1) for p in pieces if p.role == role], axis=0)
+        for role in ("train", "test")
+    }
+    share = ways["train"] / (ways["train"] + ways["test"])
+    assert np.all(share > 1 / 3) and np.all(share < 0.95)
+    assert [p.role for p in recording_of(log_of(raw(*moved(60.0)))).pieces] == ["train", "test"]
 
 
 def test_a_gap_parts_a_trajectory():
