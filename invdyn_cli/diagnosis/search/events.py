@@ -206,7 +206,7 @@ def _window(
         long = time[b - 1] - time[a] >= SHORTEST
         moves = used[rows][:, windowed.felt] > 0
         count = np.concatenate([np.zeros((1, len(windowed.felt))), np.cumsum(moves, axis=0)])[grid]
-        outside = evidence.recording.period * (moves.sum(axis=0) - count[last] + count[first])
+        outside = np.median(np.diff(time)) * (moves.sum(axis=0) - count[last] + count[first])
         long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
         long &= outside.mean(axis=1) >= EDGE
         if not long.any():
