@@ -212,7 +212,7 @@ def prepare(
     cut = [
         (raw.name, role, *part)
         for raw in log.trajectories
-        for role, start, end in _roles(raw, windows, options)
+        for role, start, end in sorted(_roles(raw, windows, options), key=lambda part: part[1])
         for part in _uninterrupted(raw, start, end, options.max_gap)
     ]
     periods = [np.median(np.diff(t)) for _, _, t, _, _ in cut if len(t) > 3]

@@ -79,6 +79,14 @@ def test_of_joints_that_move_one_after_the_other_all_are_learned():
     assert [p.role for p in recording_of(log_of(raw(*moved(60.0)))).pieces] == ["train", "test"]
 
 
+def test_pieces_of_a_trajectory_are_in_the_order_of_time():
+    """Also where what judges was chosen before what learns, and where joints move one after the other."""
+    windows = {"train": [("run", 12.0, np.inf)], "test": [("run", -np.inf, 12.0)]}
+    for recording in (recording_of(log_of(raw(*moved())), windows), recording_of(log_of(raw(*in_turn(60.0))))):
+        starts = [p.t[0] for p in recording.pieces]
+        assert len(starts) > 1 and starts == sorted(starts)
+
+
 def test_a_gap_parts_a_trajectory():
     """A step of more than 0.1 s ends a piece: nothing is interpolated over it."""
     one = raw(*moved())
