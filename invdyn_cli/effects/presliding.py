@@ -17,6 +17,9 @@ USUAL_LENGTH = 0.005
 SHORTEST = 1e-9
 """[rad] Shortest bending distance of the bristles."""
 
+SOFTEST = 1e-3
+"""[N m/rad; N/m] Least stiffness of the bristles."""
+
 
 @dataclass(frozen=True)
 class PreslidingHysteresis(AbstractTorqueEffect):
@@ -34,7 +37,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
     meaning = "Friction that yields like a spring after every reversal, before the joint slides."
     equation = "stiffness z, dz/dt = qd − stiffness/coulomb |qd| z"
     reference = "Dahl, AIAA Journal 1976; Canudas de Wit, Olsson, Åström and Lischinsky, IEEE TAC 1995"
-    parameters = {"coulomb": Parameter("N m", 0.0), "stiffness": Parameter("N m/rad", 1e-3)}
+    parameters = {"coulomb": Parameter("N m", 0.0), "stiffness": Parameter("N m/rad", SOFTEST)}
     confounders = (("coulomb_friction",), ("stribeck_friction",), ("backlash",))
     contains = ("coulomb_friction",)
     contains_as_limit = True
@@ -60,13 +63,13 @@ class PreslidingHysteresis(AbstractTorqueEffect):
         return parameters["coulomb"] * _bristle(state, self.shape_of(parameters)["length"])
 
     def travel(self, parameters: Parameters) -> float:
-        return parameters["coulomb"] / parameters["stiffness"]
+        return parameters["coulomb"] / max(parameters["stiffness"], SOFTEST)
 
     def shapes(self, state: JointState) -> Sequence[Parameters]:
         return [{"length": x} for x in self.lengths]
 
     def shape_of(self, parameters: Parameters) -> Parameters:
-        return {"length": max(parameters["coulomb"] / parameters["stiffness"], SHORTEST)}
+        return {"length": max(self.travel(parameters), SHORTEST)}
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (_bristle(state, shape["length"]),)

@@ -143,6 +143,13 @@ def test_bristles_know_the_way_and_not_the_time():
     assert np.abs(even).max() <= 2.0
 
 
+def test_bristles_of_no_level_make_nothing():
+    """A search may come to a level and a stiffness of zero."""
+    effect = EFFECTS["presliding_hysteresis"]
+    given = effect.read([0.0], {"length": 0.004})
+    assert not effect.term(given, bristled(swaying(np.arange(0, 1, 0.002), 0))).any()
+
+
 def test_bristles_stay_bent_at_rest():
     """A joint that moves, rests for 100 s and goes back: encoder noise of 10 microradians at 500 Hz adds up to 0.4 rad,
     a hundred times the bristles' length; the term stays that of the true motion to 10 % of the level."""
