@@ -96,6 +96,7 @@ def test_wear_is_asked_for_where_links_are_off(off):
     assert (fitted is None) == (off == 0.0)
 
 
+@pytest.mark.benchmark
 def test_joints_that_move_one_after_the_other():
     """Links are 5 % off, every joint has friction, and one has a ripple: that is named alone, and the Coulomb
     friction of each joint is told to 10 %, as it is of one that moves at the end alone."""
