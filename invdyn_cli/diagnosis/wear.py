@@ -35,7 +35,7 @@ def worn_links(columns: Columns, weights: np.ndarray, share: float, moved: np.nd
     """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
     their parameters, in units of the share, that make FELT noise variances of torque at least, `weights` (n,) being
     the inverse of a row's. Where the evidence's links are `moved` (10 n,) from the URDF's already, a fixed column takes
-    that back in these directions: what is believed of links is about the URDF's, not about a fit to the same rows."""
+    that back in these directions, so that the prior's mean is the URDF and not a fit to the same rows."""
     evidence, n = columns.evidence, columns.evidence.dofs
     scale = share * link_scales(evidence.robot).ravel()
     rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]

@@ -16,6 +16,7 @@ from invdyn_cli.errors import LogError
 from invdyn_cli.log import Log, RawTrajectory, Window
 from invdyn_cli.maths.signals import lattice, lowpass, resample, settling
 from invdyn_cli.recording.rows import without_gaps
+from invdyn_cli.recording.selection import divided
 from invdyn_cli.types import Motion
 
 ROLES = ("train", "test", "reference")
@@ -39,8 +40,8 @@ class Preparation:
         smoothing: [-] bandwidth of a joint's motion signals, as a multiple of that of its columns.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms.
         max_gap: [s] a longer step splits a trajectory.
-        train_share: [-] first share of each trajectory's time for training; the rest is held out. A trajectory whose
-            joints move one after the other is first divided into parts in which that is fair to all.
+        train_share: [-] first share of each trajectory's time for training; the rest is held out. A trajectory in
+            which this leaves a joint without motion to learn from is first divided into parts (`selection.divided`).
         longest: [s] length of log that is used; of a longer log, evenly spread stretches.
         stretch: [s] length of such a stretch, about.
     """
@@ -54,11 +55,6 @@ class Preparation:
     longest: float = 270.0
     stretch: float = 20.0
 
-
-LEARNED, STILL, LEAST_PART, WAY = 0.4, 0.01, 6.0, 0.25
-"""Share of a joint's way that should be in what is learned from, if its way is more than a share of the longest; the
-shortest part of a trajectory that is divided for that [s]; and the time between the positions of which a way is the
-sum [s]: noise adds little to it."""
 
 REAL, PLAIN, HIGHEST, SPECTRUM = 100.0, 10.0, 55.0, 2.0
 """A motion that the noise of positions does not make is REAL times as dense, and PLAIN times as dense as just below
@@ -212,7 +208,7 @@ def prepare(
     cut = [
         (raw.name, role, *part)
         for raw in log.trajectories
-        for role, start, end in sorted(_roles(raw, windows, options), key=lambda part: part[1])
+        for role, start, end in _roles(raw, windows, options)
         for part in _uninterrupted(raw, start, end, options.max_gap)
     ]
     periods = [np.median(np.diff(t)) for _, _, t, _, _ in cut if len(t) > 3]
@@ -279,31 +275,11 @@ def _by_trajectory(log: Log, options: Preparation) -> dict[str, list[Window]]:
 def _roles(
     raw: RawTrajectory, windows: Mapping[str, Sequence[Window]] | None, options: Preparation
 ) -> list[tuple[str, float, float]]:
+    """Roles and stretches of a trajectory [s], in the order of time."""
     if windows is None:
-        ends = _ends(raw, options.train_share)
-        cuts = ends[:-1] + options.train_share * np.diff(ends)
-        ends[0], ends[-1] = -np.inf, np.inf
-        parts = [("train", ends[:-1], cuts), ("test", cuts, ends[1:])]
-        return [(role, float(a), float(b)) for role, first, last in parts for a, b in zip(first, last, strict=True)]
-    return [(role, a, b) for role in ROLES for name, a, b in windows.get(role, ()) if name == raw.name]
-
-
-def _ends(raw: RawTrajectory, share: float) -> np.ndarray:
-    """Ends of the fewest equal parts of a trajectory in whose first `share`s every joint moves LEARNED of its way, or
-    nearly: joints may move one after the other, and nothing is learned of one that moves in the rest alone."""
-    length = raw.t[-1] - raw.t[0]
-    at = np.arange(0, length, WAY)
-    ways = np.abs(np.diff(raw.q[np.searchsorted(raw.t, raw.t[0] + at)], axis=0))
-    whole = ways.sum(axis=0)
-    moves = whole > STILL * whole.max(initial=0.0)
-
-    def learned(parts: int) -> float:
-        first = at[1:] % (length / parts) < share * length / parts
-        return float(np.min(ways[first].sum(axis=0)[moves] / whole[moves], initial=1.0))
-
-    tried = range(1, 1 + max(1, int(length / LEAST_PART)))
-    parts = next((k for k in tried if learned(k) >= LEARNED), None) or max(tried, key=learned)
-    return np.linspace(raw.t[0], raw.t[-1], 1 + parts)
+        return divided(raw, options.train_share)
+    asked = [(role, a, b) for role in ROLES for name, a, b in windows.get(role, ()) if name == raw.name]
+    return sorted(asked, key=lambda stretch: stretch[1])
 
 
 def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float):

@@ -1,4 +1,5 @@
-"""Which stretches of which trajectories are training, validation and test data: selections as text -> blocks in time.
+"""Which stretches of which trajectories are training, validation and test data: selections as text -> blocks in time;
+and how a diagnosis divides a trajectory of which nothing was selected.
 
 A selection is "name" or "name[t0:t1]": t0 <= t < t1 in seconds of the log's clock; ends may stay open.
 """
@@ -11,10 +12,16 @@ from itertools import combinations
 import numpy as np
 
 from invdyn_cli.errors import LogError, UsageError, closest, listed
-from invdyn_cli.log import Log, Window
+from invdyn_cli.log import Log, RawTrajectory, Window
 from invdyn_cli.recording.rows import taken
 
 SETS = ("train", "validation", "test")
+
+LEARNED, STILL, SHORTEST, STEP = 0.4, 0.01, 6.0, 0.25
+"""Share of a joint's distance that should be in the training data; share of the largest distance of all joints, below
+which a joint rests; the shortest part [s] of a trajectory that is divided; and the time [s] between the positions from
+which distances are computed: noise adds little to them."""
+
 _SECONDS = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*"
 _WINDOWED = re.compile(rf"\s*([^\[\]]+?)\s*\[{_SECONDS}:{_SECONDS}\]\s*")
 
@@ -142,6 +149,29 @@ def windows(
             got = f"data.{role} is empty: other sets name all trajectories"
             raise LogError(got, advice=f"data.{role}=[…] of {listed(clocks)}")
     return {role: [(x.key, x.start, x.end) for x in parts] for role, parts in roles.items()}
+
+
+def divided(raw: RawTrajectory, train_share: float) -> list[tuple[str, float, float]]:
+    """(role, start, end) [s] of a trajectory of which nothing was selected, in the order of time: the first share for
+    training, the rest held out. Where a joint would cover less than LEARNED of its distance in training, because joints
+    move one after the other, this is done in each of the fewest equal parts for which it is enough, or most."""
+    length = raw.t[-1] - raw.t[0]
+    t = np.arange(0, length, STEP)
+    distance = np.abs(np.diff(raw.q[np.searchsorted(raw.t, raw.t[0] + t)], axis=0))
+    total = distance.sum(axis=0)
+    moves = total > STILL * total.max(initial=0.0)
+
+    def learned(parts: int) -> float:
+        training = t[1:] % (length / parts) < train_share * length / parts
+        return float(np.min(distance[training].sum(axis=0)[moves] / total[moves], initial=1.0))
+
+    tried = range(1, 1 + max(1, int(length / SHORTEST)))
+    parts = next((k for k in tried if learned(k) >= LEARNED), None) or max(tried, key=learned)
+    ends = np.linspace(raw.t[0], raw.t[-1], 1 + parts)
+    cuts = ends[:-1] + train_share * np.diff(ends)
+    ends[[0, -1]] = -np.inf, np.inf
+    edges = zip(ends[:-1].tolist(), cuts.tolist(), ends[1:].tolist(), strict=True)
+    return [part for start, cut, end in edges for part in (("train", start, cut), ("test", cut, end))]
 
 
 def cut(log: Log, blocks: Iterable[Block]) -> Log:

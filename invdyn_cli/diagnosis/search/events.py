@@ -222,11 +222,11 @@ def _window(
         if place.effect.refuse(place.effect.found(factors.tolist(), {}, evidence.robot, place.joint)):
             continue
         there, own = rows[a:b], used[rows[a:b]]
-        gained = own * ((after + made)[there] ** 2 - after[there] ** 2)
+        of_joints = own * ((after + made)[there] ** 2 - after[there] ** 2)
         seen = outside[at] >= EDGE
-        if gained[:, windowed.felt][:, seen].sum() < SEEN * gained.sum():
+        if of_joints[:, windowed.felt][:, seen].sum() < SEEN * of_joints.sum():
             continue
-        gained = gained.sum(axis=1)
+        gained = of_joints.sum(axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
         if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(gained) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
