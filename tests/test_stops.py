@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -135,6 +136,16 @@ def wait_until(process: subprocess.Popen, moment: float) -> None:
         return
 
 
+@contextmanager
+def paused(process: subprocess.Popen) -> Iterator[None]:
+    """The process, where it has not ended, stands still meanwhile and writes nothing into what is removed."""
+    process.send_signal(signal.SIGSTOP)
+    if process.returncode is None:
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+    yield
+    process.send_signal(signal.SIGCONT)
+
+
 @pytest.mark.parametrize("verb", usually(["run"], WRITING))
 def test_kills(verb, folder):
     """A process that is killed leaves whole files; the same command, called again, ends well and leaves no part."""
@@ -244,6 +255,7 @@ def test_a_lost_folder(verb, folder):
         place = shutil.copytree(folder, folder.parent / "lost")
         process = start(COMMANDS[verb], place)
         wait_until(process, moment)
-        shutil.rmtree(place)
+        with paused(process):
+            shutil.rmtree(place)
         refused(process)
         shutil.rmtree(place, ignore_errors=True)
