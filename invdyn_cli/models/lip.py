@@ -292,7 +292,8 @@ def _exact(hyper: PyTree, x: State, y: Array, scale: Array) -> Array:
 
 
 def _projected(hyper: PyTree, support: State, x: State, y: Array, scales: PyTree) -> Array:
-    """Coefficients (m n,) of the process of all samples, projected on the torques of m (as `gp.projected`)."""
+    """Coefficients (m n,) of the process of all samples, projected on the torques of m (as `gp.projected`: what these
+    cannot represent of a torque is its noise)."""
     size = support.qd.size
     lower = _inducing_factor(hyper, support, scales["scale"])
     square, product = jnp.zeros((size, size)), jnp.zeros(size)
@@ -311,8 +312,20 @@ def _inducing_factor(hyper: PyTree, support: State, scale: Array) -> Array:
 def _add(
     hyper: PyTree, lower: Array, support: State, x: State, y: Array, scale: Array, square: Array, product: Array
 ) -> tuple[Array, Array]:
-    white = solve_triangular(lower, _gram(hyper, support, x, scale), lower=True) / jnp.sqrt(_noise(hyper, len(y)))
-    return square + white @ white.T, product + white @ (y.ravel() / jnp.sqrt(_noise(hyper, len(y))))
+    white = solve_triangular(lower, _gram(hyper, support, x, scale), lower=True)
+    unseen = jnp.maximum(_prior_variance(hyper, x, scale) - jnp.sum(white**2, 0), 0.0)
+    weighted = white / (_noise(hyper, len(y)) + unseen)
+    return square + weighted @ white.T, product + weighted @ y.ravel()
+
+
+def _prior_variance(hyper: PyTree, x: State, scale: Array) -> Array:
+    """Variance (N n,) of every torque before data, joints fastest."""
+
+    def one(sample: State) -> Array:
+        alone = jax.tree.map(lambda leaf: leaf[:, None], sample)
+        return jnp.diag(_gram(hyper, alone, alone, scale))
+
+    return jax.vmap(one, in_axes=1)(x).ravel()
 
 
 @jax.jit

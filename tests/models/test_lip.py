@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from invdyn_cli.errors import UsageError
+from invdyn_cli.maths import gaussian_process as gp
 from invdyn_cli.models.gip import Gip
-from invdyn_cli.models.lip import Lip, _state, torque_covariance
+from invdyn_cli.models.lip import Lip, _gram, _state, torque_covariance
 from invdyn_cli.testing import check_model
 from tests.records import make_dataset, make_robot
 from tests.sine_arm import error, rubbed, sine_tasks
@@ -70,6 +71,27 @@ def test_recovers_a_rigid_arm_from_few_samples():
     assert train.samples < 80
     errors = [error(model, model.fit(train, KEY), test).mean() for model in (Lip(steps=40), Gip(steps=40))]
     assert errors[0] < 1e-3 and errors[0] < errors[1]
+
+
+def test_the_support_is_that_of_snelson_and_ghahramani():
+    """The projected process, from dense matrices of all rows: what the torques of the support cannot represent of a
+    torque counts as its noise. To 1e-4: the kernel matrix of the support has 1e-8 on its diagonal."""
+    data = make_dataset(make_robot(("a", "b")), np.random.default_rng(1), samples=30)
+    model = Lip(hyperparameter_samples=20, steps=8, exact=1, inducing=9)
+    fit = model.fit(data, KEY)
+    p, x = fit.params, np.concatenate([data.motion.q, data.motion.qd, data.motion.qdd], axis=1)
+    every, support = (_state(p, rows, None) for rows in (x, p["support"]))
+    own, across, all_of = (
+        np.asarray(_gram(p["hyper"], *pair, p["scale"]))
+        for pair in ((support, support), (every, support), (every, every))
+    )
+    inner = np.linalg.inv(own + gp.JITTER * np.diag(own).mean() * np.eye(len(own)))
+    shared = across @ inner @ across.T
+    noise = np.tile(np.exp(2 * p["hyper"]["noise"]), data.samples)
+    total = shared + np.diag(np.diag(all_of - shared) + noise)
+    expected = shared @ np.linalg.solve(total, (data.tau / p["scale"]).ravel())
+    said = model.predict(fit, data.motion) / p["scale"]
+    np.testing.assert_allclose(said.ravel(), expected, atol=1e-4)
 
 
 @pytest.mark.benchmark
