@@ -7,9 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from experiments import cases, unknown
 from experiments.confusion import claims
-from experiments.told import said_of
-from experiments.worn import Worn, drawn, spoken
+from experiments.told import jobs, name_of, said_of, told
+from experiments.worn import SIZES, Worn, beyond_wear, drawn
+from invdyn_cli.abstract_experiment import chosen
 from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.case import Case, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
@@ -18,17 +20,23 @@ from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.logfile import Log
 from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.types import Robot
 
 WHOLE = "none"
 """The name of the row that is left out when none is."""
+
+ARMS = ("worn", "perfect", "outside")
+"""Worn arms with one anomaly or none; perfect arms with one; perfect arms with an effect that the catalogue lacks."""
 
 
 @dataclass(frozen=True)
 class Worth:
     """One log without one row of the table: what was said of its anomaly, what else was claimed, and the row's figure
-    of the right candidate that the search found, and of the others."""
+    of the right candidate that the search found, and of the others. `arm`: one of ARMS."""
 
+    arm: str
     seed: int
     hidden: str
     left_out: str
@@ -40,58 +48,85 @@ class Worth:
 
 @dataclass(frozen=True)
 class Calibrate(Worn):
-    """The logs of `Worn`, each searched once and decided with each row of the table left out."""
+    """Logs of `Worn`, of one effect on a perfect arm and of effects outside the catalogue, each searched once and
+    decided with each row of the table left out."""
 
     row: ClassVar[type] = Worth
 
     logs: int = 12
     clean: int = 6
+    perfect: int = 12
+    outside: int = 8
 
-    def run(self, folder: Path, seed: int, name: str) -> Iterable[Worth]:
+    def plan(self, rows: Sequence[Worth]) -> Iterable[tuple]:
+        """A job per log: on which arm, its seed and its effect."""
+        names = chosen("only", self.only, SIZES)
+        return [
+            *(("worn", *job) for job in jobs(self.seed, names, self.logs, self.clean)),
+            *(("perfect", *job) for job in jobs(self.seed, names, self.perfect, 0)),
+            *(("outside", *job) for job in jobs(self.seed, list(unknown.INVENTIONS), self.outside, 0)),
+        ]
+
+    def run(self, folder: Path, arm: str, seed: int, name: str) -> Iterable[Worth]:
         """Draw and search one log, and decide without each row."""
-        one = drawn(seed, name)
-        anomaly = one.anomaly
-        case = prepared(one.log, one.scene.robot, None, None, Options(), EFFECTS)
+        log, robot, anomaly = _log(arm, seed, name)
+        case = prepared(log, robot, None, None, Options(), EFFECTS)
         if not isinstance(case, Case):
             return
         inquiry, columns = searched(case)
-        hidden = f"{anomaly.effect}@{anomaly.joint}" if anomaly else WHOLE
         found = _found(inquiry, anomaly)
-        told: dict[tuple, tuple[str, tuple[str, ...]]] = {}
+        spoken: dict[tuple, tuple[str, tuple[str, ...]]] = {}
         for number, table in enumerate([REFUSALS, *(_without(k) for k in range(len(REFUSALS)))]):
             kept = tuple(c.key for c in supported(inquiry, table)[0])
-            if kept not in told:
+            if kept not in spoken:
                 diagnosis = decided(case, inquiry, columns, Options(), refusals=table)
-                result, false = spoken(anomaly, claims(diagnosis))
-                told[kept] = result, tuple(map(said_of, false))
-            name = WHOLE if number == 0 else REFUSALS[number - 1].name
+                result, others = told(anomaly, claims(diagnosis))
+                spoken[kept] = result, tuple(map(said_of, beyond_wear(others) if arm == "worn" else others))
+            row = WHOLE if number == 0 else REFUSALS[number - 1].name
             figures = [tuple(REFUSALS[number - 1].figure(x) for x in some) if number else () for some in found]
-            yield Worth(seed, hidden, name, *told[kept], *figures)
+            yield Worth(arm, seed, name_of(anomaly), row, *spoken[kept], *figures)
 
     def line(self, row: Worth) -> str:
         """What was said without a row."""
-        return f"{row.seed} {row.hidden}, left out: {row.left_out}: {row.result}, false {row.false}"
+        return f"{row.arm} {row.seed} {row.hidden}, left out: {row.left_out}: {row.result}, false {row.false}"
 
     def table(self, rows: Sequence[Worth]) -> str:
         """A row for each of the table's, as Markdown."""
         lines = [
-            "| left out | right | logs with a false claim | least | figures of right claims: smallest, median "
+            "| left out | worn: right | with a false claim | perfect: right | with a false claim "
+            "| outside the catalogue: with a claim | least | figures of right claims: smallest, median "
             "| of others: median, largest |",
-            "|---|---:|---:|---:|---:|---:|",
+            "|---|" + "---:|" * 8,
         ]
         least = {WHOLE: ""} | {x.name: f"{x.least:.3g}" if x.least > 1e-9 else "above 0" for x in REFUSALS}
         for name in dict.fromkeys(x.left_out for x in rows):
             own = [x for x in rows if x.left_out == name]
-            worn = [x for x in own if x.hidden != WHOLE]
-            right = sum(x.result in ("named", "ambiguous") for x in worn)
-            false = sum(bool(x.false) for x in own)
+            counts = [count for arm in ARMS for count in _counts(arm, [x for x in own if x.arm == arm])]
             ends = [
                 _ends([v for x in own for v in x.right], (0, 50)),
                 _ends([v for x in own for v in x.others], (50, 100)),
             ]
-            cells = [name, f"{right} of {len(worn)}", f"{false} of {len(own)}", least[name], *ends]
+            cells = [name, *counts, least[name], *ends]
             lines.append(f"| {' | '.join(cells)} |")
         return "\n".join(lines)
+
+
+def _log(arm: str, seed: int, name: str) -> tuple[Log, Robot, Hidden | None]:
+    """A log, its nominal robot, and what is hidden in it that the catalogue has."""
+    if arm == "worn":
+        one = drawn(seed, name)
+        return one.log, one.scene.robot, one.anomaly
+    case = cases.draw_case(seed, [name]) if arm == "perfect" else unknown.draw(name, seed)[0]
+    return case.log, case.robot, case.hidden[0] if arm == "perfect" else None
+
+
+def _counts(arm: str, rows: Sequence[Worth]) -> list[str]:
+    """Logs whose effect was named or rightly ambiguous, but of those outside the catalogue, and logs with a false
+    claim."""
+    hidden = [x for x in rows if x.hidden != WHOLE]
+    right = sum(x.result in ("named", "ambiguous") for x in hidden)
+    false = sum(bool(x.false) for x in rows)
+    return [*([f"{right} of {len(hidden)}"] if arm != "outside" else []), f"{false} of {len(rows)}"]
 
 
 def _without(place: int) -> tuple:
