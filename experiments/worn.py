@@ -133,7 +133,7 @@ def sized(draw: np.random.Generator, scene: Scene, name: str, taken: Collection[
     wider: dict[str, Any] = {
         "backlash": lambda: {"gap": _drawn(draw, 1e-3, 2e-2)} | _teeth(draw),
         "joint_elasticity": lambda: {"damping": _damping(draw, one, scene, j)},
-        "stribeck_friction": lambda: {"velocity": _drawn(draw, 0.01, 0.4)},
+        "stribeck_friction": lambda: {"velocity": _drawn(draw, 0.01, 0.4), "exponent": float(draw.choice([1.0, 2.0]))},
     }
     return replace(one, parameters={**one.parameters, **wider.get(name, dict)()})
 

@@ -49,6 +49,8 @@ class AbstractEffect(abc.ABC):
     chosen: ClassVar[tuple[str, ...]] = ()
     """Parameters that take only a few values, as the ratios of gears do: they are tried, not refined, and have no
     interval."""
+    defaults: ClassVar[Mapping[str, float]] = {}
+    """Values of parameters that a description may leave out."""
     passing: ClassVar[bool] = False
     """Whether it acts in a time window only; the window is then estimated with it."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
@@ -160,8 +162,9 @@ class AbstractEffect(abc.ABC):
 
     def refuse(self, parameters: Parameters) -> str:
         """Why these values are physically impossible, "" if they are possible."""
+        every = {**self.defaults, **parameters}
         for name, bound in self.parameters.items():
-            value = np.asarray(parameters[name])
+            value = np.asarray(every[name])
             if value.dtype.kind in "fi" and (np.any(value < bound.lower) or np.any(value > bound.upper)):
                 unit = "" if bound.unit == "-" else f" {bound.unit}"
                 allowed = f"{bound.lower:g} to {bound.upper:g}".replace("inf", "∞")
@@ -196,7 +199,8 @@ class AbstractTorqueEffect(AbstractEffect):
 
     def shape_of(self, parameters: Parameters) -> Parameters:
         """The nonlinear parameters among these, as `shapes` has them."""
-        return {name: parameters[name] for name in self.nonlinear}
+        every = {**self.defaults, **parameters}
+        return {name: every[name] for name in self.nonlinear}
 
     @abc.abstractmethod
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:

@@ -158,27 +158,32 @@ class StribeckFriction(AbstractTorqueEffect):
 
     Attributes:
         velocities: Stribeck velocities to try [rad/s]; the found one is refined between them.
+        exponents: of the fall: 2, of Bo and Pavelescu, and 1, of Tustin; the better one is kept.
         usual_velocity: [rad/s] of an ordinary one.
         usual_ratio: static over Coulomb level of an ordinary one.
     """
 
     velocities: tuple[float, ...] = (0.006, 0.01, 0.017, 0.028, 0.047, 0.08, 0.13, 0.22, 0.36)
+    exponents: tuple[float, ...] = (2.0, 1.0)
     usual_velocity: float = 0.028
     usual_ratio: float = 1.3
 
     name = "stribeck_friction"
     title = "Stribeck friction"
     meaning = "Friction that is higher near standstill and falls as the speed grows."
-    equation = "(coulomb + (static − coulomb) exp(−(qd/velocity)²)) sign(qd)"
-    reference = "Bo and Pavelescu, Wear 1982; " + ARMSTRONG
+    equation = "(coulomb + (static − coulomb) exp(−|qd/velocity|^exponent)) sign(qd)"
+    reference = "Bo and Pavelescu, Wear 1982; Tustin, J. IEE 1947; " + ARMSTRONG
     parameters = {
         "coulomb": Parameter("N m", 0.0),
         "static": Parameter("N m", 0.0),
         "velocity": Parameter("rad/s", 5e-3, 1.0),
+        "exponent": Parameter("-", 0.5, 2.0),
     }
+    defaults = {"exponent": 2.0}
+    chosen = ("exponent",)
     confounders = (("coulomb_friction",), ("coulomb_friction", "viscous_friction"), ("quadratic_friction",))
     contains = ("coulomb_friction",)
-    nonlinear = ("velocity",)
+    nonlinear = ("velocity", "exponent")
     advice = "constant speeds from 0.005 to 0.2 rad/s in both directions, logged unfiltered"
     jumps = True
     panels = ("velocity", "near_standstill")
@@ -187,24 +192,22 @@ class StribeckFriction(AbstractTorqueEffect):
 
     def typical(self, usual: UsualJoint) -> dict[str, Any]:
         static = self.usual_ratio * usual.level
-        return {"coulomb": usual.level, "static": static, "velocity": self.usual_velocity}
+        return {"coulomb": usual.level, "static": static, "velocity": self.usual_velocity, **self.defaults}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         level = parameters["coulomb"]
         return SimulatorTerms({"friction": level}, lost=f"is represented by its level at high speed, {level:.3g}")
 
     def term(self, parameters: Parameters, state: JointState) -> Array:
-        xp = state.qd.__array_namespace__()
-        drop = xp.exp(-((state.qd / parameters["velocity"]) ** 2))
-        level = parameters["coulomb"] + (parameters["static"] - parameters["coulomb"]) * drop
-        return level * state.sign
+        level, drop = self.basis(state, self.shape_of(parameters))
+        return parameters["coulomb"] * level + (parameters["static"] - parameters["coulomb"]) * drop
 
     def shapes(self, state: JointState) -> Sequence[Parameters]:
-        return [{"velocity": v} for v in self.velocities]
+        return [{"velocity": v, "exponent": d} for d in self.exponents for v in self.velocities]
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         xp = state.qd.__array_namespace__()
-        return state.sign, state.sign * xp.exp(-((state.qd / shape["velocity"]) ** 2))
+        return state.sign, state.sign * xp.exp(-(abs(state.qd / shape["velocity"]) ** shape["exponent"]))
 
     def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
         return {"coulomb": coefficients[0], "static": coefficients[0] + coefficients[1], **shape}

@@ -43,7 +43,7 @@ KINDS = {
     "viscous_friction": Kind({"damping": FROM}),
     "coulomb_friction": Kind({"coulomb": FROM}, {"transition": ABOVE}),
     "asymmetric_coulomb_friction": Kind({"positive": FROM, "negative": FROM}),
-    "stribeck_friction": Kind({"coulomb": FROM, "static": FROM, "velocity": ABOVE}),
+    "stribeck_friction": Kind({"coulomb": FROM, "static": FROM, "velocity": ABOVE}, {"exponent": ABOVE}),
     "load_dependent_friction": Kind({"mu": FROM}),
     "quadratic_friction": Kind({"drag": FROM}),
     "presliding_hysteresis": Kind({"coulomb": FROM, "stiffness": ABOVE}),
@@ -293,8 +293,8 @@ def _put_event(events: Events, one: Hidden, i: Any, p: dict[str, Any]) -> None:
             events.contacts.append(Contact(i, np.asarray(p["force"], float), window))
 
 
-def _stribeck(qd, load, coulomb: float, static: float, velocity: float):
-    return coulomb + (static - coulomb) * np.exp(-((qd / velocity) ** 2))
+def _stribeck(qd, load, coulomb: float, static: float, velocity: float, exponent: float = 2.0):
+    return coulomb + (static - coulomb) * np.exp(-(np.abs(qd / velocity) ** exponent))
 
 
 def _load_dependent(qd, load, mu: float):

@@ -20,7 +20,12 @@ def parameters(name: str, d: np.random.Generator) -> dict[str, Any]:
         "viscous_friction": lambda: {"damping": u(0.1, 3)},
         "coulomb_friction": lambda: {"coulomb": u(0.1, 3)},
         "asymmetric_coulomb_friction": lambda: {"positive": u(1, 2), "negative": u(0.1, 1)},
-        "stribeck_friction": lambda: {"coulomb": u(0.5, 1), "static": u(1.2, 2), "velocity": u(0.02, 0.3)},
+        "stribeck_friction": lambda: {
+            "coulomb": u(0.5, 1),
+            "static": u(1.2, 2),
+            "velocity": u(0.02, 0.3),
+            "exponent": u(1, 2),
+        },
         "load_dependent_friction": lambda: {"mu": u(0.02, 0.2)},
         "quadratic_friction": lambda: {"drag": u(0.1, 3)},
         "presliding_hysteresis": lambda: {"coulomb": (c := u(0.1, 3)), "stiffness": c / u(0.001, 0.02)},

@@ -24,7 +24,7 @@ NAMES = {
     "viscous_friction": {"damping"},
     "coulomb_friction": {"coulomb"},
     "asymmetric_coulomb_friction": {"positive", "negative"},
-    "stribeck_friction": {"coulomb", "static", "velocity"},
+    "stribeck_friction": {"coulomb", "static", "velocity", "exponent"},
     "load_dependent_friction": {"mu"},
     "quadratic_friction": {"drag"},
     "presliding_hysteresis": {"coulomb", "stiffness"},

@@ -23,7 +23,7 @@ from invdyn_cli.types import Motion
 FOUND = (
     ("viscous_friction", 0, {"damping": 0.7}),
     ("coulomb_friction", 1, {"coulomb": 2.0}),
-    ("stribeck_friction", 0, {"coulomb": 1.0, "static": 1.5, "velocity": 0.1}),
+    ("stribeck_friction", 0, {"coulomb": 1.0, "static": 1.5, "velocity": 0.1, "exponent": 1.0}),
     ("load_dependent_friction", 1, {"mu": 0.05}),
     ("torque_ripple", 1, {"amplitude": 0.3, "cycles": 8.0, "phase": 0.4}),
     ("torque_gain_error", 0, {"gain": 0.9}),

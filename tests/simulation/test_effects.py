@@ -53,6 +53,12 @@ CASES = (
     ),
     Case("stribeck_friction", "arm_joint_4", {"coulomb": 1.0, "static": 1.5, "velocity": 0.1}, stribeck),
     Case(
+        "stribeck_friction",
+        "arm_joint_2",
+        {"coulomb": 1.0, "static": 1.5, "velocity": 0.1, "exponent": 1.0},
+        lambda x, i: (1.0 + 0.5 * np.exp(-np.abs(x.qd[:, i]) / 0.1)) * np.sign(x.qd[:, i]),
+    ),
+    Case(
         "load_dependent_friction",
         "arm_joint_2",
         {"mu": 0.1},
