@@ -120,7 +120,9 @@ def decided(
     more = standard.beside(columns, evidence, made)
     if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings
         there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}
-        made = findings.joined(made, *standard.claims(evidence, more, there))
+        terms, torques = standard.claims(evidence, more, there)
+        told = [findings.perhaps_stribeck(inquiry, made.hypothesis, x) for x in terms]
+        made = findings.joined(made, told, torques)
     left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged

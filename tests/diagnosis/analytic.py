@@ -10,11 +10,15 @@ from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis.columns import candidates
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search import noise
+from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.pieces import Preparation, Recording, prepare
 from invdyn_cli.types import Diagnosis, Motion, Robot
 from tests.diagnosis.sick import motion
+
+FRICTIONS = ["viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_friction", "torque_offset"]
 
 Term = Callable[[np.ndarray, Motion], np.ndarray]
 """(t (T,), motion (T, n)) -> torque (T, n) beside the nominal one."""
@@ -106,3 +110,16 @@ def column(evidence: Evidence, name: str, joint: int) -> np.ndarray:
 def said(diagnosis: Diagnosis) -> set[tuple[str, str | None]]:
     """(effect, joint) of all claims."""
     return {(f.effect, f.joint) for f in claims(diagnosis)}
+
+
+def judged(term, speed: float = 1.0, torque: float = 0.05):
+    """Evidence and judge of a log with a term on the second joint, of a motion so many times as fast."""
+    t, _ = moved()
+    slow = motion(arm(), speed * t, 0)
+    m = type(slow)(slow.q, speed * slow.qd, speed**2 * slow.qdd)
+    evidence = evidence_of(log_of(raw(t, m, on(1, term), torque=torque)), FRICTIONS, cutoffs=(20.0,))
+    rows = evidence.role == 0
+    measured = noise.measure(evidence, rows)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
+    judge.refresh()
+    return evidence, judge

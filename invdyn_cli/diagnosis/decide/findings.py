@@ -173,7 +173,8 @@ def _doubted(
     """A finding with all that it may be instead; ambiguous if that is something."""
     evidence, candidate, acting = inquiry.evidence, hypothesis[i], sized.whole.acting[i]
     others = sums.hidden(effects, hypothesis, i)
-    if naming.blind_to_stribeck(inquiry.judge, inquiry.always, hypothesis, i, inquiry.pool):
+    around = (*inquiry.always, *hypothesis[:i], *hypothesis[i + 1 :])
+    if naming.blind_to_stribeck(inquiry.judge, around, candidate, inquiry.pool):
         others.append(StribeckFriction.name)
     others += _special_cases(evidence, effects, acting, sized.ends[i])
     finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
@@ -340,6 +341,19 @@ def _is_vague(finding: Finding) -> bool:
     """Whether a ripple's cycles are hardly known: another bend of the torque over the angle would do."""
     cycles = finding.parameters.get("cycles")
     return cycles is not None and cycles.interval95[1] - cycles.interval95[0] > 2 * VAGUE * cycles.value
+
+
+def perhaps_stribeck(inquiry: Inquiry, claimed: Hypothesis, found: Finding) -> Finding:
+    """A standard term of a worn arm, beside what was claimed; ambiguous if it is a Coulomb friction that may hide a
+    drop."""
+    place = {(c.effect.name, c.joint): c for c in inquiry.wear}
+    own = place.get((found.effect, inquiry.evidence.robot.joints.index(str(found.joint))))
+    if own is None:
+        return found
+    others = (*(c for c in inquiry.always if c is not own), *claimed)
+    if not naming.blind_to_stribeck(inquiry.judge, others, own, inquiry.pool):
+        return found
+    return replace(found, status="ambiguous", alternatives=((StribeckFriction.name,),), advice=StribeckFriction.advice)
 
 
 def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) -> Made:

@@ -53,8 +53,9 @@ class HypothesisScorer:
         weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
         deviation: (n,) standard deviation of the noise [N m; N].
         always: candidates that are part of every hypothesis.
-        worn: whether links that are some percent off are among them. They take over most of what a body does, at a
-            price of their own (`strain`); then a body's torque itself must be worth something, not what it adds.
+        worn: whether links that are some percent off are among them, and friction. They take over most of what a body
+            does, at a price of their own (`strain`), and of what a friction has as its special case; then the torque
+            of such an effect itself must be worth something, not what it adds.
 
     Attributes:
         grams: of the chosen rows, by fold; blocks are held out in turn by folds.
@@ -81,6 +82,7 @@ class HypothesisScorer:
         self.deviation = deviation
         self.always, self.worn = always, worn
         self._always = frozenset(always)
+        self._there = {(c.joint, c.effect.name) for c in always}
         self._shared: dict[Hypothesis, Shared] = {}
         self._freedom: dict[Candidate, float] = {}
         self._prices: dict[Candidate, float] = {}
@@ -227,8 +229,7 @@ class HypothesisScorer:
         """The least gain of a hypothesis that counts: the prices of its effects."""
         for c in hypothesis:
             if c not in self._prices:
-                local = c.joint if c.effect.is_local else None
-                least = 0.0 if self.worn and not c.effect.is_local else self.least[local]
+                least = 0.0 if self._mostly_there(c) else self._least(c)
                 quiet = (
                     c.noise_reduction * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2
                     if c.noise_reduction
@@ -248,11 +249,21 @@ class HypothesisScorer:
                 return why
             if candidate.effect.stays_near:
                 continue
-            if self.worn and not candidate.effect.is_local and self._worth(candidate, own) < self.least[None]:
+            if self._mostly_there(candidate) and self._worth(candidate, own) < self._least(candidate):
                 return f"{candidate.effect.title}: smaller than the errors of clocks and filters"
             if any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
                 return f"{candidate.effect.title}: so large that other effects would have to cancel most of it"
         return ""
+
+    def _mostly_there(self, candidate: Candidate) -> bool:
+        """Whether most of its torque is that of what is always there."""
+        effect = candidate.effect
+        parts = {(candidate.joint, name) for name in effect.contains} if not effect.contains_as_limit else set()
+        return self.worn and (not effect.is_local or not parts.isdisjoint(self._there))
+
+    def _least(self, candidate: Candidate) -> float:
+        """What its torque must be worth, in noise variances."""
+        return self.least[candidate.joint if candidate.effect.is_local else None]
 
     def impossible(self, candidate: Candidate, own: np.ndarray) -> str:
         """Why a candidate's coefficients alone are physically impossible, "" if they are possible."""

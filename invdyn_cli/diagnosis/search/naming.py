@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import wilcoxon
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search.equations import inverted
 from invdyn_cli.diagnosis.search.judge import (
     PRICE_OF_COEFFICIENT,
     PRICE_OF_EFFECT,
@@ -18,6 +20,7 @@ from invdyn_cli.diagnosis.search.judge import (
     parameters_of,
     strain,
 )
+from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.steps import clash, free_beside
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
@@ -83,8 +86,7 @@ def _simplified(
                 simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
                 step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
                 extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
-                unsure = step.sum() + extra < SPECIAL * np.std(step) * np.sqrt(len(step)) and not undenied(step, extra)
-                if unsure or chance(step, extra) > DOUBT:
+                if not asked_for(step, extra) or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
         if (
             general.effect.changes_inertials and general.effect.of_joint
@@ -93,6 +95,16 @@ def _simplified(
                 if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
                     return _simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
     return hypothesis
+
+
+def asked_for(step: np.ndarray, extra: float) -> bool:
+    """Whether the data ask for a general effect instead of its special case, which leaves `step` (B,) more in each
+    block: on average by SPECIAL standard errors, or in most blocks (signed ranks, Wilcoxon 1945) where few have most
+    of it, as slow motion may come seldom."""
+    if step.sum() + extra >= SPECIAL * np.std(step) * np.sqrt(len(step)) or undenied(step, extra):
+        return True
+    by_chance = wilcoxon(step + extra / len(step), alternative="greater").pvalue  # type: ignore[attr-defined]
+    return bool(by_chance < DOUBT)
 
 
 def rivals(
@@ -164,22 +176,18 @@ def undenied(step: np.ndarray, extra: float) -> bool:
     return bool(step.sum() + extra > MIN_CLEAR_DIFFERENCE and against < MAX_OPPOSED_SHARE * np.maximum(step, 0).sum())
 
 
-def blind_to_stribeck(
-    judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
-) -> bool:
-    """Whether a typical drop of friction with speed could be hidden by Coulomb friction on this log."""
-    own = hypothesis[place]
+def blind_to_stribeck(judge: HypothesisScorer, others: Hypothesis, own: Candidate, pool: Sequence[Candidate]) -> bool:
+    """Whether a typical drop of friction with speed could be hidden by Coulomb friction (`own`) on this log, beside
+    `others`."""
     effect = next((c.effect for c in pool if isinstance(c.effect, StribeckFriction)), None)
     trials = [c for c in pool if c.effect is effect and c.joint == own.joint and own.effect.name in c.effect.contains]
     if effect is None or not trials:
         return False
     typical = min(trials, key=lambda c: abs(np.log(c.shape["velocity"] / effect.usual_velocity)))
-    moments, normal = judge.equations((*always, *hypothesis[:place], *hypothesis[place + 1 :], typical))
-    k = len(typical.precision)
-    total = normal + 1e-9 * np.diag(np.diag(normal))
-    theta = np.linalg.lstsq(total, moments, rcond=None)[0]
-    variance = np.linalg.pinv(total)
-    coulomb, drop = theta[-k], theta[-k + 1]
+    together = (*others, typical)
+    moments, normal = judge.equations(together)
+    variance, k = inverted(normal, precision_of(together)), len(typical.precision)
+    coulomb, drop = (variance @ moments)[[-k, -k + 1]]
     error = np.sqrt(max(variance[-k + 1, -k + 1], 0))
     return bool(drop + 2 * error > (effect.usual_ratio - 1) * coulomb)
 

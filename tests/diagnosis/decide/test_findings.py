@@ -1,16 +1,19 @@
 """What a finding is worth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.findings import _special_cases, overlapping
+from invdyn_cli.diagnosis.decide.findings import _special_cases, overlapping, perhaps_stribeck
 from invdyn_cli.diagnosis.decide.gain import gain_of
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.types import Finding
-from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
+from tests.diagnosis.analytic import candidate, evidence_of, judged, log_of, moved, raw
 
 
 def test_rest_is_no_gain_and_no_loss():
@@ -31,6 +34,19 @@ def test_stribeck_friction_that_may_be_coulombs(lowest, others):
     one = EffectInstance(EFFECTS["stribeck_friction"], 0, {"coulomb": 1.0, "static": 1.5, "velocity": 0.05})
     ends = {"coulomb": (1.0, 0.9, 1.1), "static": (1.5, 1.4, 1.6), "velocity": (0.05, lowest, 0.1)}
     assert _special_cases(evidence, EFFECTS, one, ends) == others
+
+
+@pytest.mark.parametrize(("speed", "status"), [(1.0, "named"), (6.0, "ambiguous")])
+def test_a_standard_term_that_may_be_stribecks(speed, status):
+    """The Coulomb friction of a worn arm is told with Stribeck friction where the motion crosses low speeds in no time;
+    its viscous friction is named."""
+    evidence, judge = judged(lambda t, q, qd, qdd: np.sign(qd) + qd, speed=speed, torque=0.3)
+    usual = tuple(candidate(evidence, name, 1) for name in ("coulomb_friction", "viscous_friction"))
+    inquiry = SimpleNamespace(evidence=evidence, judge=judge, wear=usual, always=usual, pool=evidence.candidates)
+    joint = evidence.robot.joints[1]
+    found = [perhaps_stribeck(cast(Inquiry, inquiry), (), Finding(c.effect.name, joint, "named")) for c in usual]
+    assert [f.status for f in found] == [status, "named"]
+    assert found[0].alternatives == ((("stribeck_friction",),) if status == "ambiguous" else ())
 
 
 @pytest.mark.parametrize(

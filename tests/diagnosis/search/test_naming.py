@@ -9,24 +9,9 @@ import pytest
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import naming, noise
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
+from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.recording.pieces import Filter
-from tests.diagnosis.analytic import arm, candidate, evidence_of, log_of, moved, on, raw
-from tests.diagnosis.sick import motion
-
-NAMES = ["viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_friction", "torque_offset"]
-
-
-def judged(term, speed: float = 1.0, torque: float = 0.05):
-    """Evidence and judge of a log with a term on the second joint, of a motion so many times as fast."""
-    t, _ = moved()
-    slow = motion(arm(), speed * t, 0)
-    m = type(slow)(slow.q, speed * slow.qd, speed**2 * slow.qdd)
-    evidence = evidence_of(log_of(raw(t, m, on(1, term), torque=torque)), NAMES, cutoffs=(20.0,))
-    rows = evidence.role == 0
-    measured = noise.measure(evidence, rows)
-    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
-    judge.refresh()
-    return evidence, judge
+from tests.diagnosis.analytic import FRICTIONS, candidate, evidence_of, judged, log_of, moved, on, raw
 
 
 def stribeck(t, q, qd, qdd):
@@ -59,6 +44,37 @@ def test_a_drop_keeps_stribeck(dropping):
     assert naming.simplified(judge, (), whole, evidence.candidates) == whole
 
 
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_the_exponent_of_a_drop(exponent):
+    """Friction that falls as exp(-|qd|/v) is found as Tustin's, and with exp(-(qd/v)^2) as Bo and Pavelescu's, though
+    none of the velocities that are tried is the true one."""
+    evidence, judge = judged(lambda t, q, qd, qdd: (1 + 0.8 * np.exp(-(np.abs(qd / 0.1) ** exponent))) * np.sign(qd))
+    (found,) = search(judge, evidence.candidates)
+    assert found.key == ("stribeck_friction", 1) and found.shape["exponent"] == exponent
+
+
+def test_of_friction_that_is_always_there_a_drop_adds_little(dropping):
+    """Where Coulomb friction is part of every hypothesis, as on a worn arm, a drop is found that adds more than noise,
+    though less than what a torque must be worth, if the whole friction is worth it; else none is."""
+    evidence, judge = dropping
+    coulomb, joint = candidate(evidence, "coulomb_friction", 1), 1
+    pool = [c for c in evidence.candidates if c.effect.name == "stribeck_friction" and c.joint == joint]
+    for share, found in ((0.5, 1), (40.0, 0)):  # of what the whole friction is worth, what it has to be
+        judge = HypothesisScorer(evidence, judge.rows, judge.weights, judge.deviation, (coulomb,), worn=True)
+        judge.least[joint] = share * judge.quick(())[0]
+        assert len(search(judge, pool, (coulomb,))) == found
+
+
+def test_a_general_effect_is_asked_for():
+    """By SPECIAL standard errors of the blocks' mean, or in nearly all blocks although one has most of it; not where
+    half of the blocks speak against it."""
+    draw = np.random.default_rng(0)
+    assert naming.asked_for(20 + draw.normal(size=12), -8.0)
+    seldom = np.append(draw.uniform(5, 50, 16), [1600.0, -80.0])
+    assert naming.asked_for(seldom, -8.0) and seldom.sum() < naming.SPECIAL * np.std(seldom) * np.sqrt(18)
+    assert not naming.asked_for(np.append(draw.normal(0, 50, 16), [1600.0, -80.0]), -8.0)
+
+
 def test_rivals_of_what_is_there_are_rejected(dry):
     """No other effect does as well as Coulomb friction on its joint, the nearest says by how much it is worse, and the
     general case is told as such, or as no physics where its best sizes are none."""
@@ -80,7 +96,7 @@ def test_a_rival_that_does_as_well_is_equal():
     _, m = moved()
     both = type(m)(*(np.column_stack([x[:, 0], y, x[:, 2]]) for x, y in ((m.q, q), (m.qd, rows), (m.qdd, still))))
     log = log_of(raw(t, both, on(1, lambda t, q, qd, qdd: 1.0 * qd), torque=0.05))
-    evidence = evidence_of(log, NAMES, cutoffs=(20.0,))
+    evidence = evidence_of(log, FRICTIONS, cutoffs=(20.0,))
     choosing = evidence.role == 0
     measured = noise.measure(evidence, choosing)
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation)
@@ -94,7 +110,7 @@ def test_fast_motion_cannot_tell_stribeck(speed, blind):
     """In the same noise a motion that crosses low speeds in no time cannot exclude an ordinary drop, a slow one can."""
     evidence, judge = judged(lambda t, q, qd, qdd: np.sign(qd), speed=speed, torque=0.3)
     friction = (candidate(evidence, "coulomb_friction", 1),)
-    assert naming.blind_to_stribeck(judge, (), friction, 0, evidence.candidates) == blind
+    assert naming.blind_to_stribeck(judge, (), *friction, evidence.candidates) == blind
 
 
 def test_chance():
