@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.fits import left, lowest, span
-from invdyn_cli.diagnosis.checks.samples import gather
+from invdyn_cli.diagnosis.checks.samples import Samples, gather
 from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
@@ -16,6 +16,9 @@ from invdyn_cli.recording.rows import each, taken
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
+MARGIN = 2
+"""Samples at either end of a stretch beyond the largest shift."""
+
 
 @dataclass(frozen=True)
 class TimeOffset(AbstractCheck):
@@ -23,9 +26,10 @@ class TimeOffset(AbstractCheck):
 
     For every shift the torque is fitted by nominal torque, friction (quadratic, too) and rotor inertia: without its
     column a rotor looks like an early torque. The shift with the least residual wins, joint by joint, refined by a
-    parabola. An offset of the channel is the median of the joints, each weighted by how sharply its residual grows
-    beside its shift; its standard error follows from how far the joints lie from it. What one joint has alone is an
-    effect of its drive, found later.
+    parabola; on all rows, or on those where the joint is not slow, wherever the residual grows more sharply beside it:
+    friction may turn before the joint does, and on all rows the torque then seems early. An offset of the channel is
+    the median of the joints, each weighted by that sharpness; its standard error follows from how far the joints lie
+    from it. What one joint has alone is an effect of its drive, found later.
 
     Attributes:
         samples: that are normal (first order: half a sample for a controller's hold, one for the order of reading).
@@ -35,6 +39,8 @@ class TimeOffset(AbstractCheck):
             and more on ten logs that were shifted).
         sure: standard errors that the offset has to be from zero (ours).
         explained: share of a joint's torque that nominal torque and friction explain at its shift where it is judged.
+        slow: share [-] of a joint's RMS speed below which it is slow.
+        often: share [-] of the rows in which it must not be slow for these to count alone.
         moved: share of what friction leaves that the motion explains then (ours: friction sets in late by itself, gear
             play and presliding delay it).
         widest: [s] of shifts that are tried.
@@ -48,6 +54,8 @@ class TimeOffset(AbstractCheck):
     agree: float = 0.2
     most: float = 2 / 3
     sure: float = 3.0
+    slow: float = 0.5
+    often: float = 0.25
     explained: float = 0.8
     moved: float = 0.5
     widest: float = 0.5
@@ -198,40 +206,60 @@ class TimeOffset(AbstractCheck):
         parts = tuple(x for x in parts if len(x.q) > 4 * most + 20 and x.rate == parts[0].rate)
         if not parts or not np.ptp(newton_metres(log, raw), axis=0).any():
             return None
-        shifts = np.arange(-most, most + 1, max(1, most // 25))
-        inner = tuple(_inside(x, most + 2) for x in parts)
+        inner = tuple(_inside(x, most + MARGIN) for x in parts)
         samples = gather(log, robot, 2048, inner)
         if samples is None:
             return None
         _, _, excited = matched(samples)
         offsets, gains, weights = {}, {}, {}
         for joint in np.flatnonzero(excited > EXCITED).tolist():
-            qd, qdd = samples.motion.qd[:, joint], samples.motion.qdd[:, joint]
-            basis = span(np.column_stack([samples.columns(joint), samples.nominal[:, joint], qdd, qd * np.abs(qd)]))
-
-            def residual(shift: int, joint: int = joint, basis: np.ndarray = basis) -> float:
-                tau = _torque_at(parts, samples.stretch, samples.row + most + 2, joint, shift)
-                rest = tau - basis @ (basis.T @ tau)
-                return float(rest @ rest)
-
-            coarse = shifts[int(np.argmin([residual(int(s)) for s in shifts]))]
-            width = max(1, most // 25)
-            fine = np.arange(max(-most, coarse - width), min(most, coarse + width) + 1)
-            fine = fine[:: max(1, len(fine) // 60)]
-            values = [residual(int(s)) for s in fine]
-            best = int(np.argmin(values))
-            tau = _torque_at(parts, samples.stretch, samples.row + most + 2, joint, int(fine[best]))
-            whole, rest = (np.sum(left(tau, x) ** 2) for x in (samples.columns(joint)[:, -1:], samples.columns(joint)))
-            if 0 < best < len(fine) - 1 and values[best] < min((1 - self.explained) * whole, (1 - self.moved) * rest):
-                offsets[joint] = lowest(fine, np.array(values)) / parts[0].rate
-                least = max(values[best], 1e-300)
-                gains[joint] = residual(0) / least
-                beside = [np.clip(fine[best] + way * width, -most, most) for way in (-1, 1)]
-                weights[joint] = float(np.log(np.mean([residual(int(s)) for s in beside]) / least))
+            speed = np.abs(samples.motion.qd[:, joint])
+            moving = speed > self.slow * np.sqrt(np.mean(speed**2))
+            kept = [np.ones_like(moving), moving][: 1 + (np.mean(moving) > self.often)]
+            every = [self._shift(parts, samples, joint, rows, most) for rows in kept]
+            found = max((x for x in every if x is not None), key=lambda x: x[2], default=None)
+            if found is not None:
+                offsets[joint], gains[joint], weights[joint] = found[0] / parts[0].rate, *found[1:]
         if not offsets:
             return None
         common, error = _weighted_median(np.array(list(offsets.values())), np.array(list(weights.values())))
         return _Shifts(raw.name, offsets, gains, weights, common, error, parts[0].rate)
+
+    def _shift(
+        self, parts: tuple[Stretch, ...], samples: Samples, joint: int, rows: np.ndarray, most: int
+    ) -> tuple[float, float, float] | None:
+        """Of one joint on some rows (R,) bool: the shift of the least residual, of `most` samples, refined; how much
+        more is left without one; and how sharply that grows beside it. None where the motion does not explain the
+        torque."""
+        motion, friction = samples.motion, samples.columns(joint)[rows]
+        qd, qdd = motion.qd[rows, joint], motion.qdd[rows, joint]
+        basis = span(np.column_stack([friction, samples.nominal[rows, joint], qdd, qd * np.abs(qd)]))
+        width = max(1, most // 25)
+
+        def torque(shift: int) -> np.ndarray:
+            """(R,) so many samples later than the rows."""
+            stretch, row = samples.stretch[rows], samples.row[rows] + most + MARGIN + shift
+            return np.concatenate([x.tau[row[stretch == i], joint] for i, x in enumerate(parts)])
+
+        def residual(shift: int) -> float:
+            tau = torque(shift)
+            rest = tau - basis @ (basis.T @ tau)
+            return float(rest @ rest)
+
+        shifts = np.arange(-most, most + 1, width)
+        coarse = shifts[int(np.argmin([residual(int(s)) for s in shifts]))]
+        fine = np.arange(max(-most, coarse - width), min(most, coarse + width) + 1)
+        fine = fine[:: max(1, len(fine) // 60)]
+        values = [residual(int(s)) for s in fine]
+        best = int(np.argmin(values))
+        tau = torque(int(fine[best]))
+        whole, rest = (np.sum(left(tau, x) ** 2) for x in (friction[:, -1:], friction))
+        if not 0 < best < len(fine) - 1 or values[best] >= min((1 - self.explained) * whole, (1 - self.moved) * rest):
+            return None
+        least = max(values[best], 1e-300)
+        beside = [np.clip(fine[best] + way * width, -most, most) for way in (-1, 1)]
+        sharpness = float(np.log(np.mean([residual(int(s)) for s in beside]) / least))
+        return lowest(fine, np.array(values)), residual(0) / least, sharpness
 
 
 @dataclass(frozen=True)
@@ -268,8 +296,3 @@ def _apart(seconds: float) -> str:
 def _inside(x: Stretch, margin: int) -> Stretch:
     rows = slice(margin, len(x.q) - margin)
     return replace(x, q=x.q[rows], qd=x.qd[rows], qdd=x.qdd[rows], tau=x.tau[rows], extra={})
-
-
-def _torque_at(parts: tuple[Stretch, ...], stretch: np.ndarray, row: np.ndarray, joint: int, shift: int) -> np.ndarray:
-    """(R,) the torque `shift` samples later than the rows."""
-    return np.concatenate([x.tau[row[stretch == i] + shift, joint] for i, x in enumerate(parts)])
