@@ -111,6 +111,11 @@ class AbstractEffect(abc.ABC):
         and none whose columns contain the noise of the log."""
         return True
 
+    def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
+        """Of an effect that was found with these parameters: nonlinear parameters of another kind that are then tried,
+        and not before: they would often do as well."""
+        return ()
+
     def travel(self, parameters: Parameters) -> float:
         """Motion of its joint [rad; m] beyond which it equals the effect that it contains as a limit; inf: it always
         differs."""

@@ -242,6 +242,7 @@ class _Search:
         seen: list[set[tuple]] = []
         loss = np.inf
         loads: dict[int, list[np.ndarray]] = {}
+        widened: set[tuple] = set()
         for number in range(rounds):
             self.pool += _sharpened(self.judge, self.always, hypothesis, self.pool)
             self.judge.refresh()
@@ -253,6 +254,8 @@ class _Search:
                 continue
             trials = tuple(trial_at(self.evidence, a, others_of(refined.acting, a)) for a in refined.acting)
             more = [*trials, *_geared(self.evidence, refined.acting, loads)]
+            more += [c for a in refined.acting if a.key not in widened for c in _related(self.evidence, a)]
+            widened |= {a.key for a in refined.acting}
             self.pool += [c for c in more if c not in self.pool]
             self.judge.refresh()
             hypothesis = self._simplified(search(self.judge, self.pool, self.always, trials, self.most))
@@ -365,6 +368,12 @@ def _geared(
                 if c.effect.yields and c.joint == one.joint
             ]
     return made
+
+
+def _related(evidence: Evidence, one: EffectInstance) -> list[Candidate]:
+    """The trials of another kind of what was found."""
+    shapes = one.effect.relatives(one.parameters)
+    return [kind_of(one.effect).candidate(evidence, one.effect, one.joint, shape) for shape in shapes]
 
 
 def acting_of(judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis) -> list[EffectInstance]:

@@ -8,6 +8,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import naming, noise
+from invdyn_cli.diagnosis.search.inquiry import _related, acting_of
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.recording.pieces import Filter
@@ -46,11 +47,14 @@ def test_a_drop_keeps_stribeck(dropping):
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
 def test_the_exponent_of_a_drop(exponent):
-    """Friction that falls as exp(-|qd|/v) is found as Tustin's, and with exp(-(qd/v)^2) as Bo and Pavelescu's, though
-    none of the velocities that are tried is the true one."""
+    """Friction that falls as exp(-(qd/v)^2) is found as Bo and Pavelescu's, and stays it beside the trials of Tustin's;
+    one that falls as exp(-|qd|/v) becomes Tustin's. None of the velocities that are tried is the true one."""
     evidence, judge = judged(lambda t, q, qd, qdd: (1 + 0.8 * np.exp(-(np.abs(qd / 0.1) ** exponent))) * np.sign(qd))
-    (found,) = search(judge, evidence.candidates)
-    assert found.key == ("stribeck_friction", 1) and found.shape["exponent"] == exponent
+    found = search(judge, evidence.candidates)
+    pool = [*evidence.candidates, *_related(evidence, acting_of(judge, (), found)[0])]
+    judge.refresh()
+    (again,) = search(judge, pool, start=found)
+    assert again.key == ("stribeck_friction", 1) and again.shape["exponent"] == exponent
 
 
 def test_of_friction_that_is_always_there_a_drop_adds_little(dropping):
