@@ -72,9 +72,11 @@ class Claim:
 
     @cached_property
     def saved(self) -> np.ndarray:
-        """(n,) squares that it saves on its own joints."""
+        """(n,) squares that it saves on its own joints; on a worn arm on all, because links that take its place are
+        felt by others, too."""
         valid = self.inquiry.evidence.valid & self.rows[:, None]
-        return np.sum((self.before**2 - self.after**2) * valid, axis=0) * self._own
+        saved = np.sum((self.before**2 - self.after**2) * valid, axis=0)
+        return saved if self.inquiry.wear else saved * self._own
 
     @property
     def gain(self) -> float:

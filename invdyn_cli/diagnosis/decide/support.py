@@ -122,7 +122,7 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         claims = [Claim(inquiry, hypothesis, i, whole, after) for i in range(len(hypothesis))]
         refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
         if refused:
-            worst, row = min(refused, key=lambda x: x[0].gain)
+            worst, row = min(refused, key=lambda x: x[0].evidence if inquiry.wear else x[0].gain)
             place, why = worst.place, row.why(worst)
             if why and not any(r.equal for r in worst.rivals):
                 name = _titled(inquiry, worst.candidate)
