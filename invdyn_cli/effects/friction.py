@@ -158,14 +158,13 @@ class StribeckFriction(AbstractTorqueEffect):
 
     Attributes:
         velocities: Stribeck velocities to try [rad/s]; the found one is refined between them.
-        exponent: of the fall, 2, of Bo and Pavelescu; where one is found, 1, of Tustin, is tried as well.
-        nearest: Tustin's velocities that come nearest, as multiples of the one that was found.
+        nearest: where a fall with the exponent 2 (Bo and Pavelescu) is found, the velocities to try with the exponent 1
+            (Tustin), as multiples of its own.
         usual_velocity: [rad/s] of an ordinary one.
         usual_ratio: static over Coulomb level of an ordinary one.
     """
 
     velocities: tuple[float, ...] = (0.006, 0.01, 0.017, 0.028, 0.047, 0.08, 0.13, 0.22, 0.36)
-    exponent: float = 2.0
     nearest: tuple[float, ...] = (0.4, 0.6, 0.85)
     usual_velocity: float = 0.028
     usual_ratio: float = 1.3
@@ -205,7 +204,7 @@ class StribeckFriction(AbstractTorqueEffect):
         return parameters["coulomb"] * level + (parameters["static"] - parameters["coulomb"]) * drop
 
     def shapes(self, state: JointState) -> Sequence[Parameters]:
-        return [{"velocity": v, "exponent": self.exponent} for v in self.velocities]
+        return [{"velocity": v, **self.defaults} for v in self.velocities]
 
     def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
         return [{"velocity": factor * parameters["velocity"], "exponent": 1.0} for factor in self.nearest]

@@ -53,9 +53,9 @@ class HypothesisScorer:
         weights: (n,) 1 / (noise variance x autocorrelation time) of every row of the arm.
         deviation: (n,) standard deviation of the noise [N m; N].
         always: candidates that are part of every hypothesis.
-        worn: whether links that are some percent off are among them, and friction. They take over most of what a body
-            does, at a price of their own (`strain`), and of what a friction has as its special case; then the torque
-            of such an effect itself must be worth something, not what it adds.
+        worn: whether links that are some percent off are among them, and friction. Links take over most of what a body
+            does, at a price of their own (`strain`), and Coulomb friction most of what a friction does that has it as
+            a special case; then the torque of such an effect itself must be worth something, not what it adds.
 
     Attributes:
         grams: of the chosen rows, by fold; blocks are held out in turn by folds.
