@@ -54,8 +54,9 @@ class HypothesisScorer:
         deviation: (n,) standard deviation of the noise [N m; N].
         always: candidates that are part of every hypothesis.
         worn: whether links that are some percent off are among them, and friction. Links take over most of what a body
-            does, at a price of their own (`strain`), and Coulomb friction most of what a friction does that has it as
-            a special case; then the torque of such an effect itself must be worth something, not what it adds.
+            does, at a price of their own (`strain`), and Coulomb friction most of what a friction does that falls from
+            it, which adds little beyond slow motion; then the torque of such an effect itself must be worth something,
+            not what it adds.
 
     Attributes:
         grams: of the chosen rows, by fold; blocks are held out in turn by folds.
@@ -258,8 +259,9 @@ class HypothesisScorer:
     def _mostly_there(self, candidate: Candidate) -> bool:
         """Whether most of its torque is that of what is always there."""
         effect = candidate.effect
-        parts = {(candidate.joint, name) for name in effect.contains} if not effect.contains_as_limit else set()
-        return self.worn and (not effect.is_local or not parts.isdisjoint(self._there))
+        parts = {(candidate.joint, name) for name in effect.contains}
+        at_reversals = effect.jumps and not effect.contains_as_limit and not parts.isdisjoint(self._there)
+        return self.worn and (not effect.is_local or at_reversals)
 
     def _least(self, candidate: Candidate) -> float:
         """What its torque must be worth, in noise variances."""
