@@ -20,7 +20,7 @@ from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.logfile import Log
+from invdyn_cli.log import Log
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Robot
 

@@ -111,6 +111,10 @@ class AbstractEffect(abc.ABC):
         and none whose columns contain the noise of the log."""
         return True
 
+    def whole(self, parameters: Parameters) -> dict[str, Any]:
+        """These parameters, and the defaults of those that are left out."""
+        return {**self.defaults, **parameters}
+
     def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
         """Of an effect that was found with these parameters: nonlinear parameters of another kind that are then tried,
         and not before: they would often do as well."""
@@ -167,7 +171,7 @@ class AbstractEffect(abc.ABC):
 
     def refuse(self, parameters: Parameters) -> str:
         """Why these values are physically impossible, "" if they are possible."""
-        every = {**self.defaults, **parameters}
+        every = self.whole(parameters)
         for name, bound in self.parameters.items():
             value = np.asarray(every[name])
             if value.dtype.kind in "fi" and (np.any(value < bound.lower) or np.any(value > bound.upper)):
@@ -204,7 +208,7 @@ class AbstractTorqueEffect(AbstractEffect):
 
     def shape_of(self, parameters: Parameters) -> Parameters:
         """The nonlinear parameters among these, as `shapes` has them."""
-        every = {**self.defaults, **parameters}
+        every = self.whole(parameters)
         return {name: every[name] for name in self.nonlinear}
 
     @abc.abstractmethod

@@ -142,8 +142,10 @@ def paused(process: subprocess.Popen) -> Iterator[None]:
     process.send_signal(signal.SIGSTOP)
     if process.returncode is None:
         os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
-    yield
-    process.send_signal(signal.SIGCONT)
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGCONT)
 
 
 @pytest.mark.parametrize("verb", usually(["run"], WRITING))

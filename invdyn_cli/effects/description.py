@@ -164,8 +164,7 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
                 got = f"{where}: no effect {name!r}{closest(name, effects)}; allowed: {listed(effects)}"
                 raise UsageError(got, advice="model.effects=[{_target_: mine.MyEffect}] for one of your own")
             joint = None if row["joint"] is None else robot.joints.index(row["joint"])
-            told = {k: _numbers(v["value"]) for k, v in row["parameters"].items()}
-            parameters = {**effects[name].defaults, **told}
+            parameters = effects[name].whole({k: _numbers(v["value"]) for k, v in row["parameters"].items()})
             when = None
             if effects[name].passing:
                 start, end = row["window"]

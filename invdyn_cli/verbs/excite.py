@@ -272,7 +272,7 @@ def _cause(one: Any, robot: Robot, option: str) -> Cause | str:
             raise UsageError(f"{got}{closest(str(key), effect.parameters)}")
         if not all(isinstance(x, int | float) for x in (value if isinstance(value, list) else [value])):
             raise UsageError(f"{option}: {name} {key}={value}; allowed: numbers")
-    parameters = {**effect.defaults, **parameters} if parameters else {}
+    parameters = effect.whole(parameters) if parameters else {}
     missing = [k for k in effect.parameters if k not in parameters]
     if parameters and missing:
         raise UsageError(f"{option}: {name} without {listed(missing)}; allowed: all of its parameters, or none")

@@ -215,7 +215,8 @@ class TimeOffset(AbstractCheck):
         for joint in np.flatnonzero(excited > EXCITED).tolist():
             speed = np.abs(samples.motion.qd[:, joint])
             moving = speed > self.slow * np.sqrt(np.mean(speed**2))
-            kept = [np.ones_like(moving), moving][: 1 + (np.mean(moving) > self.often)]
+            all_rows = np.ones_like(moving)
+            kept = [all_rows, moving] if np.mean(moving) > self.often else [all_rows]
             every = [self._shift(parts, samples, joint, rows, most) for rows in kept]
             found = max((x for x in every if x is not None), key=lambda x: x[2], default=None)
             if found is not None:
