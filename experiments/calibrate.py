@@ -1,6 +1,6 @@
 """What each refusal of a claim is worth, and how far its figure is from right and false claims (calibrate.md)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments import cases, unknown
-from experiments.confusion import claims
+from experiments.confusion import claims, judge
 from experiments.told import jobs, name_of, said_of, told
 from experiments.worn import SIZES, Worn, beyond_wear, drawn
 from invdyn_cli.abstract_experiment import chosen
@@ -22,7 +22,7 @@ from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import Log
 from invdyn_cli.simulation.hidden import Hidden
-from invdyn_cli.types import Robot
+from invdyn_cli.types import Diagnosis, Robot
 
 WHOLE = "none"
 """The name of the row that is left out when none is."""
@@ -69,7 +69,7 @@ class Calibrate(Worn):
 
     def run(self, folder: Path, arm: str, seed: int, name: str) -> Iterable[Worth]:
         """Draw and search one log, and decide without each row."""
-        log, robot, anomaly = _log(arm, seed, name)
+        log, robot, anomaly, false = _log(arm, seed, name)
         case = prepared(log, robot, None, None, Options(), EFFECTS)
         if not isinstance(case, Case):
             return
@@ -80,8 +80,7 @@ class Calibrate(Worn):
             kept = tuple(c.key for c in supported(inquiry, table)[0])
             if kept not in spoken:
                 diagnosis = decided(case, inquiry, columns, Options(), refusals=table)
-                result, others = told(anomaly, claims(diagnosis))
-                spoken[kept] = result, tuple(map(said_of, beyond_wear(others) if arm == "worn" else others))
+                spoken[kept] = told(anomaly, claims(diagnosis))[0], false(diagnosis)
             row = WHOLE if number == 0 else REFUSALS[number - 1].name
             figures = [tuple(REFUSALS[number - 1].figure(x) for x in some) if number else () for some in found]
             yield Worth(arm, seed, name_of(anomaly), row, *spoken[kept], *figures)
@@ -111,13 +110,19 @@ class Calibrate(Worn):
         return "\n".join(lines)
 
 
-def _log(arm: str, seed: int, name: str) -> tuple[Log, Robot, Hidden | None]:
-    """A log, its nominal robot, and what is hidden in it that the catalogue has."""
+def _log(arm: str, seed: int, name: str) -> tuple[Log, Robot, Hidden | None, Callable[[Diagnosis], tuple[str, ...]]]:
+    """A log, its nominal robot, what is hidden in it that the catalogue has, and what says which claims are
+    false."""
     if arm == "worn":
         one = drawn(seed, name)
-        return one.log, one.scene.robot, one.anomaly
+
+        def beside(diagnosis: Diagnosis) -> tuple[str, ...]:
+            return tuple(map(said_of, beyond_wear(told(one.anomaly, claims(diagnosis))[1])))
+
+        return one.log, one.scene.robot, one.anomaly, beside
     case = cases.draw_case(seed, [name]) if arm == "perfect" else unknown.draw(name, seed)[0]
-    return case.log, case.robot, case.hidden[0] if arm == "perfect" else None
+    hidden = case.hidden[0] if arm == "perfect" else None
+    return case.log, case.robot, hidden, lambda diagnosis: judge(case, diagnosis, seed, 0.0).extra
 
 
 def _counts(arm: str, rows: Sequence[Worth]) -> list[str]:

@@ -284,7 +284,7 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
         "window": _window(d, s, 0.2, 0.6),
     },
     "torque_offset": lambda d, s, j: {"offset": _sign(d) * _share(d) * s.torque[j]},
-    "torque_delay": lambda d, s, j: {"delay": float(d.uniform(0.004, 0.02))},
+    "torque_delay": lambda d, s, j: {"delay": float(d.uniform(0.004, 0.02)) * _sign(d)},
     "actuator_lag": lambda d, s, j: {"time_constant": float(d.uniform(0.004, 0.02))},
     "torque_saturation": lambda d, s, j: {"limit": float(np.quantile(abs(s.tau[:, j]), d.uniform(0.8, 0.96)))},
     "payload": lambda d, s, j: {

@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.checks.description import Description
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.stamps import IrregularStamps
 from invdyn_cli.diagnosis.checks.torque_units import TorqueUnits
 from invdyn_cli.diagnosis.checks.torques import GravityRemoved
 from invdyn_cli.diagnosis.checks.units import MotionUnits
@@ -32,6 +33,7 @@ CHECKS: tuple[AbstractCheck, ...] = (
     NotFinite(),
     Duplicates(),
     MotionUnits(),
+    IrregularStamps(),
     ClockJitter(),
     Gaps(),
     Outliers(),

@@ -90,7 +90,7 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     columns = case.columns
     fitted = None if case.compares else wear.plain(columns, yielding.left(columns, case.gear))
     if fitted is not None:
-        return asked(*wear.beside(columns, fitted)), columns
+        return asked(*wear.beside(columns, yielding.believable(columns, case.gear, fitted))), columns
     add_loaded(case.evidence)
     inquiry = asked(case.evidence)
     fitted = None if case.compares else wear.of(columns, inquiry)

@@ -6,22 +6,32 @@ changes its sign, and the load is that of the links. Nothing is named here.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
+import scipy.optimize
 
 from invdyn_cli.diagnosis.columns import gears
-from invdyn_cli.diagnosis.columns.evidence import slow_saved, slow_share
+from invdyn_cli.diagnosis.columns.evidence import Evidence, slow_saved, slow_share
+from invdyn_cli.diagnosis.columns.links import loaded_by
 from invdyn_cli.diagnosis.search.equations import inverse_root
 from invdyn_cli.diagnosis.search.feigned import asked_by_noise
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.diagnosis.transition import TOLD
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
-from invdyn_cli.maths.standard import fit, link_scales
+from invdyn_cli.maths.standard import Standard, fit, link_scales
 from invdyn_cli.recording.pieces import ROLES
 
 SHORTLIST = 3
 """Gears that are fitted with the standard model: those that gain most in the noise of a fit without them."""
+
+BETWEEN, SCANNED = 0.4, 9
+"""Logarithm of a compliance, to either side of a trial, and number of values, among which a gear's is looked for: where
+play is crossed at other times, the least loss is within some percent."""
+
+SHARES = (1.0, 0.5, 0.0)
+"""Of a fit's change of the links, the shares that are tried as a gear's load."""
 
 
 def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance | None:
@@ -53,7 +63,44 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
         saved = slow_saved(evidence, range(evidence.dofs), True, before * trained, after * trained, precise)
         if gain > most and not asked_by_noise(slow_share(saved), gain):
             found, most = one, gain
-    return found
+    return found and _nearest(evidence, found, lambda made: squares(nominal - made.T))[0]
+
+
+def believable(columns: Columns, one: EffectInstance | None, fitted: Standard) -> Standard:
+    """The standard model of what this gear leaves, with its links moved from the URDF only as far as the gear, under
+    their load, leaves least: an offset and the weight of a link may be hard to tell apart, but play is crossed where
+    the load changes its sign."""
+    if one is None:
+        return fitted
+    evidence, links = columns.evidence, len(columns.links)
+    nominal, rows = evidence.residual((), np.zeros(0)), evidence.role == ROLES.index("train")
+    squares = _squares(columns, left(columns, one), rows)
+    best = np.inf, fitted
+    for share in SHARES:
+        moved = np.where(np.arange(len(fitted.theta)) < links, share, 1.0) * fitted.theta
+        carried = loaded_by(evidence, np.asarray(evidence.robot.inertial) + moved[:links].reshape(-1, 10))
+        loss = _nearest(carried, one, lambda made: squares(nominal - made.T))[1]
+        if loss < best[0]:
+            best = loss, replace(fitted, theta=moved)
+    return best[1]
+
+
+def _nearest(
+    evidence: Evidence, one: EffectInstance, loss: Callable[[np.ndarray], float]
+) -> tuple[EffectInstance, float]:
+    """A gear with the compliance, between its neighbours among the trials, whose torque (n, R) has the least `loss`;
+    and that."""
+    effect, joint = one.effect, one.joint
+    assert isinstance(effect, AbstractGearEffect)
+    assert joint is not None
+
+    def of(logarithm: float) -> float:
+        return loss(gears.torque(evidence, effect, joint, effect.from_compliance(float(np.exp(logarithm)))))
+
+    tried = np.log(effect.compliance(one.parameters)) + np.linspace(-BETWEEN, BETWEEN, SCANNED)
+    best, step = tried[int(np.argmin([of(x) for x in tried]))], tried[1] - tried[0]
+    found = scipy.optimize.minimize_scalar(of, bounds=(best - step, best + step), options={"xatol": 2e-3})
+    return replace(one, parameters=effect.from_compliance(float(np.exp(found.x)))), float(found.fun)
 
 
 def left(columns: Columns, one: EffectInstance | None) -> np.ndarray:

@@ -159,20 +159,20 @@ class TorqueGainError(AbstractChannelEffect):
 
 @dataclass(frozen=True)
 class TorqueDelay(AbstractChannelEffect):
-    """Pure delay between command and torque.
+    """Pure delay between command and torque, or, negative, between torque and log: a measured torque that comes late.
 
     Attributes:
-        delays: to try [s].
+        delays: to try [s], of either sign.
     """
 
     delays: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
 
     name = "torque_delay"
     title = "torque delay"
-    meaning = "The torque reaches the joint later than the log says."
+    meaning = "The torque reaches the joint later than the log says; with a negative delay, the log has it late."
     equation = "delivered(t) = logged(t − delay)"
     reference = "first order: delay · d torque/dt"
-    parameters = {"delay": Parameter("s", 0.0, SLOWEST)}
+    parameters = {"delay": Parameter("s", -SLOWEST, SLOWEST)}
     late_by = "delay"
     confounders = (("actuator_lag",), ("viscous_friction",))
     advice = "fast motion: the phase of a delay is linear in frequency; that of a lag is not, and a lag also attenuates"
@@ -184,10 +184,10 @@ class TorqueDelay(AbstractChannelEffect):
         return {"delay": 0.01}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        return SimulatorTerms({"delay": parameters["delay"]})
+        return SimulatorTerms({"delay": max(parameters["delay"], 0.0)})  # the log may be late, but not the arm
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        return [{"delay": d} for d in self.delays]
+        return [{"delay": x} for x in (*self.delays, *(-x for x in self.delays if x))]
 
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         return shifted(tau, -parameters["delay"] * rate)

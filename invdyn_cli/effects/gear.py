@@ -34,7 +34,7 @@ class Backlash(AbstractGearEffect):
         gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
     """
 
-    gaps: tuple[float, ...] = tuple(0.0004 * 2 ** (k / 2) for k in range(11))
+    gaps: tuple[float, ...] = tuple(0.0004 * 2 ** (k / 4) for k in (*range(0, 20, 2), *range(20, 25)))
 
     name = "backlash"
     title = "backlash"

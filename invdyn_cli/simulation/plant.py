@@ -78,13 +78,17 @@ def simulate(
     loop = ClosedLoop(robot, hidden, samples=len(wanted), before=round(control.settle * rate), **how)
     with quiet():
         logged = _run(loop, wanted, control, name, position_side == "link", progress)
-    tau = loop.logged(logged["link" if torque_side == "link" else "tau"])
+    t = np.arange(len(wanted)) / rate
+    torques = logged["link" if torque_side == "link" else "tau"].T
+    tau = loop.logged(
+        np.stack([np.interp(t - b, t, x) for x, b in zip(torques, loop.made.behind, strict=True)], axis=1)
+    )
     qd = None
     if noise.velocity is not None:
         qd = logged["qd"] + loop.noises.normal(size=tau.shape) * noise.of("velocity", robot.dofs)
     return RawTrajectory(
         name=name,
-        t=np.arange(len(tau)) / rate,
+        t=t,
         q=logged["q"],
         tau=tau,
         qd=qd,

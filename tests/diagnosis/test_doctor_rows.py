@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.interpolate
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks import offset
 from invdyn_cli.diagnosis.checks.channels import Saturation
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.stamps import IrregularStamps, followed
 from invdyn_cli.diagnosis.checks.values import Outliers
 from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.recording.rows import clock_pieces, taken
@@ -133,13 +135,45 @@ def test_gaps(log, arm):
 
 
 def test_jitter_and_the_nominal_rate(log, arm):
-    """Stamps off by a fifth of a step are noted with that number; a wrong nominal rate is warned of."""
+    """Samples that were taken a fifth of a step off are noted with that number; a wrong nominal rate is warned of."""
     raw = log.trajectories[0]
     t = raw.t + 0.001 * np.random.default_rng(2).uniform(-1, 1, len(raw.t))
-    (found,) = seen(doctor.examine(changed(log, t=t), arm), "clock_jitter")
+    q, tau = (scipy.interpolate.make_interp_spline(raw.t, x)(t) for x in (raw.q, raw.tau))
+    (found,) = seen(doctor.examine(changed(log, t=t, q=q, tau=tau), arm), "clock_jitter")
     assert (found.severity, found.value) == ("note", pytest.approx(0.2 * np.sqrt(2 / 3), rel=0.1))
     (found,) = seen(doctor.examine(replace(log, rate=125.0), arm), "clock_jitter")
     assert (found.severity, found.value) == ("warn", pytest.approx(200, rel=1e-3))
+
+
+def test_stamps_that_vary_about_regular_samples(log, arm):
+    """Stamps written up to a fifth of a step late, some rows missing: told by the positions, which follow none of it,
+    and put on the regular clock, up to the mean delay, to a hundredth of a step."""
+    raw, draw = log.trajectories[0], np.random.default_rng(4)
+    keep = np.ones(len(raw.t), bool)
+    keep[draw.choice(np.arange(100, len(keep) - 100, 50), 5, replace=False)] = False
+    step = raw.t[1] - raw.t[0]
+    kept = taken(raw, keep)
+    late = draw.uniform(0, 0.2 * step, len(kept.t))
+    corrected, examination = doctor.correct(
+        replace(log, trajectories=(replace(kept, t=kept.t + late),)), arm, checks=[IrregularStamps()]
+    )
+    (found,) = seen(examination, "clock_jitter")
+    assert found.severity == "note" and abs(found.value) < 0.01
+    off = corrected.trajectories[0].t - kept.t
+    assert np.ptp(off) < 0.01 * step and abs(off.mean() - 0.1 * step) < 0.01 * step
+
+
+@pytest.mark.parametrize("size", [0.02, 0.2])
+def test_stamps_that_samples_follow_are_believed(log, arm, size):
+    """A clock that varies, with its samples, by 2 % or a fifth of a step."""
+    raw = log.trajectories[0]
+    step = raw.t[1] - raw.t[0]
+    t = raw.t + size * step * np.random.default_rng(6).uniform(-1, 1, len(raw.t))
+    q = scipy.interpolate.make_interp_spline(raw.t, raw.q)(t)
+    told = followed(replace(raw, t=t, q=q))
+    assert told is not None and told.share == pytest.approx(1.0, abs=max(4 * told.error, 0.02))
+    corrected, _ = doctor.correct(changed(log, t=t, q=q), arm, checks=[IrregularStamps()])
+    np.testing.assert_array_equal(corrected.trajectories[0].t, t)
 
 
 def test_outliers(log, arm):

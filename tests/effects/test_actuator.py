@@ -58,7 +58,7 @@ def test_a_gain_scales_what_arrives():
     np.testing.assert_allclose(EFFECTS["torque_gain_error"].delivered({"gain": 0.8}, tone(T), RATE), 0.8 * tone(T))
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.004, 0.0107, 0.05])
+@pytest.mark.parametrize("delay", [0.0, 0.004, 0.0107, 0.05, -0.0107])
 def test_a_delay_comes_later(delay):
     """delivered(t) = logged(t - delay), whole samples or not, to 1e-6 of the signal."""
     delivered = EFFECTS["torque_delay"].delivered({"delay": delay}, tone(T), RATE)

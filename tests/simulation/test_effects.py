@@ -213,6 +213,16 @@ def test_delay(delay, apollo):
     assert rms(filtered(middle(got[:, None]))[:, 0] - filtered(x.nominal)[:, 1]) < 2e-4 * rms(x.nominal[:, 1])
 
 
+def test_a_late_log(apollo):
+    """Of a negative delay the log has the torque that much late; the arm moves as without it."""
+    plain, late = (recorded(apollo, Hidden("torque_delay", "arm_joint_2", {"delay": x})) for x in (0.0, -0.006))
+    np.testing.assert_array_equal(late.q, plain.q)
+    behind = round(0.006 * RATE)
+    np.testing.assert_allclose(late.tau[behind:, 1], plain.tau[:-behind, 1], atol=1e-9)
+    others = np.arange(7) != 1
+    np.testing.assert_array_equal(late.tau[:, others], plain.tau[:, others])
+
+
 def test_lag(apollo):
     """What a joint gets is what was logged behind a first order lag, exactly, for a torque that is held."""
     tr = recorded(apollo, Hidden("actuator_lag", "arm_joint_2", {"time_constant": 0.01}))

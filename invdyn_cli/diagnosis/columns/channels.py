@@ -52,7 +52,7 @@ class Channels(AbstractKind[AbstractChannelEffect]):
             free.append((changed({**trial, name: up}) - changed({**trial, name: down})) / (up - down))
         numbers = evidence.append(joint, [fixed, *free])
         # the correction reaches about as far as the next trial; beyond, the straight line is no longer true
-        reach = [0.3 * v + 0.004 if effect.parameters[name].unit == "s" else 0.15 * v for name, v in trial.items()]
+        reach = [0.3 * abs(v) + 0.004 if effect.parameters[name].unit == "s" else 0.15 * v for name, v in trial.items()]
         columns = {joint: (numbers[:1], numbers[1:])}
         return Candidate(effect, joint, trial, columns, 1 / np.square(reach), quieter)
 

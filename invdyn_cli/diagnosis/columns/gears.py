@@ -125,15 +125,17 @@ def _yielded(
 
 
 def _carried(evidence: Evidence, joint: int, beside: Beside = ()) -> list[tuple[Array, Array]]:
-    """For every piece the torque (T,) that a joint transmits with other effects, and the inertia (T,) that it carries;
-    cached."""
-    key = ("carried", joint, identity(beside))
+    """For every piece the torque (T,) that a joint transmits with other effects, cached, and the inertia (T,) that it
+    carries."""
+    key = ("load", joint, identity(beside))
     if key not in evidence.kept:
         robot, recording = evidence.robot, evidence.recording
-        loads = [link_torque(robot, beside, p.motion, recording.stretch(p))[joint] for p in recording.pieces]
-        inertias = [mass[joint] for mass, _ in _answers(evidence, joint)]
-        evidence.kept[key] = list(zip(loads, inertias, strict=True))
-    return evidence.kept[key]
+        evidence.kept[key] = [
+            link_torque(robot, beside, p.motion, recording.stretch(p))[joint] if beside else s[joint].transmitted
+            for p, s in zip(recording.pieces, evidence.states, strict=True)
+        ]
+    inertias = [mass[joint] for mass, _ in _answers(evidence, joint)]
+    return list(zip(evidence.kept[key], inertias, strict=True))
 
 
 def _answers(evidence: Evidence, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:

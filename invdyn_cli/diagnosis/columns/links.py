@@ -14,9 +14,16 @@ from invdyn_cli.effects.rigid import rigid_torque
 def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
     """An evidence whose robot has other inertials (n, 10), with new columns for the effects that depend on the torque
     that a joint transmits; tables, and the logged minus the nominal torque, stay."""
+    made = loaded_by(evidence, inertial)
+    add_loaded(made)
+    return made
+
+
+def loaded_by(evidence: Evidence, inertial: np.ndarray) -> Evidence:
+    """The same without these columns."""
     robot, pieces = replace(evidence.robot, inertial=inertial), evidence.recording.pieces
     torques = [rigid_torque(robot, piece.motion) for piece in pieces]
-    made = replace(
+    return replace(
         evidence,
         robot=robot,
         states=[
@@ -27,5 +34,3 @@ def with_links(evidence: Evidence, inertial: np.ndarray) -> Evidence:
         kept={key: value for key, value in evidence.kept.items() if key[0] == "grams"},
         candidates=[c for c in evidence.candidates if not c.effect.loaded],
     )
-    add_loaded(made)
-    return made

@@ -164,20 +164,21 @@ class Claim:
 
     @cached_property
     def delay(self) -> float:
-        """The least that its own delay [s] may be, by its interval; infinite where it has none."""
-        return self._least(self.candidate.effect.late_by)
+        """The least that its own delay [s], of either sign, may be, by its interval; infinite where it has none."""
+        return max(self._ends(self.candidate.effect.late_by) * (1, -1))
 
     @cached_property
     def mass(self) -> float:
         """The least mass [kg] of a body that comes and goes, by its interval; infinite for other effects."""
         effect = self.candidate.effect
-        return self._least("mass" if effect.load and effect.passing else "")
+        return self._ends("mass" if effect.load and effect.passing else "")[0]
 
-    def _least(self, name: str) -> float:
+    def _ends(self, name: str) -> np.ndarray:
+        """(2,) the ends of a parameter's interval; infinite for none."""
         place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
         if not name or place is None:
-            return np.inf
-        return float(intervals(self.inquiry.evidence, self.whole)[place][name][1])
+            return np.full(2, np.inf)
+        return np.array(intervals(self.inquiry.evidence, self.whole)[place][name][1:], float)
 
     @cached_property
     def exact(self) -> tuple[float, float]:

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import trial_at
+from invdyn_cli.diagnosis.decide import claim, support
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.inquiry import inquire
@@ -19,15 +21,37 @@ from tests.diagnosis.analytic import arm
 LATE = {name: EFFECTS[name] for name in ("torque_delay", "actuator_lag")}
 
 
-@pytest.fixture(scope="module")
-def lagging():
-    """What a search finds in the log of a drive with a lag of 15 ms."""
-    hidden = [Hidden("actuator_lag", arm().joints[1], {"time_constant": 0.015})]
+def searched(effect, **parameters):
+    """What a search for delays and lags finds in the log of an arm with this effect on its second joint."""
+    hidden = [Hidden(effect, arm().joints[1], parameters)]
     noise = Noise(position=1e-6, torque=(0.02,) * arm().dofs)
     log = plant.record(arm(), [Multisine()], hidden, duration=30.0, rate=500.0, seed=3, noise=noise)
     case = prepared(log, arm(), None, None, Options(), LATE)
     assert isinstance(case, Case)
     return inquire(case.evidence, LATE, (), 3, compares=False)
+
+
+@pytest.fixture(scope="module")
+def lagging():
+    """What a search finds in the log of a drive with a lag of 15 ms."""
+    return searched("actuator_lag", time_constant=0.015)
+
+
+def test_a_log_that_is_late_is_a_negative_delay():
+    """A torque that was logged 4 to 20 ms late: a delay of that size, within a tenth of it, and no lag in its place."""
+    late = float(np.random.default_rng(5).uniform(0.004, 0.02))
+    inquiry = searched("torque_delay", delay=-late)
+    (found,) = inquiry.whole.acting
+    assert found.key == ("torque_delay", 1)
+    assert found.parameters["delay"] == pytest.approx(-late, rel=0.1)
+    every = np.ones_like(inquiry.judge.rows)
+    whole, after = (
+        claim.exactly(inquiry, inquiry.hypothesis, inquiry.whole, every),
+        claim.left(inquiry, inquiry.hypothesis),
+    )
+    told = claim.Claim(inquiry, inquiry.hypothesis, 0, whole, after)
+    assert 0 < told.delay <= late  # the least that it may be, of either sign
+    assert support.refusal(told) is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,138 @@
+"""Time stamps that vary while the samples do not: positions tell which of both it is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import each, uninterrupted
+from invdyn_cli.types import Check, Robot
+
+ORDER = 4
+"""Order of the differences in which a motion is far smaller than what a sample at another time adds to it."""
+
+NEAR = 10
+"""Number of stamps on either side of a long step that tell whether one is missing in it."""
+
+BLOCKS = 20
+"""Number of parts of a recording, each left out once, from which the standard error is taken."""
+
+
+class Followed(NamedTuple):
+    """How far positions follow the variations of their stamps: the share, 1 for samples at these times and 0 for
+    samples at regular times, its standard error, and the variations' standard deviation [s]."""
+
+    share: float
+    error: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class IrregularStamps(AbstractCheck):
+    """Stamps that vary about a regular clock though positions were sampled at regular times: a program wrote them late.
+    To believe them makes accelerations of speed times their variation.
+
+    Differences of q of order ORDER are nothing but noise where samples are regular; where they were taken at their
+    stamps, they are the speed times the same differences of the stamps. Least squares tell the share of it.
+
+    Attributes:
+        share: from which, by three standard errors, the positions are nearer to regular samples than to their stamps.
+    """
+
+    name: ClassVar[str] = "clock_jitter"
+    share: float = 0.5
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory; the value is the share."""
+        found = []
+        for raw in log.trajectories:
+            told = followed(raw)
+            if told is None or abs(told.share) + 3 * told.error > self.share:
+                continue
+            found.append(
+                Check(
+                    self.name,
+                    "note",
+                    raw.name,
+                    value=told.share,
+                    threshold=self.share,
+                    seen=f"time stamps vary by {1e3 * told.deviation:.2g} ms about a regular clock, and positions "
+                    f"follow {100 * abs(told.share):.2g} % of that (standard error {100 * told.error:.2g} %)",
+                    meaning="samples are regular and were stamped late: speeds and accelerations from these stamps are "
+                    "noise",
+                    advice="time stamps from the controller, not from the program that writes the log",
+                    source="least squares on differences of fourth order; halfway between both",
+                )
+            )
+        return found
+
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Regular stamps between gaps."""
+        where, notes = {c.trajectory for c in found}, []
+
+        def change(raw: RawTrajectory) -> RawTrajectory:
+            if raw.name not in where:
+                return raw
+            t = raw.t.copy()
+            for rows in uninterrupted(raw):
+                t[rows] = regular(t[rows])
+            notes.append(f"{raw.name}: time stamps put on the regular clock about which they vary")
+            return replace(raw, t=t)
+
+        return each(log, change), notes
+
+
+def regular(t: np.ndarray) -> np.ndarray:
+    """The regular clock nearest to stamps t (T,) [s], of which single ones may be missing: then all later ones are
+    later, and after a late stamp they are not."""
+    steps = np.diff(t)
+    period = float(np.median(steps))
+    count = np.ones(len(t))
+    count[0] = 0.0
+    for k in np.flatnonzero(steps > 1.5 * period) + 1:
+        before, after = t[max(0, k - NEAR) : k], t[k : k + NEAR]
+        ends = before + period * np.arange(len(before))[::-1], after - period * np.arange(len(after))
+        count[k] = max(1.0, np.round((ends[1].mean() - ends[0].mean()) / period))
+    places = np.cumsum(count)
+    slope, start = np.polyfit(places, t, 1)
+    return start + slope * places
+
+
+def followed(raw: RawTrajectory) -> Followed | None:
+    """How far the positions of a trajectory follow the variations of its stamps; None where these do not vary about a
+    regular clock, or where it is too short or does not move enough to tell."""
+    speeds, changes, off, steps = [], [], [], []
+    for rows in uninterrupted(raw):
+        t, q = raw.t[rows], raw.q[rows]
+        if len(t) <= ORDER:
+            continue
+        step = np.diff(t)
+        even = np.abs(step / np.median(step) - 1) < 0.5
+        whole = np.lib.stride_tricks.sliding_window_view(even, ORDER).all(1)
+        speed = (q[ORDER:] - q[:-ORDER]) / (t[ORDER:] - t[:-ORDER])[:, None]
+        speeds.append((speed * np.diff(t, ORDER)[:, None])[whole])
+        changes.append(np.diff(q, ORDER, axis=0)[whole])
+        off.append(t - regular(t))
+        steps.append(step[even])
+    if not speeds or sum(map(len, speeds)) < 2 * BLOCKS:
+        return None
+    x, y, away, step = (np.concatenate(parts) for parts in (speeds, changes, off, steps))
+    deviation = float(np.std(away))
+    if not 0 < deviation <= np.std(step) + 1e-12:  # a clock that wanders, or one without variations
+        return None
+    weights = 1 / np.maximum(np.mean((y - x * _slopes(x, y)) ** 2, axis=0), 1e-300)
+    towards, squares = (np.array([p.sum() for p in np.array_split(z @ weights, BLOCKS)]) for z in (x * y, x * x))
+    if not squares.sum() > 0:
+        return None
+    share = towards.sum() / squares.sum()
+    others = (towards.sum() - towards) / np.maximum(squares.sum() - squares, 1e-300)
+    error = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((others - others.mean()) ** 2)))
+    return Followed(float(share), error, deviation)
+
+
+def _slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Least-squares slope of every column of y (T, n) on that of x (T, n)."""
+    return np.sum(x * y, axis=0) / np.maximum(np.sum(x * x, axis=0), 1e-300)
