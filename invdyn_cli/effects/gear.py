@@ -141,7 +141,8 @@ def _within_gap(load: np.ndarray, inertia: np.ndarray, gap: float, rate: float) 
 
 def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: float, rate: float):
     """Deflection (T,) of a link on a spring and its second derivative: inertia b'' + damping b' + stiffness b = -load,
-    exact for loads that run in straight lines between samples; it starts at rest."""
+    exact for loads that run in straight lines between samples. It starts on the course that its load, as a parabola
+    over the first half period, would keep up: in the middle of a motion, a start from rest would ring on."""
     omega = np.sqrt(stiffness / inertia)
     swing, fade = omega * np.sqrt(1 - ratio**2), ratio * omega
     step = 1 / rate
@@ -155,7 +156,11 @@ def _on_spring(load: np.ndarray, inertia: np.ndarray, stiffness: float, ratio: f
     change = np.array([kept, lost])
     ahead = np.stack([rest - late, slope])
     drift = ahead - np.einsum("xyt,yt->xt", change, ahead) + np.stack([slope * step, np.zeros_like(slope)])
-    b, speed = _followed(change, drift, np.array([rest[0], 0.0]))
+    first = rest[: max(3, round(np.pi / omega[0] * rate))]
+    bends, grows, begins = np.polyfit(step * np.arange(len(first)), first, 2)
+    lag = 2 * ratio / omega[0]
+    start = np.array([begins - lag * grows + 2 * (lag**2 - omega[0] ** -2) * bends, grows - 2 * lag * bends])
+    b, speed = _followed(change, drift, start)
     return b, -load / inertia - 2 * ratio * omega * speed - omega**2 * b
 
 

@@ -61,6 +61,10 @@ REAL, PLAIN, HIGHEST, SPECTRUM = 100.0, 10.0, 55.0, 2.0
 HIGHEST [Hz], since an encoder that is quiet at rest may have more noise in motion; and the length [s] of the stretches
 whose spectra are averaged. A controller's answer to that noise moves a joint about as much as the noise."""
 
+ENDS = 2
+"""Samples that are cut off each end of a stretch, beside a period of the low-pass of its positions: accelerations there
+are those of the spline's and the filter's ends. What has a state, as a link on a spring, would start with a blow."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -377,4 +381,7 @@ def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: np.nd
     ticks = np.arange(len(t)) / rate
     spline = scipy.interpolate.make_interp_spline(ticks, q, k=5, axis=1)
     feigned = noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
-    return Piece(name, role, t, q, spline.derivative(1)(ticks), spline.derivative(2)(ticks), tau, feigned)
+    edge = ENDS + int(np.ceil(rate / bandwidth.min()))
+    sure = slice(edge, len(t) - edge)
+    q, qd, qdd = (x[:, sure] for x in (q, spline.derivative(1)(ticks), spline.derivative(2)(ticks)))
+    return Piece(name, role, t[sure], q, qd, qdd, tau[:, sure], feigned)

@@ -42,6 +42,17 @@ def test_derivatives_are_those_of_the_motion():
             assert np.abs(got[:, 100:-100] - true[rows].T).max() < 1e-4 * np.abs(true).max()
 
 
+def test_no_end_of_a_stretch_has_an_acceleration_of_its_own():
+    """Up to its first and last sample, noise of 1e-5 rad or not, a stretch has the motion's accelerations within a
+    fifth of the largest: what has a state would start with a blow."""
+    t, m = moved(rate=1000.0)
+    for noise in (0.0, 1e-5):
+        for piece in recording_of(log_of(raw(t, m, position=noise))).pieces:
+            rows = np.searchsorted(t, piece.t - 1e-6)
+            off = np.abs(piece.qdd - m.qdd[rows].T)
+            assert off.max() < 0.2 * np.abs(m.qdd).max()
+
+
 def test_roles_do_not_mix():
     """Whatever stands in the part that judges, every number of the part that chooses is the same, and no time is in
     both."""
@@ -63,7 +74,7 @@ def test_the_first_share_of_every_trajectory_chooses():
     assert [(p.trajectory, p.role) for p in pieces] == [
         ("run", "train"), ("run", "test"), ("more", "train"), ("more", "test"),
     ]  # fmt: skip
-    np.testing.assert_allclose([len(p.t) / 250 for p in pieces], [14, 6, 21, 9], atol=0.02)
+    np.testing.assert_allclose([len(p.t) / 250 for p in pieces], [14, 6, 21, 9], atol=0.06)  # without their ends
 
 
 def test_of_joints_that_move_one_after_the_other_all_are_learned():
