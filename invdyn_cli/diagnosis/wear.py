@@ -12,7 +12,8 @@ from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.columns.links import with_links
 from invdyn_cli.diagnosis.search.believed import volume
-from invdyn_cli.diagnosis.search.inquiry import Inquiry, others_of
+from invdyn_cli.diagnosis.search.further import others_of
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import MOVES, measure
 from invdyn_cli.diagnosis.standard import CLAIMED, LINK, Columns, least_of, std_of

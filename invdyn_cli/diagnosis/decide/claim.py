@@ -12,7 +12,9 @@ from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.exact import refine
-from invdyn_cli.diagnosis.search.inquiry import Inquiry, acting_of
+from invdyn_cli.diagnosis.search.feigned import may_be_feigned
+from invdyn_cli.diagnosis.search.further import acting_of
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.recording.pieces import ROLES
@@ -91,10 +93,10 @@ class Claim:
 
     @cached_property
     def unknown(self) -> float:
-        """What stays unexplained on the joints that gain, in noise variances."""
-        valid = self.inquiry.evidence.valid & self.rows[:, None]
-        unknown, gains = naming.structure(self.inquiry.evidence, self.after, valid), np.abs(self.saved)
-        return float(np.sum(self.inquiry.noise.weights * unknown * valid.sum(0) * (gains > 1e-3 * gains.max())))
+        """What stays unexplained on the joints that feel it, in noise variances."""
+        valid, weights = self.inquiry.evidence.valid & self.rows[:, None], self.inquiry.noise.weights
+        unknown, gains = naming.structure(self.inquiry.evidence, self.after, valid), weights * np.abs(self.saved)
+        return float(np.sum(weights * unknown * valid.sum(0) * (gains > FELT * gains.max())))
 
     @cached_property
     def slow_gain(self) -> float:
@@ -149,8 +151,10 @@ class Claim:
 
     @cached_property
     def slow_evidence(self) -> float:
-        """Of its evidence, the share that it saves where the arm moves."""
+        """Its evidence; of what encoder noise may feign, the share that it saves where the arm moves."""
         one, weights = self.candidate, self.inquiry.noise.weights
+        if not may_be_feigned(one.effect):
+            return self.evidence
         saved = slow_saved(self.inquiry.evidence, one.columns, one.effect.yields, self.before, self.after, weights)
         return self.evidence * slow_share(saved)
 

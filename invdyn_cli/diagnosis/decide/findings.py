@@ -345,13 +345,15 @@ def _is_vague(finding: Finding) -> bool:
 
 def perhaps_stribeck(inquiry: Inquiry, claimed: Hypothesis, found: Finding) -> Finding:
     """A standard term of a worn arm, beside what was claimed; ambiguous if it is a Coulomb friction that may hide a
-    drop."""
+    drop, or in whose place a drop was found that may not be claimed."""
     place = {(c.effect.name, c.joint): c for c in inquiry.wear}
     own = place.get((found.effect, inquiry.evidence.robot.joints.index(str(found.joint))))
     if own is None:
         return found
     others = (*(c for c in inquiry.always if c is not own), *claimed)
-    if not naming.blind_to_stribeck(inquiry.judge, others, own, inquiry.pool):
+    drops = [c for c in inquiry.hypothesis if c.effect.name == StribeckFriction.name and c.joint == own.joint]
+    refused = own.effect.name in StribeckFriction.contains and any(c not in claimed for c in drops)
+    if not refused and not naming.blind_to_stribeck(inquiry.judge, others, own, inquiry.pool):
         return found
     return replace(found, status="ambiguous", alternatives=((StribeckFriction.name,),), advice=StribeckFriction.advice)
 

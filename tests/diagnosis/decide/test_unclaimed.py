@@ -54,16 +54,18 @@ def rmse(diagnosis):
     return np.array([x["rmse"] for x in diagnosis.extended.values()])
 
 
-def test_a_refused_payload_stays_in_the_model(robot, load):
-    """Whether it is claimed or refused, the model has the payload, its mass within 5 % (the noise is a permille of the
-    torque), and predicts as well."""
-    with_name, without = diagnosed(recorded(robot, [load]), robot, [REFUSALS, NOBODY])
-    assert "payload" in {f.effect for f in with_name.findings if f.status in ("named", "ambiguous")}
+def test_a_refused_spring_stays_in_the_model(robot):
+    """Whether it is claimed or refused, the model has the spring, its stiffness within 5 % (the noise is a permille of
+    the torque), and predicts as well: no standard term is like it."""
+    spring = {"stiffness": float(np.random.default_rng(5).uniform(3.0, 6.0)), "rest": 0.2}
+    log = recorded(robot, [Hidden("joint_spring", robot.joints[1], spring)])
+    with_name, without = diagnosed(log, robot, [REFUSALS, NOBODY])
+    assert "joint_spring" in {f.effect for f in with_name.findings if f.status in ("named", "ambiguous")}
     assert not any(f.status in ("named", "ambiguous") for f in without.findings)
     found = {f.effect: f for f in without.unclaimed}
-    assert found["payload"].status == "unclaimed"
-    assert found["payload"].parameters["mass"].value == pytest.approx(load.parameters["mass"], rel=0.05)
-    assert "payload" in {one.effect.name for one in without.model.acting}
+    assert found["joint_spring"].status == "unclaimed"
+    assert found["joint_spring"].parameters["stiffness"].value == pytest.approx(spring["stiffness"], rel=0.05)
+    assert "joint_spring" in {one.effect.name for one in without.model.acting}
     np.testing.assert_allclose(rmse(without), rmse(with_name), rtol=0.1)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search import naming, noise
-from invdyn_cli.diagnosis.search.inquiry import _related, acting_of
+from invdyn_cli.diagnosis.search.further import acting_of, related
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.recording.pieces import Filter
@@ -51,7 +51,7 @@ def test_the_exponent_of_a_drop(exponent):
     one that falls as exp(-|qd|/v) becomes Tustin's. None of the velocities that are tried is the true one."""
     evidence, judge = judged(lambda t, q, qd, qdd: (1 + 0.8 * np.exp(-(np.abs(qd / 0.1) ** exponent))) * np.sign(qd))
     found = search(judge, evidence.candidates)
-    pool = [*evidence.candidates, *_related(evidence, acting_of(judge, (), found)[0])]
+    pool = [*evidence.candidates, *related(evidence, acting_of(judge, (), found)[0])]
     judge.refresh()
     (again,) = search(judge, pool, start=found)
     assert again.key == ("stribeck_friction", 1) and again.shape["exponent"] == exponent
