@@ -36,17 +36,22 @@ def test_stribeck_friction_that_may_be_coulombs(lowest, others):
     assert _special_cases(evidence, EFFECTS, one, ends) == others
 
 
-@pytest.mark.parametrize(("speed", "status"), [(1.0, "named"), (6.0, "ambiguous")])
-def test_a_standard_term_that_may_be_stribecks(speed, status):
-    """The Coulomb friction of a worn arm is told with Stribeck friction where the motion crosses low speeds in no time;
-    its viscous friction is named."""
+@pytest.mark.parametrize(
+    ("speed", "found", "status"),
+    [(1.0, (), "named"), (6.0, (), "ambiguous"), (1.0, ("stribeck_friction",), "ambiguous")],
+)
+def test_a_standard_term_that_may_be_stribecks(speed, found, status):
+    """The Coulomb friction of a worn arm is told with Stribeck friction where the motion crosses low speeds in no time,
+    or where that was found and is not claimed; its viscous friction is named."""
     evidence, judge = judged(lambda t, q, qd, qdd: np.sign(qd) + qd, speed=speed, torque=0.3)
     usual = tuple(candidate(evidence, name, 1) for name in ("coulomb_friction", "viscous_friction"))
-    inquiry = SimpleNamespace(evidence=evidence, judge=judge, wear=usual, always=usual, pool=evidence.candidates)
+    hypothesis = tuple(candidate(evidence, name, 1) for name in found)
+    kept = {"wear": usual, "always": usual, "pool": evidence.candidates, "hypothesis": hypothesis}
+    inquiry = SimpleNamespace(evidence=evidence, judge=judge, **kept)
     joint = evidence.robot.joints[1]
-    found = [perhaps_stribeck(cast(Inquiry, inquiry), (), Finding(c.effect.name, joint, "named")) for c in usual]
-    assert [f.status for f in found] == [status, "named"]
-    assert found[0].alternatives == ((("stribeck_friction",),) if status == "ambiguous" else ())
+    told = [perhaps_stribeck(cast(Inquiry, inquiry), (), Finding(c.effect.name, joint, "named")) for c in usual]
+    assert [f.status for f in told] == [status, "named"]
+    assert told[0].alternatives == ((("stribeck_friction",),) if status == "ambiguous" else ())
 
 
 @pytest.mark.parametrize(
