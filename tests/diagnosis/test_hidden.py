@@ -44,10 +44,7 @@ MISSES: dict[tuple[str, int], str] = {
         "external_contact",
         0,
     ): "ambiguous in half the noise; the force is far off where two of its directions do not show",
-    (
-        "hum",
-        0,
-    ): "rotor_inertia is named on the joint of a 2 Hz torque, with which the arm swings and accelerates",
+    ("bump", 0): "a ripple of the bump's width is named; a learner predicts 41 % of what that leaves",
 }
 """Logs (hidden, seed) on which the diagnosis is wrong as yet, and how."""
 
@@ -275,7 +272,7 @@ def strange(name: str, seed: int) -> tuple[Case, str]:
     return played(seed, name, hide), where[-1]
 
 
-@pytest.mark.parametrize(("name", "seed"), marked(list(UNKNOWN), [0], [("bump", 0)]))
+@pytest.mark.parametrize(("name", "seed"), marked(list(UNKNOWN), [0, 1], [("bump", 1)]))
 def test_what_the_catalogue_lacks_stays_unnamed(name, seed):
     """A cause that is nearly orthogonal to all columns is not named; where it depends on the state, a learner predicts
     it, and the verdict says so."""
