@@ -170,7 +170,7 @@ def test_stamps_that_samples_follow_are_believed(log, arm, size):
     step = raw.t[1] - raw.t[0]
     t = raw.t + size * step * np.random.default_rng(6).uniform(-1, 1, len(raw.t))
     q = scipy.interpolate.make_interp_spline(raw.t, raw.q)(t)
-    told = followed(replace(raw, t=t, q=q))
+    told = followed(replace(raw, t=t, q=q), [np.arange(len(t))])
     assert told is not None and told.share == pytest.approx(1.0, abs=max(4 * told.error, 0.02))
     corrected, _ = doctor.correct(changed(log, t=t, q=q), arm, checks=[IrregularStamps()])
     np.testing.assert_array_equal(corrected.trajectories[0].t, t)

@@ -8,7 +8,7 @@ import numpy as np
 
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
-from invdyn_cli.recording.rows import each, uninterrupted
+from invdyn_cli.recording.rows import each, uninterrupted, windows
 from invdyn_cli.types import Check, Robot
 
 ORDER = 4
@@ -49,7 +49,7 @@ class IrregularStamps(AbstractCheck):
         """Per trajectory; the value is the share."""
         found = []
         for raw in log.trajectories:
-            told = followed(raw)
+            told = followed(raw, [rows for _, rows in windows(replace(log, trajectories=(raw,)))])
             if told is None or abs(told.share) + 3 * told.error > self.share:
                 continue
             found.append(
@@ -78,7 +78,8 @@ class IrregularStamps(AbstractCheck):
                 return raw
             t = raw.t.copy()
             for rows in uninterrupted(raw):
-                t[rows] = regular(t[rows])
+                if len(rows) > ORDER:
+                    t[rows] = regular(t[rows])
             notes.append(f"{raw.name}: time stamps put on the regular clock about which they vary")
             return replace(raw, t=t)
 
@@ -101,11 +102,12 @@ def regular(t: np.ndarray) -> np.ndarray:
     return start + slope * places
 
 
-def followed(raw: RawTrajectory) -> Followed | None:
-    """How far the positions of a trajectory follow the variations of its stamps; None where these do not vary about a
-    regular clock, or where it is too short or does not move enough to tell."""
+def followed(raw: RawTrajectory, stretches: Sequence[np.ndarray]) -> Followed | None:
+    """How far the positions of a trajectory, in these uninterrupted stretches of its rows, follow the variations of
+    their stamps; None where these do not vary about a regular clock, or where it is too short or does not move enough
+    to tell."""
     speeds, changes, off, steps = [], [], [], []
-    for rows in uninterrupted(raw):
+    for rows in stretches:
         t, q = raw.t[rows], raw.q[rows]
         if len(t) <= ORDER:
             continue

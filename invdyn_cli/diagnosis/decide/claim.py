@@ -12,7 +12,6 @@ from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.exact import refine
-from invdyn_cli.diagnosis.search.feigned import may_be_feigned
 from invdyn_cli.diagnosis.search.further import acting_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
@@ -151,10 +150,8 @@ class Claim:
 
     @cached_property
     def slow_evidence(self) -> float:
-        """Its evidence; of what encoder noise may feign, the share that it saves where the arm moves."""
+        """Of its evidence, the share that it saves where the arm moves."""
         one, weights = self.candidate, self.inquiry.noise.weights
-        if not may_be_feigned(one.effect):
-            return self.evidence
         saved = slow_saved(self.inquiry.evidence, one.columns, one.effect.yields, self.before, self.after, weights)
         return self.evidence * slow_share(saved)
 

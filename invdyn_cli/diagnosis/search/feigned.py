@@ -3,7 +3,6 @@ gains by that on many joints is found before what is there."""
 
 from invdyn_cli.diagnosis.columns.evidence import slow_saved, slow_share
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
-from invdyn_cli.interfaces import AbstractEffect
 
 EVIDENCE = 250.0
 """Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted, counting
@@ -17,7 +16,7 @@ def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> 
     """The keys of the delays, lags and gears among `found` whose evidence is less, and mostly not where the arm moves.
     Friction and ripple, too, are fast, but no noise is like them."""
     evidence, every, odd = scorer.evidence, (*always, *found), set[tuple]()
-    late = [c for c in found if may_be_feigned(c.effect)]
+    late = [c for c in found if c.effect.late_by or c.effect.yields]
     if not late:
         return odd
     loss, after = scorer.loss(every), evidence.residual(every, scorer.quick(every)[1])
@@ -28,11 +27,6 @@ def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> 
         if asked_by_noise(slow_share(saved), scorer.loss(others) - loss):
             odd.add(c.key)
     return odd
-
-
-def may_be_feigned(effect: AbstractEffect) -> bool:
-    """Whether encoder noise, and a controller's answer to it, look like this effect."""
-    return bool(effect.late_by) or effect.yields
 
 
 def asked_by_noise(share: float, evidence: float) -> bool:
