@@ -47,7 +47,7 @@ SLOW = 0.25
 """Part of a joint's frequency band in which the arm moves; for a gear, whose resonance lies above, also as far as the
 joint's motion is real (`Recording.real`)."""
 
-ADJOINING = 0.1
+ADJOINING = 0.2
 """[s] Longest gap between two pieces of a trajectory across which the state of an effect with a memory continues."""
 
 
