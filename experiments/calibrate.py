@@ -120,9 +120,11 @@ def _log(arm: str, seed: int, name: str) -> tuple[Log, Robot, Hidden | None, Cal
             return tuple(map(said_of, beyond_wear(told(one.anomaly, claims(diagnosis))[1])))
 
         return one.log, one.scene.robot, one.anomaly, beside
-    case = cases.draw_case(seed, [name]) if arm == "perfect" else unknown.draw(name, seed)[0]
-    hidden = case.hidden[0] if arm == "perfect" else None
-    return case.log, case.robot, hidden, lambda diagnosis: judge(case, diagnosis, seed, 0.0).extra
+    if arm == "perfect":
+        case = cases.draw_case(seed, [name])
+        return case.log, case.robot, case.hidden[0], lambda diagnosis: judge(case, diagnosis, seed, 0.0).extra
+    case = unknown.draw(name, seed)[0]
+    return case.log, case.robot, None, lambda diagnosis: tuple(map(said_of, claims(diagnosis)))
 
 
 def _counts(arm: str, rows: Sequence[Worth]) -> list[str]:
