@@ -9,7 +9,6 @@ import numpy as np
 from invdyn_cli import compiled
 from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
-from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide import findings, unclaimed, unexplained, wording
@@ -28,9 +27,6 @@ from invdyn_cli.maths.threads import one_blas_thread
 from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Diagnosis, Finding, Robot, Signals
-
-TAKEN_BACK = 0.25
-"""Share of a shift of all torques by which a joint's delay that takes it back may differ from it."""
 
 
 def diagnose(
@@ -133,11 +129,7 @@ def decided(
     structured_joints = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
-    told = [
-        c for c in case.examination.checks if c.check == TimeOffset.name and c.joint is None and c.value is not None
-    ]
-    shifts = [float(c.value) for c in told if c.severity in ("warn", "fail")]
-    made = replace(made, findings=tuple(_in_doubt(x, effects, shifts) for x in made.findings))
+    made = replace(made, findings=findings.taken_back(made.findings, effects, case.examination))
     progress(0.9, "model")
     written, unnamed = (more, ()) if case.compares else _fuller(inquiry, columns, made, more, unsure)
     model = _written(case, written)
@@ -189,18 +181,6 @@ def decided(
     )
     diagnosis = diagnosis if case.gained is None else gains.beside(diagnosis, case.gained)
     return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
-
-
-def _in_doubt(finding: Finding, effects: Mapping[str, AbstractEffect], shifts: Sequence[float]) -> Finding:
-    """A finding; ambiguous if its delay takes back one of the shifts [s] by which the torques of all joints were
-    corrected: other joints may have told that by what they have beside it."""
-    quantity = finding.parameters.get(effects[finding.effect].late_by) if finding.effect in effects else None
-    if quantity is None or quantity.value is None or finding.status != "named":
-        return finding
-    if not any(abs(quantity.value - shift) < TAKEN_BACK * abs(shift) for shift in shifts):
-        return finding
-    advice = "diagnose the log with correct=false: the shift of all torques, which this takes back, may be wrong"
-    return replace(finding, status="ambiguous", alternatives=(("unknown",),), advice=advice)
 
 
 def _fuller(

@@ -11,6 +11,7 @@ from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose, pipeline
 from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.decide.findings import taken_back
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import LogError
 from invdyn_cli.functions import checking
@@ -19,7 +20,7 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
-from invdyn_cli.types import Finding, Quantity
+from invdyn_cli.types import Check, Examination, Finding, Quantity
 from tests.diagnosis.analytic import said
 
 LOAD = {"mass": 0.8, "com": [0.02, -0.01, 0.1]}
@@ -225,6 +226,7 @@ def test_a_delay_that_takes_back_a_shift_is_in_doubt(delay, status):
     """All torques were moved by 5.6 ms, and one joint's delay says the opposite: one of both is wrong. Other delays are
     what they are."""
     found = Finding("torque_delay", "axis2", "named", parameters={"delay": Quantity(delay, "s", [delay, delay])})
-    told = pipeline._in_doubt(found, EFFECTS, [-0.0056])
+    shifted = Examination(True, (Check("time_offset", "warn", value=-0.0056),), {})
+    (told,) = taken_back([found], EFFECTS, shifted)
     assert told.status == status
     assert ("correct=false" in told.advice) == (status == "ambiguous")

@@ -123,7 +123,7 @@ def followed(raw: RawTrajectory, stretches: Sequence[np.ndarray]) -> Followed | 
         return None
     x, y, away, step = (np.concatenate(parts) for parts in (speeds, changes, off, steps))
     deviation = float(np.std(away))
-    if not 0 < deviation <= np.std(step) + 1e-12:  # a clock that wanders, or one without variations
+    if not 0 < deviation <= np.std(step):  # a clock that wanders, or one without variations
         return None
     weights = 1 / np.maximum(np.mean((y - x * _slopes(x, y)) ** 2, axis=0), 1e-300)
     towards, squares = (np.array([p.sum() for p in np.array_split(z @ weights, BLOCKS)]) for z in (x * y, x * x))
