@@ -17,6 +17,7 @@ from invdyn_cli.log import Log, RawTrajectory, Window
 from invdyn_cli.maths.signals import lattice, lowpass, resample, settling
 from invdyn_cli.recording.rows import without_gaps
 from invdyn_cli.recording.selection import divided
+from invdyn_cli.recording.thinning import thinned
 from invdyn_cli.types import Motion
 
 ROLES = ("train", "test", "reference")
@@ -43,7 +44,7 @@ class Preparation:
         train_share: [-] first share of each trajectory's time for training; the rest is held out. A trajectory in
             which this leaves a joint without motion to learn from is first divided into parts (`selection.divided`).
         longest: [s] length of log that is used; of a longer log, evenly spread stretches.
-        stretch: [s] length of such a stretch, about.
+        stretch: [s] length of such a stretch, about; less where joints move one after the other (`thinning`).
     """
 
     rate: float = 250.0
@@ -221,9 +222,9 @@ def prepare(
     period = float(np.median(periods))
     total = sum(t[-1] - t[0] for _, _, t, _, _ in cut)
     if total > options.longest:
-        cut = list(_thinned(cut, options))
+        length, cut = thinned(cut, options.longest, options.train_share, options.stretch)
         notes.append(
-            f"The log is {total:.0f} s long. Only stretches of some {options.stretch:g} s, spread evenly, are used: "
+            f"The log is {total:.0f} s long. Only stretches of some {length:g} s, spread evenly, are used: "
             f"{options.longest:g} s in total (diagnosis.conditioning.longest)."
         )
     cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
@@ -289,44 +290,6 @@ def _roles(
 def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float):
     for piece in without_gaps(raw.t, np.flatnonzero((raw.t >= start) & (raw.t < end)), max_gap):
         yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
-
-
-def _thinned(cut, options: Preparation):
-    """A share of every role's time: stretches of long pieces, and short pieces that are left out or stay whole."""
-    length, owed = options.stretch, dict.fromkeys(ROLES, 0.0)
-    share = _shares({role: sum(t[-1] - t[0] for _, own, t, *_ in cut if own == role) for role in ROLES}, options)
-    for piece in cut:
-        _, role, t, *_ = piece
-        span = t[-1] - t[0]
-        if span * share[role] >= length:
-            yield from _stretches(piece, share[role], length)
-            continue
-        owed[role] += span * share[role]
-        if owed[role] > 0:
-            used = t < t[0] + length
-            owed[role] -= min(span, length)
-            yield piece[0], role, t[used], piece[3][:, used], piece[4][:, used]
-
-
-def _shares(totals: Mapping[str, float], options: Preparation) -> dict[str, float]:
-    """Of every role's time [s] the share that is used. What a role has less than its part is left to the others: of one
-    recording to learn from and many that judge, it is these that are thinned."""
-    parts = {role: 1 - options.train_share if role == "test" else options.train_share for role in totals}
-    made, left, open_ = {}, options.longest, sum(parts.values())
-    for role in sorted(totals, key=lambda role: totals[role] / parts[role]):
-        used = min(totals[role], left * parts[role] / open_)
-        made[role], left, open_ = used / max(totals[role], 1e-300), left - used, open_ - parts[role]
-    return made
-
-
-def _stretches(piece, share: float, length: float):
-    """Evenly spread stretches of a piece, none longer than from one to the next, that make up a share of it."""
-    name, role, t, q, tau = piece
-    span = t[-1] - t[0]
-    count = max(1, round(share * span / length))
-    for start in t[0] + span * np.arange(count) / count:
-        rows = slice(*np.searchsorted(t, [start, start + share * span / count]))
-        yield name, role, t[rows], q[:, rows], tau[:, rows]
 
 
 def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float):

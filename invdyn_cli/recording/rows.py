@@ -1,9 +1,9 @@
-"""Rows of a logged trajectory: which ones are usable, and how they are kept, divided and thinned. This module does not
+"""Rows of a logged trajectory: which ones are usable, and how they are kept and divided. This module does not
 judge defects."""
 
 import bisect
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,13 +17,6 @@ MAX_GAP = 0.1
 RESTART = 20
 """Number of rows after which a clock that jumped back counts as restarted: the window of the shortest filter. With
 fewer rows it is a bad time stamp."""
-
-MOST = 120_000
-"""Number of rows of a log that the expensive checks use: two minutes at 1 kHz, windows of WINDOW spread evenly over
-it."""
-
-WINDOW = 20.0
-"""[s] of one such window: long enough for the slow joints of an arm to turn back."""
 
 
 def present(raw: RawTrajectory) -> dict[str, np.ndarray]:
@@ -133,21 +126,6 @@ def without_gaps(t: np.ndarray, rows: np.ndarray, longest: float | None = None) 
 def uninterrupted(raw: RawTrajectory) -> list[np.ndarray]:
     """Row numbers of the stretches of usable rows without a gap."""
     return without_gaps(raw.t, np.flatnonzero(usable_rows(raw)))
-
-
-def windows(log: Log, most: int = MOST) -> Iterator[tuple[RawTrajectory, np.ndarray]]:
-    """Trajectories with row numbers of uninterrupted stretches, together not many more than `most` rows."""
-    pieces = [(raw, rows) for raw in log.trajectories for rows in uninterrupted(raw)]
-    total = sum(len(rows) for _, rows in pieces)
-    for raw, rows in pieces:
-        share = int(most * len(rows) / max(total, 1))
-        if total <= most or share >= len(rows):
-            yield raw, rows
-            continue
-        length = max(1, min(len(rows), int(WINDOW / median_step(raw.t))))
-        count = max(1, share // length)
-        for start in np.linspace(0, len(rows) - length, count).astype(int):
-            yield raw, rows[start : start + length]
 
 
 def runs(flags: np.ndarray) -> np.ndarray:

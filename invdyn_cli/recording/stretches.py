@@ -1,7 +1,7 @@
 """The data that the checks of a log use: windows of it on a uniform clock, all filtered alike, positions
 differentiated.
 
-Logged derivatives are not used; windows (`rows.windows`) are cut before they are filtered.
+Logged derivatives are not used; windows (`thinning.windows`) are cut before they are filtered.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ from invdyn_cli.log import Log
 from invdyn_cli.maths.signals import differentiate, lowpass, resample, settling
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.memory import once_for_a_log
-from invdyn_cli.recording.rows import is_series, median_step, taken, windows
+from invdyn_cli.recording.rows import is_series, median_step, taken
+from invdyn_cli.recording.thinning import windows
 
 CUTOFF = 6.0
 """[Hz] Zero-phase low-pass filter: the motion of a position-controlled arm is below, encoder noise in qdd mostly

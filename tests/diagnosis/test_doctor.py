@@ -12,6 +12,7 @@ from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
 from invdyn_cli.errors import RobotError
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.logfile import refuse_defects
+from invdyn_cli.recording.rows import median_step, taken
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
@@ -427,6 +428,19 @@ def test_an_offset_of_a_session_is_one(seed, apollo4):
     other = replace(raws[1], tau=delayed(raws[1].tau, raws[1].t, 0.05))
     found = seen(doctor.examine(replace(log, trajectories=(raws[0], other)), apollo4), "time_offset", least="warn")
     assert {c.trajectory: c.value for c in found} == pytest.approx({"a": late, "b": late + 0.05}, abs=2e-3)
+
+
+def test_windows_whose_rates_differ_by_rounding_are_timed_together(shorter, apollo4):
+    """An arm rests, and moves after a gap, its torques 30 ms late: what moves is looked at, though the median step of
+    its clock differs in the last digit."""
+    raw = shorter.trajectories[0]
+    late = replace(raw, tau=delayed(raw.tau, raw.t, 0.03))
+    t = np.concatenate([raw.t - raw.t[0], raw.t - raw.t[0] + raw.t[-1] + 1 / 3])
+    assert median_step(t[: len(raw.t)]) != median_step(t[len(raw.t) :])
+    rows = np.concatenate([np.zeros(len(raw.t), int), np.arange(len(raw.t))])
+    both = replace(shorter, trajectories=(replace(taken(late, rows), t=t),))
+    (found,) = seen(doctor.examine(both, apollo4), "time_offset", least="warn")
+    assert found.value == pytest.approx(0.03, abs=1e-3)
 
 
 def test_a_recording_that_contradicts_its_session(arm):

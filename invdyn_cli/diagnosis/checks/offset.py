@@ -203,7 +203,7 @@ class TimeOffset(AbstractCheck):
         """The shift of every joint that can be timed; None where none can."""
         parts = stretches(log)
         most = int(self.widest * parts[0].rate) if parts else 0
-        parts = tuple(x for x in parts if len(x.q) > 4 * most + 20 and x.rate == parts[0].rate)
+        parts = tuple(x for x in parts if len(x.q) > 4 * most + 20 and np.isclose(x.rate, parts[0].rate, rtol=1e-3))
         if not parts or not np.ptp(newton_metres(log, raw), axis=0).any():
             return None
         inner = tuple(_inside(x, most + MARGIN) for x in parts)

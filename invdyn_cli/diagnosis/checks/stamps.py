@@ -8,7 +8,8 @@ import numpy as np
 
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
-from invdyn_cli.recording.rows import each, uninterrupted, windows
+from invdyn_cli.recording.rows import each, uninterrupted
+from invdyn_cli.recording.thinning import windows
 from invdyn_cli.types import Check, Robot
 
 ORDER = 4
