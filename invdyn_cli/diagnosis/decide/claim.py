@@ -84,6 +84,12 @@ class Claim:
         """The same in noise variances."""
         return float(np.sum(self.inquiry.noise.weights * self.saved))
 
+    @property
+    def gain_on_its_joint(self) -> float:
+        """The same on the joint of the effect alone; infinite for one that is of no joint."""
+        joint = self.candidate.joint
+        return np.inf if joint is None else float(self.inquiry.noise.weights[joint] * self.saved[joint])
+
     @cached_property
     def gain_with_rest(self) -> float:
         """Squares saved in a mean row, rows at rest too, in noise variances."""
