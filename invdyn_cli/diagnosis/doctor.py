@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.channels import CommandCopiesMeasurement, NotMoving, Quantisation, Saturation
+from invdyn_cli.diagnosis.checks.channels import CommandCopiesMeasurement, NotMoving, Quantisation
 from invdyn_cli.diagnosis.checks.clock import ClockJitter, Duplicates, Gaps, TooShort
 from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
 from invdyn_cli.diagnosis.checks.commands import CommandLag, CommandSigns, CommandUnits
@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.checks.description import Description
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.saturation import Saturation
 from invdyn_cli.diagnosis.checks.stamps import IrregularStamps
 from invdyn_cli.diagnosis.checks.torque_units import TorqueUnits
 from invdyn_cli.diagnosis.checks.torques import GravityRemoved

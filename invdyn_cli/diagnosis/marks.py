@@ -9,9 +9,9 @@ import numpy as np
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.clock import Duplicates
 from invdyn_cli.diagnosis.checks.excitation import Excitation
+from invdyn_cli.diagnosis.checks.saturation import Saturation
 from invdyn_cli.diagnosis.checks.values import Outliers
 from invdyn_cli.log import Log, RawTrajectory
-from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import MAX_GAP, forward_rows, median_step, runs, uninterrupted
 from invdyn_cli.types import Check, Examination, Robot
 
@@ -171,10 +171,7 @@ def _outliers(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int
 
 
 def _saturation(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
-    """Rows at the torque's extreme; of an effort limit, those beyond it but for half a percent."""
-    x: np.ndarray = newton_metres(log, raw)[:, joint or 0]
-    at = np.asarray(np.abs(x - one.value) <= 1e-5 * max(float(np.ptp(x)), 1e-300))
-    return at if at.sum() >= 5 or raw.name != one.trajectory else np.asarray(np.abs(x) >= 0.995 * abs(one.value))
+    return Saturation().rows_of(log, raw, one)
 
 
 Place = Callable[[Log, RawTrajectory, Check, str, int | None], np.ndarray]

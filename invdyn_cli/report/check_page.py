@@ -37,8 +37,8 @@ CHANNELS = (
 )
 MODEL = "Measured torque, as corrected and filtered, and that of the URDF's rigid bodies, without friction."
 TITLES = {"clock": "Clock", "q": "Positions", "qd": "Velocities", "qdd": "Accelerations", "tau": "Torques"}
-CORRECTED = ("duplicates", "outliers", "time_offset", "too_short", ("unit_error", "q_ref"), ("sign_error", "q_ref"),
-             ("derivative_consistency", "q"))  # fmt: skip
+CORRECTED = ("duplicates", "outliers", "saturation", "time_offset", "too_short", ("unit_error", "q_ref"),
+             ("sign_error", "q_ref"), ("derivative_consistency", "q"))  # fmt: skip
 """Checks, or checks of a channel, whose warnings the doctor corrects; of the others it corrects failures alone."""
 
 UNITS = (

@@ -8,14 +8,17 @@ import scipy.interpolate
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks import offset
-from invdyn_cli.diagnosis.checks.channels import Saturation
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.samples import nominal_torque
+from invdyn_cli.diagnosis.checks.saturation import Saturation
 from invdyn_cli.diagnosis.checks.stamps import IrregularStamps, followed
 from invdyn_cli.diagnosis.checks.values import Outliers
+from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.logfile import refuse_defects
 from invdyn_cli.recording.rows import clock_pieces, taken
 from invdyn_cli.robots import load_urdf
-from tests.diagnosis.sick import alarms, changed, delayed, seen, sound
+from invdyn_cli.types import Motion
+from tests.diagnosis.sick import alarms, changed, delayed, motion, seen, sound
 
 
 @pytest.fixture(scope="module")
@@ -247,6 +250,43 @@ def test_saturation(log, arm):
     tau[:, 3] = np.minimum(tau[:, 3], level)
     found = seen(doctor.examine(changed(log, tau=tau), arm), "saturation")
     assert [(c.joint, c.value) for c in found] == [(arm.joints[3], pytest.approx(level))]
+
+
+@pytest.mark.parametrize(("seed", "noise"), [(1, 0.01), (2, 0.0), (3, 0.02), (4, 0.003)])
+def test_rows_at_a_limit_are_left_out(seed, noise, arm):
+    """A sensor that ends at a limit on both sides, with noise behind it of a share of the torque's deviation or none:
+    rows at the limit are left out, and not one of ten others."""
+    draw = np.random.default_rng([seed, 71])
+    log = sound(arm, seed, seconds=40.0, rate=500.0, noise=1e-4)
+    (raw,) = log.trajectories
+    level = float(np.quantile(np.abs(raw.tau[:, 3]), draw.uniform(0.75, 0.9)))
+    tau = raw.tau + noise * raw.tau.std(0) * draw.normal(size=raw.tau.shape)
+    tau[:, 3] += np.clip(raw.tau[:, 3], -level, level) - raw.tau[:, 3]
+    corrected, examination = doctor.correct(changed(log, tau=tau), arm)
+    found = seen(examination, "saturation")
+    assert {c.joint for c in found} == {arm.joints[3]}
+    assert [abs(c.value) for c in found] == pytest.approx(len(found) * [level], rel=0.01)
+    kept = np.isin(raw.t, np.concatenate([x.t for x in corrected.trajectories]))
+    beyond = np.abs(raw.tau[:, 3]) > level
+    assert np.mean(kept[beyond]) < 0.1 and np.mean(kept[~beyond]) > 0.9
+
+
+def test_what_stays_at_one_torque_for_a_reason(arm):
+    """An arm that returns to a posture and rests there, and a slow joint without gravity, whose friction is all its
+    torque, are at no limit, though their torque returns to its extreme and scatters there no more than noise does."""
+    t = np.arange(6000) / 200.0
+    turn = np.clip(4.0 * np.sin(2 * np.pi * t / 10.0), -1.0, 1.0)[:, None]
+    q = 0.3 + 0.5 * turn * np.ones(len(arm.joints))
+    qd = np.gradient(q, t, axis=0)
+    held, _ = nominal_torque(arm, Motion(q, qd, np.gradient(qd, t, axis=0)))
+    noise = np.random.default_rng(3).normal(size=q.shape)
+    rests = RawTrajectory("run", t, q, held + 0.01 * held.std(0) * noise)
+    moved = motion(arm, t, 0)
+    slides = RawTrajectory("run", t, moved.q, np.sign(moved.qd) + 0.01 * noise)
+    one = Log(arm.name, arm.joints, "link", "N m", 200.0, (rests,))
+    assert Saturation().examine(one, arm) == []
+    other = replace(one, trajectories=(slides,), compensated=("gravity",))
+    assert Saturation().examine(other, arm) == []
 
 
 def test_saturation_of_what_is_mostly_noise(log, arm):

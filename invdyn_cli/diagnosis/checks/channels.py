@@ -1,4 +1,4 @@
-"""Checks of single channels: their resolution, torques at a limit, joints at rest, and copies of other channels."""
+"""Checks of single channels: their resolution, joints at rest, and copies of other channels."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,8 +10,7 @@ from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.signals import lattice
-from invdyn_cli.recording.channels import newton_metres
-from invdyn_cli.recording.rows import is_series, median_step, runs, usable_rows
+from invdyn_cli.recording.rows import is_series, median_step, usable_rows
 from invdyn_cli.recording.stretches import stretches
 from invdyn_cli.types import Check, Robot
 
@@ -85,81 +84,6 @@ class Quantisation(AbstractCheck):
                     )
                 )
         return found
-
-
-@dataclass(frozen=True)
-class Saturation(AbstractCheck):
-    """Torques that stay at one extreme value while the arm moves, or at the URDF's effort limit.
-
-    They stay there in successive rows or, if the noise is larger than the motion, return to this value more often than
-    to any other.
-
-    Attributes:
-        run: samples with the very same extreme value, in a row, or times as many as any other value has (ours: noise
-            does not repeat a maximum five times, and rounded values are seldom at the extreme).
-        share: of the samples that are so (ours: below, they do not bend a fit).
-        limit: of the effort limit that counts as reached (a torque that goes as far beyond it knows no such limit).
-    """
-
-    name: ClassVar[str] = "saturation"
-    run: int = 5
-    share: float = 0.002
-    limit: float = 0.995
-
-    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
-        """Per joint, over all trajectories; the value is the torque [N m; N]."""
-        found = []
-        raws = [raw for raw in log.trajectories if is_series(raw) and len(raw.t) > 10 * self.run]
-        if not raws:
-            return [self.skipped("no time series")]
-        for joint, name in enumerate(log.joints):
-            for side, word in ((1, "highest"), (-1, "lowest")):
-                worst = max((self._flat(log, raw, joint, side) for raw in raws), default=None)
-                if worst is not None and worst[0] > self.share:
-                    found.append(self._seen(worst[2], name, worst[1], worst[0], f"its {word} value"))
-            if robot is None or not np.isfinite(robot.effort_limit[joint]) or robot.effort_limit[joint] <= 0:
-                continue
-            bound = float(robot.effort_limit[joint])
-            near = [(raw, np.abs(newton_metres(log, raw)[:, joint]) / bound) for raw in raws]
-            if not near or max(x.max() for _, x in near) > 2 - self.limit:
-                continue  # it goes beyond: then this limit is none
-            part, raw = max(((float(np.mean(x >= self.limit)), raw) for raw, x in near), key=lambda x: x[0])
-            if part > self.share and not any(c.joint == name for c in found):
-                found.append(self._seen(raw.name, name, bound, part, "the URDF's effort limit"))
-        return found
-
-    def _flat(self, log: Log, raw, joint: int, side: int) -> tuple[float, float, str]:
-        """(share of samples, torque, trajectory) of values at the extreme on one side."""
-        x = side * newton_metres(log, raw)[:, joint]
-        top = np.nanmax(x)
-        at = x >= top - 1e-6 * max(np.ptp(x), 1e-300)
-        if np.ptp(x) <= 0 or at.sum() < self.run:
-            return 0.0, 0.0, raw.name
-        # At rest a torque may repeat for good reasons; quantised ones repeat everywhere.
-        moving = np.abs(np.gradient(raw.q, axis=0)).max(1) > 1e-3 * np.ptp(raw.q, axis=0).max() / 20
-        long = [(a, b) for a, b in runs(at) if b - a >= self.run and moving[a:b].mean() > 0.5]
-        held = sum(b - a for a, b in long)
-        repeats = np.mean(np.diff(x[~at]) == 0) if np.sum(~at) > 1 else 1.0
-        share = held / len(x) if repeats < 0.2 else 0.0
-        often = np.sum(at & moving)
-        if share <= self.share < often / len(x):
-            _, counts = np.unique(x[~at], return_counts=True)
-            share = often / len(x) if often > self.run * counts.max(initial=1) else 0.0
-        return share, float(side * top), raw.name
-
-    def _seen(self, trajectory: str, joint: str, value: float, share: float, what: str) -> Check:
-        return Check(
-            self.name,
-            "warn",
-            trajectory,
-            joint,
-            value=value,
-            threshold=self.share,
-            seen=f"the torque is at {what}, {value:.4g}, in {100 * share:.2g} % of the samples",
-            meaning="the drive, the sensor or the message is limited to this value: the true torque is not in the log",
-            advice="slower or less loaded motion, or leaving these stretches out",
-            source="own choice: noise does not repeat a maximum",
-        )
 
 
 @dataclass(frozen=True)
