@@ -285,7 +285,7 @@ SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]]
     },
     "torque_offset": lambda d, s, j: {"offset": _sign(d) * _share(d) * s.torque[j]},
     "torque_delay": lambda d, s, j: {"delay": float(d.uniform(0.004, 0.02)) * _sign(d)},
-    "actuator_lag": lambda d, s, j: {"time_constant": float(d.uniform(0.004, 0.02))},
+    "actuator_lag": lambda d, s, j: {"time_constant": float(d.uniform(0.004, 0.02)) * _sign(d)},
     "torque_saturation": lambda d, s, j: {"limit": float(np.quantile(abs(s.tau[:, j]), d.uniform(0.8, 0.96)))},
     "payload": lambda d, s, j: {
         "mass": float(s.robot.inertial[:, 0].sum() * np.exp(d.uniform(np.log(0.02), np.log(0.15)))),

@@ -198,20 +198,24 @@ class TorqueDelay(AbstractChannelEffect):
 
 @dataclass(frozen=True)
 class ActuatorLag(AbstractChannelEffect):
-    """First-order lag of the drive's current or torque loop.
+    """First-order lag of the drive's current or torque loop, or, negative, of the measured torque on its way to the
+    log.
 
     Attributes:
-        time_constants: to try [s].
+        time_constants: to try [s], of either sign.
     """
 
     time_constants: tuple[float, ...] = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.028, 0.04)
 
     name = "actuator_lag"
     title = "actuator lag"
-    meaning = "The delivered torque follows the logged one as a first-order filter does."
-    equation = "time_constant · d delivered/dt + delivered = logged"
+    meaning = (
+        "The delivered torque follows the logged one as a first-order filter does; with a negative time constant, the "
+        "logged one follows the delivered one."
+    )
+    equation = "|time_constant| · d later/dt + later = earlier"
     reference = "first-order current loop"
-    parameters = {"time_constant": Parameter("s", 0.0, SLOWEST)}
+    parameters = {"time_constant": Parameter("s", -SLOWEST, SLOWEST)}
     late_by = "time_constant"
     confounders = (("torque_delay",), ("viscous_friction",))
     advice = TorqueDelay.advice
@@ -223,26 +227,16 @@ class ActuatorLag(AbstractChannelEffect):
         return {"time_constant": 0.01}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        return SimulatorTerms({"lag": parameters["time_constant"]})
+        return SimulatorTerms({"lag": max(parameters["time_constant"], 0.0)})  # as of a late log
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        return [{"time_constant": x} for x in self.time_constants]
+        return [{"time_constant": x} for x in (*self.time_constants, *(-x for x in self.time_constants if x))]
 
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        """First-order response to a torque that is linear between samples, exactly."""
-        x = parameters["time_constant"] * rate
-        tau = np.asarray(tau)
-        if x < 1e-9:
-            return tau
-        decay = np.exp(-1 / x)
-        now, before = 1 - x * (1 - decay), x * (1 - decay) - decay
-        out, _ = scipy.signal.lfilter([now, before], [1, -decay], tau, zi=[tau[0] * (1 - now)])
-        return out
+        return _lagged(tau, parameters["time_constant"] * rate)
 
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        xp = tau.__array_namespace__()
-        slope = xp.concatenate([tau[1:2] - tau[:1], (tau[2:] - tau[:-2]) / 2, tau[-1:] - tau[-2:-1]])
-        return tau + parameters["time_constant"] * rate * slope
+        return _lagged(tau, -parameters["time_constant"] * rate)
 
 
 @dataclass(frozen=True)
@@ -288,6 +282,22 @@ class TorqueSaturation(AbstractChannelEffect):
 
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         return self.delivered(parameters, tau, rate)
+
+
+def _lagged(tau: Array, samples: float) -> Array:
+    """First-order response to torques (T, …) that are linear between samples, exactly, with a time constant of so many
+    of these; negative: the torques (T, …) that have these as their response, by central differences."""
+    if samples < 0:
+        xp = tau.__array_namespace__()
+        slope = xp.concatenate([tau[1:2] - tau[:1], (tau[2:] - tau[:-2]) / 2, tau[-1:] - tau[-2:-1]])
+        return tau - samples * slope
+    tau = np.asarray(tau)
+    if samples < 1e-9:
+        return tau
+    decay = np.exp(-1 / samples)
+    now, before = 1 - samples * (1 - decay), samples * (1 - decay) - decay
+    out, _ = scipy.signal.lfilter([now, before], [1, -decay], tau, axis=0, zi=tau[:1] * (1 - now))
+    return out
 
 
 def shifted(x: Array, samples: float) -> np.ndarray:

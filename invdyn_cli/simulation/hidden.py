@@ -59,7 +59,7 @@ KINDS = {
     "torque_offset": Kind({"offset": NUMBER}),
     "torque_offset_drift": Kind({"rate": NUMBER}),
     "torque_delay": Kind({"delay": NUMBER}),
-    "actuator_lag": Kind({"time_constant": ABOVE}),
+    "actuator_lag": Kind({"time_constant": NUMBER}),
     "torque_saturation": Kind({"limit": ABOVE}),
     "payload": Kind({"mass": ABOVE, "com": VECTOR}, {"radius": FROM}, of_joint=False),
     "payload_change": _event({"mass": ABOVE, "com": VECTOR}, {"radius": FROM, "ramp": FROM}, of_joint=False),
@@ -106,7 +106,7 @@ class Build:
         offset: [N m] that the joint does not receive.
         gain, delay, lag, limit: [-], [s], [s], [N m] of the way from logged to delivered torque; 1, 0, 0, infinity.
         encoder: [rad; m] added to what is measured.
-        behind: [s] by which the log has the torque after it acted.
+        behind, smoothed: [s] by which the log has the torque after it acted; time constant of a filter before the log.
         levels: (joint, law(qd, load) -> dry friction [N m]), load: torque [N m] that the joint transmits.
         drags: (joint, law(t, qd) -> damping [N m s/rad]).
         forces: (joint, law(t, q, qd) -> term [N m]), known to a commissioned controller.
@@ -131,6 +131,7 @@ class Build:
     limit: np.ndarray
     encoder: np.ndarray
     behind: np.ndarray
+    smoothed: np.ndarray
     carried: list[Body] = field(default_factory=list)
     levels: list[tuple[int, Callable]] = field(default_factory=list)
     drags: list[tuple[int, Callable]] = field(default_factory=list)
@@ -165,6 +166,7 @@ def assemble(robot: Robot, hidden: Sequence[Hidden] = (), trajectory: str | None
         lag=np.zeros(robot.dofs),
         encoder=np.zeros(robot.dofs),
         behind=np.zeros(robot.dofs),
+        smoothed=np.zeros(robot.dofs),
     )
     for one in hidden:
         refuse(one, robot)
@@ -267,7 +269,7 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
         case "torque_delay":
             (build.delay if p["delay"] > 0 else build.behind)[i] += abs(p["delay"])
         case "actuator_lag":
-            build.lag[i] += p["time_constant"]
+            (build.lag if p["time_constant"] > 0 else build.smoothed)[i] += abs(p["time_constant"])
         case "torque_saturation":
             build.limit[i] = min(build.limit[i], p["limit"])
         case "payload":

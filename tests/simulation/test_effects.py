@@ -223,6 +223,20 @@ def test_a_late_log(apollo):
     np.testing.assert_array_equal(late.tau[:, others], plain.tau[:, others])
 
 
+def test_a_filtered_log(apollo):
+    """Of a negative lag the log has the torque, which is held for each sample, behind a first-order filter; the arm
+    moves as without it."""
+    plain = recorded(apollo)
+    late = recorded(apollo, Hidden("actuator_lag", "arm_joint_2", {"time_constant": -0.01}))
+    np.testing.assert_array_equal(late.q, plain.q)
+    wanted = [plain.tau[0, 1]]
+    for held in plain.tau[:-1, 1]:
+        wanted.append(held + (wanted[-1] - held) * np.exp(-1 / (RATE * 0.01)))
+    np.testing.assert_allclose(late.tau[:, 1], wanted, atol=1e-9)
+    others = np.arange(7) != 1
+    np.testing.assert_array_equal(late.tau[:, others], plain.tau[:, others])
+
+
 def test_lag(apollo):
     """What a joint gets is what was logged behind a first order lag, exactly, for a torque that is held."""
     tr = recorded(apollo, Hidden("actuator_lag", "arm_joint_2", {"time_constant": 0.01}))

@@ -38,8 +38,6 @@ def distinguish(
         if not one.effect.late_by or other is None or (other.name, one.joint) in barred:
             continue
         swapped = replace(one, effect=other, parameters={other.late_by: one.parameters[one.effect.late_by]})
-        if other.refuse(swapped.parameters):  # no drive's lag is negative
-            continue
         others = chosen.acting[:i], chosen.acting[i + 1 :]
         trial = refine(evidence, model, (*others[0], swapped, *others[1]), rows, judge.weights, always)
         assert one.joint is not None

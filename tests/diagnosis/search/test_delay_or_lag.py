@@ -54,6 +54,16 @@ def test_a_log_that_is_late_is_a_negative_delay():
     assert support.refusal(told) is None
 
 
+def test_a_log_that_was_filtered_is_a_negative_lag():
+    """A torque behind a first-order filter of 8 to 20 ms before it was logged: a lag of that size, within a tenth of
+    it, and no delay in its place."""
+    constant = float(np.random.default_rng(6).uniform(0.008, 0.02))
+    inquiry = searched("actuator_lag", time_constant=-constant)
+    (found,) = inquiry.whole.acting
+    assert found.key == ("actuator_lag", 1)
+    assert found.parameters["time_constant"] == pytest.approx(-constant, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("barred", "found"), [(set(), "actuator_lag"), ({("actuator_lag", 1)}, "torque_delay")], ids=["free", "barred"]
 )
