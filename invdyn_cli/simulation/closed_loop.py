@@ -14,7 +14,7 @@ from invdyn_cli.simulation.arm import build, set_joints
 from invdyn_cli.simulation.control import Control, commissioned
 from invdyn_cli.simulation.drive import Drive
 from invdyn_cli.simulation.hidden import Hidden, assemble
-from invdyn_cli.simulation.sensors import Noise, Side, stepped
+from invdyn_cli.simulation.sensors import Late, Noise, Side, stepped
 from invdyn_cli.types import Motion, Robot
 
 EXACT = Noise()
@@ -73,6 +73,7 @@ class ClosedLoop:
         self._quantum = noise.of("position_quantum", robot.dofs)
         self._torque_noise = noise.of("torque", robot.dofs)
         self._torque_quantum = noise.of("torque_quantum", robot.dofs)
+        self._late = Late(made.behind * rate, made.smoothed * rate) if np.any([made.behind, made.smoothed]) else None
         self.commands = np.empty((before + samples, robot.dofs))
 
     @property
@@ -96,7 +97,10 @@ class ClosedLoop:
         self.tick += 1
 
     def logged(self, tau: np.ndarray) -> np.ndarray:
-        """Torques (..., n) as they are logged: with noise and quantisation."""
+        """Torques of one tick (n,) or of several (T, n), which follow the last ones, as they are logged: late, with
+        noise and quantisation."""
+        if self._late is not None:
+            tau = np.array([self._late(x) for x in np.atleast_2d(tau)]).reshape(tau.shape)
         return stepped(tau + self.noises.normal(size=tau.shape) * self._torque_noise, self._torque_quantum)
 
     def hold(self, control: Control, wanted: Motion, ticks: int) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import scipy
 
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import Progress, silent
@@ -19,7 +18,7 @@ from invdyn_cli.simulation.arm import quiet
 from invdyn_cli.simulation.closed_loop import EXACT, ClosedLoop
 from invdyn_cli.simulation.control import Control, commissioned
 from invdyn_cli.simulation.events import refuse_outside, refuse_trajectory
-from invdyn_cli.simulation.hidden import Build, Hidden, refuse
+from invdyn_cli.simulation.hidden import Hidden, refuse
 from invdyn_cli.simulation.references import AbstractReference
 from invdyn_cli.simulation.sensors import SIDES, Noise, Side, stepped
 from invdyn_cli.types import Motion, Robot
@@ -80,7 +79,7 @@ def simulate(
     with quiet():
         logged = _run(loop, wanted, control, name, position_side == "link", progress)
     t = np.arange(len(wanted)) / rate
-    tau = loop.logged(_on_its_way(logged["link" if torque_side == "link" else "tau"], t, loop.made))
+    tau = loop.logged(logged["link" if torque_side == "link" else "tau"])
     qd = None
     if noise.velocity is not None:
         qd = logged["qd"] + loop.noises.normal(size=tau.shape) * noise.of("velocity", robot.dofs)
@@ -94,18 +93,6 @@ def simulate(
         q_link=_second_encoder(logged["q_link"], noise, seed) if link_encoder else None,
         notes="; ".join(loop.arm.notes),
     )
-
-
-def _on_its_way(torques: np.ndarray, t: np.ndarray, made: Build) -> np.ndarray:
-    """Torques (T, n) that are held from t (T,) [s] on, behind the filters and delays on their way to the log."""
-    out = np.array(torques, float)
-    for joint, (late, constant) in enumerate(zip(made.behind, made.smoothed, strict=True)):
-        if constant:
-            keeps = np.exp(-(t[1] - t[0]) / constant)
-            out[:, joint] = scipy.signal.lfilter([0.0, 1 - keeps], [1.0, -keeps], out[:, joint] - out[0, joint])
-            out[:, joint] += torques[0, joint]
-        out[:, joint] = np.interp(t - late, t, out[:, joint])
-    return out
 
 
 def record(

@@ -49,6 +49,32 @@ def stepped(x: np.ndarray, quantum: np.ndarray) -> np.ndarray:
     return np.where(quantum > 0, np.round(x / np.where(quantum > 0, quantum, 1.0)) * quantum, x)
 
 
+class Late:
+    """Torques on their way to the log, sample by sample: behind a first-order filter of each joint, and a delay.
+
+    Args:
+        delay, constant: (n,) [samples] of the delay, and the filter's time constant; 0: none.
+    """
+
+    def __init__(self, delay: np.ndarray, constant: np.ndarray) -> None:
+        self._keeps = np.exp(-1 / np.where(constant > 0, constant, 1.0)) * (constant > 0)
+        self._whole, self._part = np.divmod(delay, 1.0)
+        self._joints = np.arange(len(delay))
+        self._past = np.empty((0, len(delay)))  # filtered, the newest first
+        self._held = np.empty(0)
+
+    def __call__(self, tau: np.ndarray) -> np.ndarray:
+        """What arrives of torques (n,) that are held from this sample on."""
+        if not len(self._past):
+            self._past = np.tile(tau, (int(self._whole.max()) + 2, 1))
+            self._held = tau
+        held = np.where(self._keeps > 0, self._held, tau)  # a filter has answered to what was held until now
+        self._past = np.concatenate([[held + self._keeps * (self._past[0] - held)], self._past[:-1]])
+        self._held = tau
+        newer, older = (self._past[self._whole.astype(int) + k, self._joints] for k in (0, 1))
+        return newer + self._part * (older - newer)
+
+
 Side = Literal["command", "motor", "link"]
 """Where the torque is taken; command, motor: what the controller asked for; link: behind the gear and its friction."""
 

@@ -78,3 +78,16 @@ def test_how_far_is_more_than_is_allowed(arm, error, said):
     slides = replace(arm, prismatic=(False, True, False))
     told = ClosedLoop(slides, samples=10).lost(np.array([0.0, error, 0.0]), 2.0)
     assert told.endswith(f"is {said} m from its reference; allowed: 2 m")
+
+
+def test_a_late_log_is_late_tick_by_tick(arm):
+    """A controller of one's own logs tick by tick what a simulation logs at once: of a joint whose log is 3.3 samples
+    late, the torques that far before, between samples on a straight line."""
+    hidden = [Hidden("torque_delay", arm.joints[1], {"delay": -0.0033})]
+    hidden += [Hidden("actuator_lag", arm.joints[2], {"time_constant": -0.004})]
+    once, ticks = (ClosedLoop(arm, hidden, samples=200, rate=1000.0) for _ in range(2))
+    torques = np.random.default_rng(2).normal(size=(200, arm.dofs))
+    logged = once.logged(torques)
+    np.testing.assert_array_equal(logged, [ticks.logged(x) for x in torques])
+    np.testing.assert_allclose(logged[:, 1], np.interp(np.arange(200) - 3.3, np.arange(200), torques[:, 1]), atol=1e-12)
+    np.testing.assert_array_equal(logged[:, 0], torques[:, 0])
