@@ -154,6 +154,15 @@ def moving_links(text: str, joints: Sequence[str]) -> list[str]:
     return ["" if x is None else x.get("link", "") for x in found]
 
 
+def dynamics(text: str, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Joint -> damping [N m s/rad; N s/m] and friction [N m; N] of its <dynamics>; 0 where it has none."""
+    return {x.get("name", ""): _dynamics_of(x) for x in ET.fromstring(text).findall("joint") if x.get("name") in joints}
+
+
+def _dynamics_of(joint: ET.Element) -> tuple[float, float]:
+    return number(joint, "dynamics", "damping", 0.0), number(joint, "dynamics", "friction", 0.0)
+
+
 def without(text: str, joints: Sequence[str]) -> str:
     """A URDF's text without these joints and all links and joints behind them; unchanged if there are none."""
     if not joints:
@@ -195,8 +204,7 @@ def with_changes(
         edits.append(_edit(raw, places, ("link", name), "inertial", _inertial_text(row)))
     for joint in root.findall("joint"):
         name = joint.get("name", "")
-        now = tuple(number(joint, "dynamics", key, 0.0) for key in ("damping", "friction"))
-        if name in dynamics and dynamics[name] != now:
+        if name in dynamics and dynamics[name] != _dynamics_of(joint):
             damping, friction = dynamics[name]
             tag = f'<dynamics damping="{damping!r}" friction="{friction!r}"/>'
             edits.append(_edit(raw, places, ("joint", name), "dynamics", tag))

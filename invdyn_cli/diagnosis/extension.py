@@ -24,6 +24,9 @@ from invdyn_cli.simulation.replay import Replay
 from invdyn_cli.simulation.replay import replay as play
 from invdyn_cli.types import Motion, Robot
 
+NEAR = 0.1
+"""Share of a damping or friction within which the URDF's is the one that was found."""
+
 
 @dataclass(frozen=True)
 class Export:
@@ -79,12 +82,8 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
         if not np.allclose(real, new, rtol=1e-9, atol=0):
             said.append(f"{link}: its inertials are not physically consistent; the nearest consistent ones are written")
         change[link] = real - old
-    numbers = {x: (0.0, 0.0) for x in robot.joints}
     for one in model.acting:
         terms, joint = one.effect.in_simulator(one.parameters), "" if one.joint is None else robot.joints[one.joint]
-        if joint:
-            damping, friction = numbers[joint]
-            numbers[joint] = damping + terms.joint.get("damping", 0.0), friction + terms.joint.get("friction", 0.0)
         lacks = [x.replace("_", " ") for x in terms.joint if x not in ("damping", "friction")]
         lacks += ["drive"] if terms.drive else []
         without = f"is written without its {listed(lacks)}: a URDF cannot contain it" if lacks else ""
@@ -92,8 +91,37 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
     if not np.array_equal(robot.gravity, heavier.gravity):
         gravity = ",".join(f"{x:.5g}" for x in np.asarray(heavier.gravity))
         said.append(f"whole arm: a URDF has no gravity; load it with robot.gravity=[{gravity}]")
-    text, refused = urdf.with_changes(robot.urdf, change, numbers)
+    text, refused = urdf.with_changes(robot.urdf, change, _dynamics(model))
     return text, (*said, *refused)
+
+
+def beside_dynamics(model: ExtendedModel) -> tuple[str, ...]:
+    """A sentence on the friction that the URDF's <dynamics> tags state, beside what was found; none where they state
+    none."""
+    stated, found = urdf.dynamics(model.robot.urdf, model.robot.joints) if model.robot.urdf else {}, _dynamics(model)
+    pairs = [
+        (f"{joint} {key}", *values)
+        for joint in stated
+        for key, *values in zip(("damping", "friction"), stated[joint], found[joint], strict=True)
+        if any(values)
+    ]
+    if not any(a for _, a, _ in pairs):
+        return ()
+    others = [f"{name} {a:.3g}, found {b:.3g}" for name, a, b in pairs if abs(a - b) > NEAR * max(abs(a), abs(b))]
+    said = "The URDF states friction in <dynamics> tags, which a diagnosis leaves out and finds anew: "
+    said += f"{len(pairs) - len(others)} of {len(pairs)} values are within {100 * NEAR:.0f} % of what was found"
+    return (f"{said}; {listed(others, most=4)}." if others else f"{said}.",)
+
+
+def _dynamics(model: ExtendedModel) -> dict[str, tuple[float, float]]:
+    """Joint -> damping and friction that were found."""
+    numbers = {x: (0.0, 0.0) for x in model.robot.joints}
+    for one in model.acting:
+        if one.joint is not None:
+            terms, joint = one.effect.in_simulator(one.parameters).joint, model.robot.joints[one.joint]
+            damping, friction = numbers[joint]
+            numbers[joint] = damping + terms.get("damping", 0.0), friction + terms.get("friction", 0.0)
+    return numbers
 
 
 def stretches_of(log: Log, robot: Robot, recording: Recording, lead: float) -> list[Segment]:

@@ -162,6 +162,7 @@ def decided(
         replay=again,
         notes=(
             *case.notes,
+            *extension.beside_dynamics(model),
             *transition.note_of(robot, case.recording.transition),
             *made.notes,
             *repeats.note_of(evidence.recording),

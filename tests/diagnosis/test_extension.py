@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.arms import random_arm
-from invdyn_cli.diagnosis.extension import exported, urdf_of, why_not
+from invdyn_cli.diagnosis.extension import beside_dynamics, exported, urdf_of, why_not
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.description import ExtendedModel
@@ -55,6 +55,17 @@ def test_the_urdf_holds_what_it_can(arm, tmp_path):
     assert added[2, :4] == pytest.approx([1.0, 0.0, 0.02, 0.1], abs=1e-12)
     assert len(said) == 2 and "axis2: asymmetric Coulomb friction is written without its offset" in said[0]
     assert "robot.gravity=[0.97" in said[1]
+
+
+def test_friction_that_the_urdf_states_is_told_beside_what_was_found(arm, tmp_path):
+    """Of two joints whose <dynamics> were written with these numbers one has the friction that is found, within a
+    tenth, and one another damping; a URDF without such numbers is not spoken of."""
+    text, _ = urdf_of(model(arm, ("viscous_friction", 0, {"damping": 0.7}), ("coulomb_friction", 2, {"coulomb": 2.0})))
+    (tmp_path / "states.urdf").write_text(text)
+    found = (("viscous_friction", 0, {"damping": 0.5}), ("coulomb_friction", 2, {"coulomb": 1.9}))
+    (said,) = beside_dynamics(model(load_urdf(tmp_path / "states.urdf"), *found))
+    assert "1 of 2 values are within 10 %" in said and said.endswith("; axis1 damping 0.7, found 0.5.")
+    assert beside_dynamics(model(arm, *found)) == ()
 
 
 def test_no_effect_vanishes_from_the_urdf(arm):
