@@ -76,7 +76,7 @@ class Saturation(AbstractCheck):
                     seen = [self._noisy(log, raw, robot, joint, side) for raw in raws]
                 limit = max(seen)
                 if limit.share > self.share and not any(c.joint == name and c.threshold["both"] for c in found):
-                    found.append(self._seen(name, limit, "either limit" if limit.both else f"its {word} value"))
+                    found.append(self._seen(name, limit, "its limits" if limit.both else f"its {word} value"))
             if robot is None or not np.isfinite(robot.effort_limit[joint]) or robot.effort_limit[joint] <= 0:
                 continue
             bound = float(robot.effort_limit[joint])
@@ -108,8 +108,8 @@ class Saturation(AbstractCheck):
     def rows_of(self, log: Log, raw: RawTrajectory, one: Check) -> np.ndarray:
         """(T,) bool: rows of a trajectory that are at the limit that was found."""
         x: np.ndarray = newton_metres(log, raw)[:, log.joints.index(str(one.joint))]
-        x, value = (np.abs(x), abs(one.value)) if one.threshold["both"] else (x, one.value)
-        return np.abs(x - value) <= one.threshold["within"]
+        x = np.abs(x) if one.threshold["both"] else x
+        return np.abs(x - one.value) <= one.threshold["within"]
 
     def _flat(self, log: Log, raw: RawTrajectory, joint: int, side: int) -> Limit:
         """Values at the extreme on one side."""
@@ -144,9 +144,11 @@ class Saturation(AbstractCheck):
         if sum(np.ptp(_gravity(robot, raw.q[a:b])[:, joint]) > 2 * width for a, b in held) < self.times:
             return NOTHING
         share = sum(b - a for a, b in held) / len(x)
-        return Limit(share, side * top, width, bool(abs(np.nanmax(-x) - top) < 2 * width), raw.name)
+        both = bool(abs(np.nanmax(-x) - top) < 2 * width)
+        return Limit(share, top if both else side * top, width, both, raw.name)
 
     def _seen(self, joint: str, limit: Limit, what: str) -> Check:
+        value, percent = f"{'±' * limit.both}{limit.value:.4g}", f"{100 * limit.share:.2g} %"
         return Check(
             self.name,
             "warn",
@@ -154,7 +156,7 @@ class Saturation(AbstractCheck):
             joint,
             value=limit.value,
             threshold={"channel": "tau", "share": self.share, "within": limit.within, "both": limit.both},
-            seen=f"the torque is at {what}, {limit.value:.4g}, in {100 * limit.share:.2g} % of the samples",
+            seen=f"the torque is at {what}, {value}, in {percent} of the samples",
             meaning="the drive, the sensor or the message is limited to this value: the true torque is not in the log",
             advice="slower or less loaded motion; these rows are left out where enough others stay",
             source="own choice: noise does not repeat a maximum",
