@@ -214,8 +214,8 @@ def _measured(
     ripple = effects.get(TorqueRipple.name)
     if not isinstance(ripple, TorqueRipple) or any(c.effect is ripple for c in evidence.candidates):
         return measured
-    residual = left_by_standard(evidence, measured, choosing, wear) if wear else measured.residual
-    lines = noise.ripples(evidence, measured, residual, choosing, ripple)
+    terms = left_by_standard(evidence, measured, choosing, wear) if wear else noise.left_by_terms(evidence, choosing)
+    lines = noise.ripples(evidence, measured, [terms] if wear else [measured.residual, terms], choosing, ripple)
     evidence.candidates += lines
     return noise.measure(evidence, new) if lines else measured
 

@@ -1,6 +1,7 @@
 """The noise: the residual of a model with all columns, joint by joint; and ripples in it, which no list of trials can
 contain."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,9 +159,9 @@ def _free(candidate: Candidate, joint: int) -> tuple[int, ...]:
 
 
 def ripples(
-    evidence: Evidence, noise: Noise, residual: np.ndarray, rows: np.ndarray, effect: TorqueRipple
+    evidence: Evidence, noise: Noise, residuals: Sequence[np.ndarray], rows: np.ndarray, effect: TorqueRipple
 ) -> list[Candidate]:
-    """Candidates for every line over a joint's angle that exceeds the noise in a residual (R, n)."""
+    """Candidates for every line over a joint's angle that exceeds the noise in one of these residuals (R, n)."""
     made = []
     angle, speed = evidence.on_rows("q"), evidence.on_rows("qd")
     for j in range(evidence.dofs):
@@ -172,12 +173,26 @@ def ripples(
             continue
         passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
         grid = ripple.grid(q, effect.most)
-        power = ripple.power(residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
-        for _ in range(PEAKS):
-            best = int(np.argmax(power)) if len(power) else 0
-            if not len(power) or power[best] < PEAK:
-                break
-            cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
-            made.append(kind_of(effect).candidate(evidence, effect, j, {"cycles": cycles}))
-            power[np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)] = 0
+        near = np.zeros(len(grid), bool)
+        for residual in residuals:
+            power = ripple.power(residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
+            for _ in range(PEAKS):
+                best = int(np.argmax(np.where(near, 0.0, power))) if len(grid) else 0
+                if not len(grid) or near[best] or power[best] < PEAK:
+                    break
+                cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
+                made.append(kind_of(effect).candidate(evidence, effect, j, {"cycles": cycles}))
+                near |= np.abs(grid - grid[best]) < 2 * np.pi / np.ptp(q)
     return made
+
+
+def left_by_terms(evidence: Evidence, rows: np.ndarray) -> np.ndarray:
+    """(R, n) what each joint's own standard terms leave of the torque: a model of all columns may take up a ripple."""
+    out = np.zeros(evidence.tau.shape)
+    for j in range(evidence.dofs):
+        used = rows & evidence.valid[:, j]
+        terms = [c for c in evidence.candidates if c.effect.group == "standard" and not c.effect.changes_inertials]
+        columns = sorted({i for c in terms if c.joint == j and not c.shape for i in c.columns[j][1]})
+        x, y = evidence.tables[j][:, columns], evidence.tables[j][:, 0]
+        out[:, j] = y - x @ np.linalg.lstsq(x[used], y[used])[0] if used.any() else y
+    return out
