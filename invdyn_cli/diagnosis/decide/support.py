@@ -55,7 +55,7 @@ def _beside_unknown(claim: Claim) -> float:
 
 REFUSALS = (
     Refusal("gain on held-out rows", lambda x: x.gain, np.nextafter(0, 1)),
-    Refusal("gain on its own joint", lambda x: x.gain_on_its_joint, np.nextafter(0, 1)),
+    Refusal("gain on its own joint", lambda x: x.gain_on_its_joint, -naming.LEAST_DIFFERENCE),
     Refusal("gain while joints rest", lambda x: x.gain_with_rest if x.acts_at_rest else np.inf, np.nextafter(0, 1)),
     Refusal(
         "gain over what stays unknown",
