@@ -162,7 +162,7 @@ def decided(
         replay=again,
         notes=(
             *case.notes,
-            *extension.beside_dynamics(model),
+            *(() if case.compares else extension.beside_dynamics(model)),  # a change is not all of its friction
             *transition.note_of(robot, case.recording.transition),
             *made.notes,
             *repeats.note_of(evidence.recording),
