@@ -86,7 +86,7 @@ def load_urdf(
         inertial[-1] += _payload(payload)
     limits = np.array([urdf.limits(x) for x in used])
     notes += urdf_checks.doubts(root)
-    dynamics = np.array([[urdf.number(x, "dynamics", key, 0.0) for key in ("damping", "friction")] for x in used])
+    dynamics = np.array([urdf.dynamics_of(x) for x in used])
     if locked:
         notes.append(f"locked ({why}): {', '.join(locked)}")
     if dropped:

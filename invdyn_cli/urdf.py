@@ -156,10 +156,11 @@ def moving_links(text: str, joints: Sequence[str]) -> list[str]:
 
 def dynamics(text: str, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Joint -> damping [N m s/rad; N s/m] and friction [N m; N] of its <dynamics>; 0 where it has none."""
-    return {x.get("name", ""): _dynamics_of(x) for x in ET.fromstring(text).findall("joint") if x.get("name") in joints}
+    return {x.get("name", ""): dynamics_of(x) for x in ET.fromstring(text).findall("joint") if x.get("name") in joints}
 
 
-def _dynamics_of(joint: ET.Element) -> tuple[float, float]:
+def dynamics_of(joint: ET.Element) -> tuple[float, float]:
+    """The same of one <joint>."""
     return number(joint, "dynamics", "damping", 0.0), number(joint, "dynamics", "friction", 0.0)
 
 
@@ -204,7 +205,7 @@ def with_changes(
         edits.append(_edit(raw, places, ("link", name), "inertial", _inertial_text(row)))
     for joint in root.findall("joint"):
         name = joint.get("name", "")
-        if name in dynamics and dynamics[name] != _dynamics_of(joint):
+        if name in dynamics and dynamics[name] != dynamics_of(joint):
             damping, friction = dynamics[name]
             tag = f'<dynamics damping="{damping!r}" friction="{friction!r}"/>'
             edits.append(_edit(raw, places, ("joint", name), "dynamics", tag))

@@ -187,7 +187,7 @@ class TorqueDelay(AbstractChannelEffect):
         return SimulatorTerms({"delay": max(parameters["delay"], 0.0)})  # the log may be late, but not the arm
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        return [{"delay": x} for x in (*self.delays, *(-x for x in self.delays if x))]
+        return [{"delay": x} for x in _of_either_sign(self.delays)]
 
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         return shifted(tau, -parameters["delay"] * rate)
@@ -230,7 +230,7 @@ class ActuatorLag(AbstractChannelEffect):
         return SimulatorTerms({"lag": max(parameters["time_constant"], 0.0)})  # as of a late log
 
     def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        return [{"time_constant": x} for x in (*self.time_constants, *(-x for x in self.time_constants if x))]
+        return [{"time_constant": x} for x in _of_either_sign(self.time_constants)]
 
     def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         return _lagged(tau, parameters["time_constant"] * rate)
@@ -282,6 +282,11 @@ class TorqueSaturation(AbstractChannelEffect):
 
     def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
         return self.delivered(parameters, tau, rate)
+
+
+def _of_either_sign(x: Sequence[float]) -> tuple[float, ...]:
+    """These numbers, and then the negative of each but zero."""
+    return (*x, *(-one for one in x if one))
 
 
 def _lagged(tau: Array, samples: float) -> Array:

@@ -1,12 +1,15 @@
 """A long log thinned: stretches spread evenly over it, in which every joint moves."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.rows import median_step, uninterrupted
 from invdyn_cli.recording.selection import LEARNED, STEP, STILL
+
+T = TypeVar("T")
 
 MOST = 120_000
 """Number of rows of a log that the expensive checks use: two minutes at 1 kHz."""
@@ -33,34 +36,48 @@ def thinned(cut: Sequence[tuple], longest: float, train_share: float, length: fl
     """Of stretches (trajectory, role, t (T,), q (n, T), tau (n, T)) together `longest` [s], of every role a share:
     parts of long ones, and short ones that are left out or stay whole; and about how long such a part is [s], `length`
     or less."""
-    roles = dict.fromkeys(role for _, role, *_ in cut)
-    share = _shares(
-        {role: sum(t[-1] - t[0] for _, own, t, *_ in cut if own == role) for role in roles}, longest, train_share
-    )
-    tried = []
-    for shorter in SHORTER:
-        made = list(_parts(cut, share, length / shorter))
-        of = [[[(t, q.T) for _, own, t, q, _ in x if own == role] for x in (cut, made)] for role in roles]
-        tried.append(
-            (min(_covered(*x) / share[role] for x, role in zip(of, roles, strict=True)), length / shorter, made)
-        )
-        if tried[-1][0] >= LEARNED:
-            break
-    return max(tried, key=lambda x: x[0])[1:]
+    totals = dict.fromkeys((role for _, role, *_ in cut), 0.0)
+    for _, role, t, *_ in cut:
+        totals[role] += t[-1] - t[0]
+    share = _shares(totals, longest, train_share)
+
+    def motions(role: str, of: Sequence[tuple]) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [(t, q.T) for _, own, t, q, _ in of if own == role]
+
+    def tried() -> Iterator[tuple[float, tuple[float, list[tuple]]]]:
+        for shorter in SHORTER:
+            made = list(_parts(cut, share, length / shorter))
+            covered = min(_covered(motions(role, cut), motions(role, made)) / share[role] for role in share)
+            yield covered, (length / shorter, made)
+
+    return _enough(tried())
 
 
 def _windows(raw: RawTrajectory, rows: np.ndarray, share: int) -> list[np.ndarray]:
     """Parts of these rows, `share` of them together."""
-    tried = []
-    for shorter in SHORTER:
-        length = max(1, min(len(rows), int(LENGTH / shorter / median_step(raw.t))))
-        starts = np.linspace(0, len(rows) - length, max(1, share // length)).astype(int)
-        parts = [rows[start : start + length] for start in starts]
-        covered = _covered([(raw.t[rows], raw.q[rows])], [(raw.t[x], raw.q[x]) for x in parts])
-        tried.append((covered, parts))
-        if covered >= LEARNED * share / len(rows):
+
+    def tried() -> Iterator[tuple[float, list[np.ndarray]]]:
+        for shorter in SHORTER:
+            length = max(1, min(len(rows), int(LENGTH / shorter / median_step(raw.t))))
+            starts = np.linspace(0, len(rows) - length, max(1, share // length)).astype(int)
+            parts = [rows[start : start + length] for start in starts]
+            covered = _covered([(raw.t[rows], raw.q[rows])], [(raw.t[x], raw.q[x]) for x in parts])
+            yield covered * len(rows) / max(share, 1), parts
+
+    return _enough(tried())
+
+
+def _enough(tried: Iterable[tuple[float, T]]) -> T:
+    """The first of what is tried in which every joint covers LEARNED of its part of the distance, else that in which
+    the one that covers least covers most."""
+    best = None
+    for covered, made in tried:
+        if best is None or covered > best[0]:
+            best = covered, made
+        if covered >= LEARNED:
             break
-    return max(tried, key=lambda x: x[0])[1]
+    assert best is not None
+    return best[1]
 
 
 def _covered(whole: Sequence[tuple[np.ndarray, np.ndarray]], parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:

@@ -46,8 +46,8 @@ class Saturation(AbstractCheck):
         limit: of the effort limit that counts as reached (a torque that goes as far beyond it knows no such limit).
         flat: samples in a row that scatter as noise does at a limit.
         scatter: their standard deviation, at most, in those of the noise.
-        bend: of the parabola through them, likewise (theory: 0.17 for `flat` samples of a
-            constant; ours: of smooth maxima 0.3 to 0.7, once 0.06).
+        bend: of the parabola through them, likewise (theory: 0.17 for `flat` samples of a constant; ours: of smooth
+            maxima 0.3 to 0.7, once 0.06).
         times: how often they do so while gravity changes by more than their width.
         left: share of the samples, at least, in stretches of `whole` [s] without those at limits; else these stay.
     """
@@ -69,11 +69,14 @@ class Saturation(AbstractCheck):
         raws = [raw for raw in log.trajectories if is_series(raw) and len(raw.t) > 10 * self.run]
         if not raws:
             return [self.skipped("no time series")]
+        loads = None if "gravity" in log.compensated else robot  # whose gravity the torques have in them
         for joint, name in enumerate(log.joints):
+            noises = [] if loads is None else [_noise(newton_metres(log, raw)[:, joint]) for raw in raws]
             for side, word in ((1, "highest"), (-1, "lowest")):
                 seen = [self._flat(log, raw, joint, side) for raw in raws]
-                if robot is not None and "gravity" not in log.compensated and max(seen)[0] <= self.share:
-                    seen = [self._noisy(log, raw, robot, joint, side) for raw in raws]
+                if loads is not None and max(seen).share <= self.share:
+                    of = zip(raws, noises, strict=True)
+                    seen = [self._noisy(log, raw, loads, joint, side, noise) for raw, noise in of]
                 limit = max(seen)
                 if limit.share > self.share and not any(c.joint == name and c.threshold["both"] for c in found):
                     found.append(self._seen(name, limit, "its limits" if limit.both else f"its {word} value"))
@@ -130,10 +133,9 @@ class Saturation(AbstractCheck):
             share = often / len(x) if often > self.run * counts.max(initial=1) else 0.0
         return Limit(share, float(side * top), float(width), False, raw.name)
 
-    def _noisy(self, log: Log, raw: RawTrajectory, robot: Robot, joint: int, side: int) -> Limit:
+    def _noisy(self, log: Log, raw: RawTrajectory, robot: Robot, joint: int, side: int, noise: float) -> Limit:
         """Values that scatter about a limit on one side; on both if those of the other side go as far."""
         x = side * newton_metres(log, raw)[:, joint]
-        noise = _scatter(np.diff(x, 4)) / np.sqrt(70)  # of white noise
         width = HALF_WIDTH * noise
         long = [(a, b) for a, b in runs(x >= np.nanmax(x) - 2 * width) if b - a >= self.flat]
         long = [
@@ -166,6 +168,11 @@ class Saturation(AbstractCheck):
 def _scatter(x: np.ndarray) -> float:
     """Standard deviation of normal x by the median deviation."""
     return 1.48 * float(np.median(np.abs(x - np.median(x))))
+
+
+def _noise(x: np.ndarray) -> float:
+    """Standard deviation of white noise on a smooth x (T,), by its fourth differences."""
+    return _scatter(np.diff(x, 4)) / np.sqrt(70)
 
 
 def _bend(x: np.ndarray) -> float:

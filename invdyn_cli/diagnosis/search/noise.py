@@ -173,12 +173,14 @@ def ripples(
             continue
         passed = {"qd": qd, "cutoff": evidence.recording.filter.cutoffs[j]}
         grid = ripple.grid(q, effect.most)
+        if not len(grid):
+            continue
         near = np.zeros(len(grid), bool)
         for residual in residuals:
             power = ripple.power(residual[used, j], q, grid, **passed) / noise.deviation[j] ** 2
             for _ in range(PEAKS):
-                best = int(np.argmax(np.where(near, 0.0, power))) if len(grid) else 0
-                if not len(grid) or near[best] or power[best] < PEAK:
+                best = int(np.argmax(np.where(near, 0.0, power)))
+                if near[best] or power[best] < PEAK:
                     break
                 cycles, _ = ripple.sharpened(residual[used, j], q, float(grid[best]), **passed)
                 made.append(kind_of(effect).candidate(evidence, effect, j, {"cycles": cycles}))
