@@ -27,6 +27,10 @@ STRETCHES, PLAINLY = 4, 0.5
 """Number of stretches of time, one of which is quiet if an effect acts for a time; and the share of the whole noise
 below which the noise of a stretch is plainly smaller."""
 
+HEARD = 0.05
+"""Least share of the noise that a trial of a channel must leave to say how large it is: a limit that is far below the
+logged torque leaves nothing of it, neither noise nor cause."""
+
 PEAKS = 3
 PEAK = 20.0
 """Ripples that are taken up as candidates: so many of the highest lines, at least so many noise variances high: of a
@@ -62,11 +66,12 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         x = x[:, scale > 0] / scale[scale > 0]
         # the channel may be at fault as well: the trial that leaves least counts
         trials = [c for c in evidence.candidates if c.effect.point == "channel" and j in c.columns and c.columns[j][0]]
+        trials = [c for c in trials if 1 - c.noise_reduction >= HEARD]
         targets = y[:, None] - evidence.tables[j][:, [0, *(c.columns[j][0][0] for c in trials)]] * (
             np.arange(len(trials) + 1) > 0
         )
         theta, spread = _fitted(x[used], targets[used], used.sum() * evidence.recording.filter.independent(j))
-        loud = np.array([1.0, *(max(1 - c.noise_reduction, 0.05) for c in trials)])
+        loud = np.array([1.0, *(1 - c.noise_reduction for c in trials)])
         best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread / loud))
         residual[:, j] = targets[:, best] - x @ theta[:, best]
         variance = spread[best] / loud[best]

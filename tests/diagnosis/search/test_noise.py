@@ -7,6 +7,7 @@ import pytest
 
 from experiments.cases import draw_case
 from invdyn_cli.diagnosis.case import Case, Options, prepared
+from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.transmission import TorqueRipple
@@ -41,6 +42,16 @@ def test_effects_are_no_noise(quiet):
     """Friction, an offset and another load change the measured noise by less than 15 %."""
     term = on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd) + qd + 0.3 + 0.2 * qdd)
     np.testing.assert_allclose(measured(term)[2].deviation, quiet[2].deviation, rtol=0.15)
+
+
+def test_a_limit_that_lets_nothing_through_does_not_tell_the_noise():
+    """Trials of a limit are drawn from the nominal load too; where that is a thousandth of the logged torque, as on the
+    last joint of a real arm, such a trial leaves neither noise nor cause, and the noise is what it is without it."""
+    evidence, rows, found = measured(on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd)))
+    saturation = EFFECTS["torque_saturation"]
+    lowest = 1e-3 * np.abs(evidence.tau[:, 1]).max()
+    evidence.candidates.append(kind_of(saturation).candidate(evidence, saturation, 1, {"limit": lowest}))
+    np.testing.assert_allclose(noise.measure(evidence, rows).deviation, found.deviation)
 
 
 def test_the_noise_is_what_a_right_model_leaves(quiet):
