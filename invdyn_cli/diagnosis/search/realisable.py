@@ -56,8 +56,9 @@ class Body:
 
 def realisable(
     evidence: Evidence, model: Model, refined: Refined, names: Sequence[str]
-) -> tuple[Refined, tuple[str, ...]]:
-    """The refined effects with payloads and links that can be, and a sentence for each that the data wanted otherwise.
+) -> tuple[Refined, tuple[str, ...], dict[int, float]]:
+    """The refined effects with payloads and links that can be; a sentence for each that the data wanted otherwise, and
+    what it costs in noise variances that these effects, by their numbers, are bodies.
 
     A body that is already consistent stays, and nothing moves if all are. Other effects change together with the bodies
     as far as the data couple them. A link that is inconsistent in the URDF may stay so by as much: the change refers to
@@ -67,14 +68,14 @@ def realisable(
         names: of the links, (n,).
     """
     bodies, notes = _bodies(evidence, refined, names)
-    after, moving = refined, [False] * len(bodies)
+    after, moving, said, costs = refined, [False] * len(bodies), (), {}
     while True:
         impossible = [not _can_be(after, body) for body in bodies]
         if not any(i and not m for i, m in zip(impossible, moving, strict=True)):
             break
         moving = [i or m for i, m in zip(impossible, moving, strict=True)]
-        after, said = _moved(evidence, model, refined, [b for b, m in zip(bodies, moving, strict=True) if m])
-    return after, (notes + said if any(moving) else notes)
+        after, said, costs = _moved(evidence, model, refined, [b for b, m in zip(bodies, moving, strict=True) if m])
+    return after, notes + said, costs
 
 
 def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
@@ -82,7 +83,7 @@ def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
     else looks like them. A payload may be less than none: then the last link is lighter than its model."""
     found = set()
     for body in _bodies(evidence, refined, evidence.robot.joints)[0]:
-        one = refined.acting[refined.labels[body.places[0]][0]]
+        one = refined.acting[_number(refined, body)]
         if one.effect.load or _can_be(refined, body):
             continue
         wanted, known, beforehand = _known(evidence, refined, [body])
@@ -94,8 +95,9 @@ def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
 
 def _moved(
     evidence: Evidence, model: Model, refined: Refined, bodies: Sequence[Body]
-) -> tuple[Refined, tuple[str, ...]]:
-    """The refined effects with these bodies moved to consistent inertials, and the note about it."""
+) -> tuple[Refined, tuple[str, ...], dict[int, float]]:
+    """The refined effects with these bodies moved to consistent inertials, the notes about it, and what each effect that
+    a note is about costs."""
     at = np.concatenate([b.places for b in bodies])
     reference = np.array([b.reference for b in bodies])
     wanted, known, beforehand = _known(evidence, refined, bodies)
@@ -104,16 +106,18 @@ def _moved(
     move[at] = change
     after = moved(evidence, model, refined, move)
     if not _matters(evidence, refined, after):
-        return after, ()
-    said = []
+        return after, (), {}
+    said, costs = [], {}
     for i, body in enumerate(bodies):
         own = slice(10 * i, 10 * i + 10)
         _, alone, by_chance = _change(reference[[i]], wanted[[i]], _alone(known, own), beforehand[own])
         if alone > by_chance:
             said.append(_sentence(evidence, refined, after, [body], alone, by_chance))
+            costs[_number(refined, body)] = alone
     if not said and cost > chance:
         said.append(_sentence(evidence, refined, after, bodies, cost, chance))
-    return after, tuple(said)
+        costs = {_number(refined, body): cost for body in bodies}
+    return after, tuple(said), costs
 
 
 def _known(evidence: Evidence, refined: Refined, bodies: Sequence[Body]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -174,6 +178,11 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
         like = own if own[0] > LIGHT * nominal[:, 0].sum() else base + refined.theta[places]
         bodies.append(Body(name, places, base, pseudo_inertia.realisable(like, pseudo_inertia.ROUND)))
     return bodies, tuple(notes)
+
+
+def _number(refined: Refined, body: Body) -> int:
+    """Which of the refined effects makes this body."""
+    return refined.labels[body.places[0]][0]
 
 
 def _row(refined: Refined, body: Body) -> np.ndarray:

@@ -92,7 +92,7 @@ def bodies(evidence: Evidence, found: Refined) -> list[np.ndarray]:
 def test_what_comes_out_are_bodies(case):
     """Payload and link come out with positive definite pseudo inertias, whose free fit is none."""
     evidence, model, found = refined(case)
-    after, _ = realisable(evidence, model, found, NAMES)
+    after, _, _ = realisable(evidence, model, found, NAMES)
     assert not all(pseudo_inertia.is_realisable(row) for row in bodies(evidence, found))  # else nothing was asked
     for row in bodies(evidence, after):
         np.linalg.cholesky(pseudo_inertia.pseudo_inertia(row))
@@ -104,12 +104,12 @@ def test_what_the_data_do_not_show_costs_nothing(case):
     the torque stays the same to a hundredth of the noise; where that is taken for nearly nothing, to 1e-6 of its RMS.
     """
     evidence, model, found = refined(case)
-    after, said = realisable(evidence, model, found, NAMES)
+    after, said, _ = realisable(evidence, model, found, NAMES)
     assert said == ()
     assert np.all(rms(after.residual - found.residual) < 0.01 * NOISE)
     np.testing.assert_allclose(after.residual, model.residual(after.acting), atol=1e-9)
     _, sharp = _fit(evidence, found.acting, 1e6)
-    after, said = realisable(evidence, model, sharp, NAMES)
+    after, said, _ = realisable(evidence, model, sharp, NAMES)
     assert said == () and np.any(after.theta != sharp.theta)
     assert np.all(rms(after.residual - sharp.residual) < 1e-6 * rms(evidence.tau))
 
@@ -123,7 +123,7 @@ def test_values_stay_within_their_intervals(case):
     """What the data determine is where it was: every parameter of a link that is known to KNOWN stays within its
     interval, and that as wide as it was."""
     evidence, model, found = refined(case)
-    after, _ = realisable(evidence, model, found, NAMES)
+    after, _, _ = realisable(evidence, model, found, NAMES)
     before, now = (intervals(evidence, x)[-1] for x in (found, after))
     count = 0
     for name, (_, low, high) in before.items():
@@ -139,15 +139,18 @@ def test_bodies_that_can_be_stay():
     """Where the free fit is a body already, nothing moves, to the last bit, and nothing is said."""
     evidence, model, found = refined("payload")
     assert all(pseudo_inertia.is_realisable(row) for row in bodies(evidence, found))
-    after, said = realisable(evidence, model, found, NAMES)
-    assert after is found and said == ()
+    after, said, costs = realisable(evidence, model, found, NAMES)
+    assert after is found and said == () and not costs
 
 
 def test_it_is_said_where_the_data_want_no_body():
     """A second link with 1.6 times its own inertials too few has less than nothing: the fit finds it, no body does, and
-    the sentence names the link, and the error that it leaves, which is above the noise."""
+    the sentence names the link, and the error that it leaves, which is above the noise. The effect is in doubt."""
     evidence, model, found = refined("impossible")
-    after, said = realisable(evidence, model, found, NAMES)
+    after, said, costs = realisable(evidence, model, found, NAMES)
+    ((number, cost),) = costs.items()
+    assert cost > 100  # of 30 by chance
+    assert (found.acting[number].effect.name, found.acting[number].joint) == ("link_inertia_error", 1)
     assert len(said) == 1 and "second" in said[0] and "not physically consistent" in said[0]
     assert np.max(rms(after.residual)) > 2 * np.max(rms(found.residual))
 
@@ -166,6 +169,6 @@ def test_a_urdf_that_has_no_body_is_not_the_logs_fault():
     tau = torque(true, m) + NOISE * np.random.default_rng(0).normal(size=m.q.shape)
     evidence = _evidence(wrong, replace(raw(t, m), tau=tau))
     model, found = _fit(evidence, [EffectInstance(EFFECTS["link_inertia_error"], 1, ZERO)])
-    after, said = realisable(evidence, model, found, NAMES)
-    assert len(said) == 1 and "URDF" in said[0] and "second" in said[0]
+    after, said, costs = realisable(evidence, model, found, NAMES)
+    assert not costs and len(said) == 1 and "URDF" in said[0] and "second" in said[0]
     assert np.all(rms(after.residual - found.residual) < 0.01 * NOISE)
