@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.log import CHANNELS, Log, RawTrajectory
+from invdyn_cli.maths.signals import lattice
 
 MAX_GAP = 0.1
 """[s] A longer step divides a trajectory, as `data.max_gap` does on reading."""
@@ -17,6 +18,10 @@ MAX_GAP = 0.1
 RESTART = 20
 """Number of rows after which a clock that jumped back counts as restarted: the window of the shortest filter. With
 fewer rows it is a bad time stamp."""
+
+STEPS, COARSEST = 4.0, 0.0065
+"""Steps of an encoder between rows above which the steps do not count; and the largest step [rad; m] that counts as an
+encoder's (ten bits a turn): rows that are poses on a grid have a step, too."""
 
 
 def present(raw: RawTrajectory) -> dict[str, np.ndarray]:
@@ -139,19 +144,30 @@ def is_series(raw: RawTrajectory, *, moved: float = 0.05, roughness: float = 1.0
 
     A joint's second differences are small compared with its first ones if it is sampled well. If rows are unrelated,
     the RMS of the second is sqrt(3) times that of the first (the variances of the differences of white noise are 6 and
-    2). Judged are joints that move more than `moved` [rad]: for one of them the ratio must be below `roughness`.
-    Differences across gaps are left out.
+    2). Judged are joints that move more than `moved` [rad]: for one of them the ratio must be below `roughness`. Where
+    an encoder's steps come row by row, one at a time, they are sqrt(2) times the first: such a joint is judged by rows
+    that are STEPS of them apart. Differences across gaps are left out.
     """
     rows = np.flatnonzero(usable_rows(raw))[:20_000]
     if len(rows) < 4:
         return False
-    q = raw.q[rows]
-    moving = np.ptp(q, axis=0) > moved
-    steps = np.diff(raw.t[rows])
-    near = steps <= longest_step(steps)
-    both = near[1:] & near[:-1]
-    if not both.any():  # rows farther apart than a gap: poses, or a clock in other units
-        near, both = np.ones_like(near), np.ones_like(both)
-    first = np.sqrt(np.mean(np.diff(q, axis=0)[near] ** 2, axis=0))
-    second = np.sqrt(np.mean(np.diff(q, 2, axis=0)[both] ** 2, axis=0))
-    return not moving.any() or bool(np.any(second[moving] < roughness * first[moving]))
+    q, t = raw.q[rows], raw.t[rows]
+    moving = np.flatnonzero(np.ptp(q, axis=0) > moved)
+    return not len(moving) or any(_roughness(t, q[:, j]) < roughness for j in moving)
+
+
+def _roughness(t: np.ndarray, x: np.ndarray) -> float:
+    """RMS of the second differences of x (T,) over that of the first, on rows that are so far apart that an encoder's
+    steps, if it has any as small as COARSEST, do not count."""
+    step = lattice(x)
+    for apart in (1, *itertools.takewhile(lambda n: len(x) > 20 * n, (2**k for k in range(1, 10)))):
+        own, steps = x[::apart], np.diff(t[::apart])
+        near = steps <= longest_step(steps)
+        both = near[1:] & near[:-1]
+        if not both.any():  # rows farther apart than a gap: poses, or a clock in other units
+            near, both = np.ones_like(near), np.ones_like(both)
+        first = float(np.sqrt(np.mean(np.diff(own)[near] ** 2)))
+        second = float(np.sqrt(np.mean(np.diff(own, 2)[both] ** 2)))
+        if first >= STEPS * step or step > COARSEST:
+            break
+    return second / max(first, 1e-300)

@@ -29,7 +29,7 @@ def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: R
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
     """Whether an effect with these parameters can be distinguished from others that look like it."""
     one = refined.acting[place]
-    if one.when is not None and _lasts(evidence, one.when):
+    if (one.when is not None and _lasts(evidence, one.when)) or _at_a_bound(one):
         return False
     if not one.effect.invertible:
         return _is_a_limit(evidence, model, measured, refined, place)
@@ -46,6 +46,15 @@ def is_plain(evidence: Evidence, one: EffectInstance) -> bool:
     q, qd, qdd = (evidence.on_rows(x)[:, one.joint] for x in ("q", "qd", "qdd"))
     state = JointState(evidence.on_rows("t"), q, qd, qdd, np.sign(qd), evidence.nominal[:, one.joint])
     return one.effect.is_plain(one.parameters, state)
+
+
+def _at_a_bound(one: EffectInstance) -> bool:
+    """Whether a parameter was to go beyond what is possible, and was kept at the end of that (`coordinates.inside`)."""
+    bounds = {name: bound for name, bound in one.effect.parameters.items() if name not in one.effect.chosen}
+    return any(
+        np.ndim(value := one.parameters.get(name, 0.0)) == 0 and value != 0 and value in (bound.lower, bound.upper)
+        for name, bound in bounds.items()
+    )
 
 
 def _lasts(evidence: Evidence, when: TimeWindow) -> bool:

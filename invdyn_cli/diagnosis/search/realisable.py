@@ -96,8 +96,8 @@ def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
 def _moved(
     evidence: Evidence, model: Model, refined: Refined, bodies: Sequence[Body]
 ) -> tuple[Refined, tuple[str, ...], dict[int, float]]:
-    """The refined effects with these bodies moved to consistent inertials, the notes about it, and what each effect that
-    a note is about costs."""
+    """The refined effects with these bodies moved to consistent inertials, the notes about it, and the cost of each
+    effect that a note is about."""
     at = np.concatenate([b.places for b in bodies])
     reference = np.array([b.reference for b in bodies])
     wanted, known, beforehand = _known(evidence, refined, bodies)

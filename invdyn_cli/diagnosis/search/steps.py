@@ -106,18 +106,21 @@ def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]
 
 def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate], instead: bool = False) -> list[Candidate]:
     """Candidates that have a place beside these: that are not there yet, no special case of one nor (unless it comes
-    `instead`) its general case nor the general case of the same, and in a window in which nothing else happened."""
+    `instead`) its general case nor the general case of the same, and in a window in which nothing else happened. A
+    torque is late once: a lag and a delay of opposite signs would make a second derivative."""
     keys = {e.key for e in hypothesis}
     there = {(e.joint, e.effect.name) for e in hypothesis}
     special = {(e.joint, name) for e in hypothesis for name in e.effect.contains}
     taken = special if instead else special | there
     windows = {e.when.number for e in hypothesis if e.when is not None}
+    late = {e.joint for e in hypothesis if e.effect.late_by}
     return [
         c
         for c in pool
         if c.key not in keys
         and (c.joint, c.effect.name) not in special
         and not any((c.joint, name) in taken for name in c.effect.contains)
+        and not (c.effect.late_by and c.joint in late)
         and (c.when is None or c.when.number not in windows)
     ]
 
