@@ -25,6 +25,11 @@ ROLES = ("train", "test", "reference")
 SMALL, NEGLIGIBLE = 0.3, 0.0001
 """Share of the torque's noise, and of a joint's RMS torque, that the noise of the positions may cost."""
 
+CLEAR, SPEED_OVER = 0.06, 0.05
+"""Share of a joint's usual speed, the 90 % quantile of means over SPEED_OVER [s], that the noise of its speed may be: a
+joint rests below four times that noise (`columns.evidence`), and would otherwise rest for more than a quarter of its
+way."""
+
 ANSWER = 5
 """Number of samples of positions to which a controller's torque is assumed to react immediately."""
 
@@ -39,7 +44,8 @@ class Preparation:
         cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; chosen is the highest at which the
             noise of the twice differentiated positions is small compared with that of the torque (SMALL, NEGLIGIBLE).
         smoothing: [-] bandwidth of a joint's motion signals, as a multiple of that of its columns.
-        sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms.
+        sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms. A joint whose
+            speed the noise of its positions would hide (CLEAR) has less, `smoothing` times its cut-off at least.
         max_gap: [s] a longer step splits a trajectory.
         train_share: [-] first share of each trajectory's time for training; the rest is held out. A trajectory in
             which this leaves a joint without motion to learn from is first divided into parts (`selection.divided`).
@@ -246,7 +252,7 @@ def prepare(
     if highest is not None:
         cutoffs = np.minimum(cutoffs, highest).tolist()
     common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))), widest)
-    smooth = np.maximum(options.smoothing * np.array(cutoffs), options.sharpness)
+    smooth = _bandwidths(cut, position_noise, np.array(cutoffs), period, options)
     pieces = []
     for name, role, t, q, tau in cut:
         if len(t) // step > needed(rate, min(cutoffs)):
@@ -267,6 +273,22 @@ def prepare(
     jumps = (0.0,) * len(log.joints)
     noise = position_noise, torque_noise
     return Recording(log.joints, tuple(pieces), common, period, *noise, jumps, tuple(notes), details)
+
+
+def _bandwidths(cut: list, noise: np.ndarray, cutoffs: np.ndarray, period: float, options: Preparation) -> np.ndarray:
+    """(n,) [Hz] of each joint's motion signals, as `Preparation` describes: where the noise of the positions would hide
+    a joint's speed, as little as keeps it clear."""
+    least, over = options.smoothing * cutoffs, max(1, round(SPEED_OVER / period))
+    ways = np.concatenate([np.abs(q[:, over:] - q[:, :-over]) for *_, q, _ in cut], axis=1)
+    clear = CLEAR * np.quantile(ways, 0.9, axis=1) / (over * period)
+    highest = (clear / np.maximum(_speed_noise(noise, 1.0, period), 1e-300)) ** (2 / 3)
+    return np.clip(highest, least, np.maximum(least, options.sharpness))
+
+
+def _speed_noise(noise: np.ndarray, bandwidth: np.ndarray | float, period: float) -> np.ndarray:
+    """[rad/s; m/s] Standard deviation of the speed that white noise of the positions, sampled with this period [s],
+    makes behind a low-pass at a bandwidth [Hz]."""
+    return noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
 
 
 def _by_trajectory(log: Log, options: Preparation) -> dict[str, list[Window]]:
@@ -343,7 +365,7 @@ def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: np.nd
         q, t, rate = q[:, ::step], t[::step], rate / step
     ticks = np.arange(len(t)) / rate
     spline = scipy.interpolate.make_interp_spline(ticks, q, k=5, axis=1)
-    feigned = noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
+    feigned = _speed_noise(noise, bandwidth, period)
     edge = ENDS + int(np.ceil(rate / bandwidth.min()))
     sure = slice(edge, len(t) - edge)
     q, qd, qdd = (x[:, sure] for x in (q, spline.derivative(1)(ticks), spline.derivative(2)(ticks)))
