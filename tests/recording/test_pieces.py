@@ -54,9 +54,9 @@ def test_no_end_of_a_stretch_has_an_acceleration_of_its_own():
 
 
 def test_a_slow_joint_behind_a_coarse_encoder_still_moves():
-    """All joints in steps of 14 bits, one at a fiftieth of the others' speed. Its speed is smoothed until the steps leave
-    it clear, to a third of its usual one at 4 standard deviations, and it counts as moving on a third of the rows; the
-    others keep their 60 Hz."""
+    """All joints in steps of 14 bits, one at a fiftieth of the others' speed. Its speed is smoothed until four standard
+    deviations of the steps' noise are below a third of it, and it counts as moving on a third of the rows; the others
+    keep their 60 Hz."""
     step = 2 * np.pi / 2**14
     t, m = moved(rate=500.0)
     whole = raw(t, m)
