@@ -25,10 +25,10 @@ ROLES = ("train", "test", "reference")
 SMALL, NEGLIGIBLE = 0.3, 0.0001
 """Share of the torque's noise, and of a joint's RMS torque, that the noise of the positions may cost."""
 
-CLEAR, SPEED_OVER = 0.06, 0.05
-"""Share of a joint's usual speed, the 90 % quantile of means over SPEED_OVER [s], that the noise of its speed may be: a
-joint rests below four times that noise (`columns.evidence`), and would otherwise rest for more than a quarter of its
-way."""
+CLEAR, SPEED_OVER = 0.1, 0.05
+"""Share that the noise of a joint's speed may have of its usual speed while it moves, the 90 % quantile of means over
+SPEED_OVER [s]: a joint rests below four times that noise (`columns.evidence`), and one of 14 bits that moves at 0.05
+rad/s would rest all of the time."""
 
 ANSWER = 5
 """Number of samples of positions to which a controller's torque is assumed to react immediately."""
@@ -280,7 +280,9 @@ def _bandwidths(cut: list, noise: np.ndarray, cutoffs: np.ndarray, period: float
     a joint's speed, as little as keeps it clear."""
     least, over = options.smoothing * cutoffs, max(1, round(SPEED_OVER / period))
     ways = np.concatenate([np.abs(q[:, over:] - q[:, :-over]) for *_, q, _ in cut], axis=1)
-    clear = CLEAR * np.quantile(ways, 0.9, axis=1) / (over * period)
+    seen = [way[way > 4 * np.sqrt(2) * x] for way, x in zip(ways, noise, strict=True)]  # a joint may seldom move
+    usual = [np.quantile(x if len(x) else way, 0.9) for x, way in zip(seen, ways, strict=True)]
+    clear = CLEAR * np.array(usual) / (over * period)
     highest = (clear / np.maximum(_speed_noise(noise, 1.0, period), 1e-300)) ** (2 / 3)
     return np.clip(highest, least, np.maximum(least, options.sharpness))
 
