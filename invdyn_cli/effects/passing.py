@@ -1,14 +1,14 @@
 """Effects that act in a time window, which is estimated with them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from invdyn_cli.effects.actuator import TorqueGainError
 from invdyn_cli.effects.load import Payload
-from invdyn_cli.effects.rigid import rigid_torque
+from invdyn_cli.effects.rigid import force_columns
 from invdyn_cli.interfaces import (
     AbstractBodyEffect,
     AbstractChannelEffect,
@@ -99,11 +99,7 @@ class ExternalContact(AbstractForceEffect):
 
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
         assert joint is not None
-        weight = np.zeros((robot.dofs, 10))
-        weight[joint, 0] = 1.0  # holding a unit mass against gravity along an axis takes -J' axis
-        still = np.zeros_like(motion.q)
-        held = Motion(motion.q, still, still)
-        return np.stack([rigid_torque(replace(robot, inertial=weight, gravity=axis), held) for axis in np.eye(3)])
+        return force_columns(robot, joint, motion)
 
     def read(self, coefficients: Sequence[float]) -> dict[str, Any]:
         return {"force": np.asarray(coefficients, float)}

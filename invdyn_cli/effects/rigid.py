@@ -33,6 +33,12 @@ def body_columns(robot: Robot, moves: np.ndarray, motion: Motion) -> np.ndarray:
     return _in_parts(lambda *part: np.tensordot(moves, columns(*part), 1), motion)
 
 
+def force_columns(robot: Robot, link: int, motion: Motion) -> np.ndarray:
+    """Torques (3, n, T) that hold unit forces along the base's axes at the origin of a link's frame, in the postures of
+    a motion (n, T)."""
+    return _in_parts(partial(_force_columns, _kinematics(robot), link), motion)
+
+
 def gravity_columns(robot: Robot, falls: np.ndarray, q: Array) -> np.ndarray:
     """Torque (k, n, T) at rest of unit changes (k, 3) of gravity, in postures q (n, T)."""
     held = Motion(q, np.zeros_like(q), np.zeros_like(q))
@@ -66,6 +72,12 @@ def _dynamics(kinematics: tuple, inertial, gravity, q, qd, qdd):
 def _regressor(kinematics: tuple, gravity, q, qd, qdd):
     rows = rigid_body.regressor(_robot(kinematics, jnp.zeros((len(q), 10)), gravity), q, qd, qdd)
     return rows.reshape(-1, *q.shape)
+
+
+@jax.jit
+def _force_columns(kinematics: tuple, link, q, qd, qdd):
+    n = len(q)
+    return rigid_body.force_columns(_robot(kinematics, jnp.zeros((n, 10)), jnp.zeros(3)), link, q)
 
 
 class _Static:

@@ -85,6 +85,18 @@ def regressor(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
     return jnp.stack(rows, axis=1)
 
 
+@jax.jit
+def force_columns(robot: Robot, link: Array | int, q: Array) -> Array:
+    """Torques (3, n, *batch) that hold unit forces along the base's axes at the origin of a link's frame, in postures
+    q (n, *batch): -J' of that point (the velocity of the origin is w x origin + u for each joint's twist)."""
+    still = jnp.zeros_like(q)
+    links = link_motions(robot, q, still, still)
+    w, u = links.twist
+    moved = _add(u, _cross(w, tuple(x[link] for x in links.origin)))
+    carried = _over(jnp.asarray(carries(robot), float)[:, link], jnp.ndim(q))
+    return -jnp.stack(_scale(carried, moved))
+
+
 def link_motions(robot: Robot, q: Array, qd: Array, qdd: Array) -> LinkMotion:
     """Outward recursion: the motion of every link for joint motions q, qd, qdd (n, *batch)."""
     q, qd, qdd = (jnp.asarray(x) for x in (q, qd, qdd))
