@@ -12,7 +12,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.decide import bodies, claim, sums
+from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, held_out, left, refitted
 from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
@@ -113,7 +113,7 @@ def report(
         claims.append(_doubted(inquiry, effects, x, sized, finding))
         shown.append(np.sum([terms[k] for k in own], axis=0))
         places += own
-    claims, doubt = bodies.other_robot(overlapping(claims))
+    claims, doubt = bodies.other_robot(passing.doubted(claims, passing.ends(inquiry.evidence.recording)))
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
     acting = tuple(sized.whole.acting[k] for k in places)
@@ -200,27 +200,6 @@ def _doubted(
     possible = {name for one in alternatives for name in one if len(one) == 1}
     rejected = tuple(x for x in finding.rejected if x[0] not in possible)
     return replace(finding, alternatives=alternatives, status="ambiguous", rejected=rejected)
-
-
-def overlapping(claims: Sequence[Finding]) -> list[Finding]:
-    """The claims; those that act while another of their effect does on the same joint may be of an effect that is not
-    in the catalogue: together they have a shape that none of them has. What else comes and goes on the joints that feel
-    them, and on no other, may be that, too."""
-
-    def at_once(one: Finding, other: Finding) -> bool:
-        if one is other or (one.effect, one.joint, one.trajectory) != (other.effect, other.joint, other.trajectory):
-            return False
-        a, b = one.window, other.window
-        return a is not None and b is not None and max(a[0], b[0]) < min(a[1], b[1])
-
-    odd = [any(at_once(one, other) for other in claims) for one in claims]
-    joints = {joint for one, is_odd in zip(claims, odd, strict=True) if is_odd for joint in one.gain}
-    made = []
-    for one, is_odd in zip(claims, odd, strict=True):
-        if is_odd or (one.window is not None and one.gain and joints >= one.gain.keys()):
-            one = replace(one, status="ambiguous", alternatives=tuple(dict.fromkeys((*one.alternatives, ("unknown",)))))
-        made.append(one)
-    return made
 
 
 def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:

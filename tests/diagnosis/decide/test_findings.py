@@ -7,12 +7,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.findings import _special_cases, overlapping, perhaps_stribeck
+from invdyn_cli.diagnosis.decide.findings import _special_cases, perhaps_stribeck
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.types import Finding, Gain
+from invdyn_cli.types import Finding
 from tests.diagnosis.analytic import candidate, evidence_of, judged, log_of, moved, raw
 
 
@@ -52,35 +52,3 @@ def test_a_standard_term_that_may_be_stribecks(speed, found, status):
     told = [perhaps_stribeck(cast(Inquiry, inquiry), (), Finding(c.effect.name, joint, "named")) for c in usual]
     assert [f.status for f in told] == [status, "named"]
     assert told[0].alternatives == ((("stribeck_friction",),) if status == "ambiguous" else ())
-
-
-@pytest.mark.parametrize(
-    ("other", "open_ones"),
-    [
-        ({"window": (5.0, 8.0)}, True),
-        ({"window": (9.5, 12.0)}, False),
-        ({"window": (5.0, 8.0), "joint": "b"}, False),
-        ({"window": (5.0, 8.0), "effect": "external_contact"}, False),
-        ({"window": (5.0, 8.0), "trajectory": "two"}, False),
-        ({"window": None}, False),
-    ],
-)
-def test_two_of_one_kind_at_once_may_be_unknown(other, open_ones):
-    """A gain that changes while it is changed already, on the same joint, is the shape of something else; one after the
-    other, elsewhere, or of different kinds they may both be true."""
-    one = Finding("torque_gain_change", "a", "named", window=(4.0, 9.0), trajectory="one")
-    found = overlapping([one, replace(one, **other)])
-    assert [f.status for f in found] == ["ambiguous" if open_ones else "named"] * 2
-    assert all((("unknown",) in f.alternatives) == open_ones for f in found)
-
-
-def test_what_comes_and_goes_beside_two_at_once_is_in_doubt():
-    """Two contacts at once that one joint feels are the shape of something else, as of a torque at one posture; a gain
-    of that joint that changes later may be the same. What another joint feels, or what lasts, may not."""
-    felt = Gain(1.0, 0.5, 0.1, 0.03, (0.4, 0.6))
-    pushed = Finding("external_contact", "b", "named", window=(4.0, 9.0), trajectory="one", gain={"a": felt})
-    weaker = replace(pushed, effect="torque_gain_change", joint="a", window=(12.0, 13.0))
-    others = [replace(weaker, joint="b", gain={"a": felt, "b": felt}), replace(weaker, window=None, trajectory=None)]
-    found = overlapping([pushed, replace(pushed, window=(5.0, 8.0)), weaker, *others])
-    assert [f.status for f in found] == ["ambiguous"] * 3 + ["named"] * 2
-    assert [f.status for f in overlapping([pushed, weaker, *others])] == ["named"] * 4
