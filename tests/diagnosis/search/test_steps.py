@@ -158,6 +158,17 @@ def test_a_joint_has_one_level_of_friction(evidence):
     assert instead == {"stribeck_friction", "presliding_hysteresis", "viscous_friction"}
 
 
+def test_a_torque_is_late_once():
+    """Beside a delay a joint has no lag, and beside a lag no delay: of opposite signs they make a second derivative.
+    Another joint may have either."""
+    pool = evidence_of(log_of(raw(*moved())), ["torque_delay", "actuator_lag"]).candidates
+    for name in ("torque_delay", "actuator_lag"):
+        one = next(c for c in pool if c.key == (name, 0))
+        for move in (False, True):
+            beside = {c.key for c in free_beside([one], pool, instead=move) if c.effect.late_by}
+            assert beside == {(late, joint) for late in ("torque_delay", "actuator_lag") for joint in (1, 2)}
+
+
 @pytest.mark.parametrize("name", ["payload", "base_tilt"])
 def test_a_body_that_was_tried_is_read_with_its_correction(name):
     """The candidate at parameters that were found has them without a correction, and both together with one."""
