@@ -18,21 +18,25 @@ UNKNOWN = ("unknown",)
 def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """The claims; those that may be of an effect that is not in the catalogue are ambiguous:
 
-    - two of one effect on one joint that act at once have a shape together that none of them has; what else comes and
-      goes on the joints that feel them, and on no other, may be that, too;
+    - two of one effect on one joint that act at once have a shape together that none of them has;
+    - two effects that come and go on one and the same joint alone, as contacts that no other joint feels and gains: a
+      torque at one posture was told as both;
     - what begins or ends in the same moment as another that does more may be a part of it: an encoder that jumps was
       told as a load that comes and a gain that goes.
 
     Args:
         ends: first and last time [s] of every trajectory; nothing begins or ends there.
     """
-    odd = {i for i, one in enumerate(claims) if any(_at_once(one, other) for other in claims)}
-    felt = {joint for i in odd for joint in claims[i].gain}
-    for i, one in enumerate(claims):
-        beside = one.window is not None and bool(one.gain) and felt >= one.gain.keys()
-        if beside or any(_of_a_moment(one, x, ends) and lowers([x]) > lowers([one]) for x in claims):
-            odd.add(i)
-    return [_unknown(one) if i in odd else one for i, one in enumerate(claims)]
+
+    def in_doubt(one: Finding) -> bool:
+        return any(
+            _at_once(one, other)
+            or _on_one_joint(one, other)
+            or (_of_a_moment(one, other, ends) and lowers([other]) > lowers([one]))
+            for other in claims
+        )
+
+    return [_unknown(one) if in_doubt(one) else one for one in claims]
 
 
 def ends(recording: Recording) -> dict[str, tuple[float, float]]:
@@ -50,6 +54,13 @@ def _at_once(one: Finding, other: Finding) -> bool:
         return False
     a, b = one.window, other.window
     return a is not None and b is not None and max(a[0], b[0]) < min(a[1], b[1])
+
+
+def _on_one_joint(one: Finding, other: Finding) -> bool:
+    """Whether two effects that come and go lower the error of one and the same joint, and of no other."""
+    lowered = [{j for j, g in x.gain.items() if g.rmse_after < g.rmse_before} for x in (one, other)]
+    both = one.window is not None and other.window is not None and one.effect != other.effect
+    return both and len(lowered[0]) == 1 and lowered[0] == lowered[1]
 
 
 def _of_a_moment(one: Finding, other: Finding, ends: Mapping[str, tuple[float, float]]) -> bool:

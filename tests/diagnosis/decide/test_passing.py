@@ -35,18 +35,18 @@ def test_two_of_one_kind_at_once_may_be_unknown(other, open_ones):
     assert all((("unknown",) in f.alternatives) == open_ones for f in found)
 
 
-def test_what_comes_and_goes_beside_two_at_once_is_in_doubt():
-    """Two contacts at once that one joint feels are the shape of something else, as of a torque at one posture; a gain
-    of that joint that changes later may be the same. What another joint feels, or what lasts, may not."""
-    pushed = Finding("external_contact", "b", "named", window=(4.0, 9.0), trajectory="one", gain={"a": felt(0.5)})
-    weaker = replace(pushed, effect="torque_gain_change", joint="a", window=(12.0, 13.0))
-    others = [
-        replace(weaker, joint="b", gain={"a": felt(0.5), "b": felt(0.5)}),
-        replace(weaker, window=None, trajectory=None),
-    ]
-    found = doubted([pushed, replace(pushed, window=(5.0, 8.0)), weaker, *others], ENDS)
-    assert [f.status for f in found] == ["ambiguous"] * 3 + ["named"] * 2
-    assert [f.status for f in doubted([pushed, weaker, *others], ENDS)] == ["named"] * 4
+def test_contacts_and_gains_of_one_joint_alone_are_in_doubt():
+    """A contact that one joint feels, another making its prediction worse, and a gain of that joint that changes at
+    another time are the shape of something else, as of a torque at one posture. What a second joint feels, what is of
+    one effect, or what lasts, is not."""
+    pushed = Finding("external_contact", "b", "named", window=(4.0, 9.0), trajectory="one")
+    pushed = replace(pushed, gain={"a": felt(0.5), "b": felt(-0.1)})
+    weaker = replace(pushed, effect="torque_gain_change", joint="a", window=(12.0, 13.0), gain={"a": felt(0.3)})
+    assert [f.status for f in doubted([pushed, weaker], ENDS)] == ["ambiguous"] * 2
+    both = replace(pushed, gain={"a": felt(0.5), "b": felt(0.1)})
+    lasting = replace(weaker, window=None, trajectory=None)
+    for other in (both, lasting, replace(weaker, window=(20.0, 22.0))):
+        assert [f.status for f in doubted([other, weaker], ENDS)] == ["named"] * 2
 
 
 @pytest.mark.parametrize(
@@ -65,5 +65,6 @@ def test_what_begins_when_another_ends_may_be_a_part_of_it(moment, strength, loa
         "torque_gain_change", "a", "named", window=(0.0, moment), trajectory="one", gain={"b": felt(strength)}
     )
     assert [f.status for f in doubted([comes, goes], ENDS)] == [load, gain]
-    from_start = replace(goes, effect="external_contact", window=(0.0, 11.0))
+    both = {"a": felt(0.5), "b": felt(0.5)}
+    from_start = replace(goes, effect="external_contact", window=(0.0, 11.0), gain=both)
     assert [f.status for f in doubted([goes, from_start], ENDS)] == ["named"] * 2
