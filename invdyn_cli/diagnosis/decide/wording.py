@@ -37,7 +37,7 @@ def verdict(
     floor: np.ndarray | None,
     extended: Mapping[str, Mapping[str, float]],
 ) -> str:
-    """explained, partly_explained or nothing_found.
+    """explained, partly_explained or nothing_found; partly where what comes and goes may be of an unknown effect.
 
     Args:
         learned: share of the residual (n,) that a learner predicts.
@@ -52,7 +52,12 @@ def verdict(
     fine = ~(structured_joints | (learned > PREDICTABLE) | (structured > 0)) | (left < SMALL * before)
     if floor is not None:
         fine |= after < 1.2 * np.sqrt(2) * floor
-    return "explained" if np.all(fine) else "partly_explained"
+    return "explained" if np.all(fine) and not perhaps_unknown(made.findings) else "partly_explained"
+
+
+def perhaps_unknown(findings: Sequence[Finding]) -> bool:
+    """Whether one of what comes and goes may be of an effect that is not in the catalogue."""
+    return any(f.window is not None and ("unknown",) in f.alternatives for f in findings)
 
 
 def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
@@ -93,7 +98,8 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     first += f"{before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
-    return f"{first} {rest or 'The residual looks like noise.'}"
+    doubt = " What comes and goes may be of an effect that is not in the catalogue."
+    return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
 
 
 def _grouped(findings: Sequence[Finding], titles: Mapping[str, str]) -> list[str]:
