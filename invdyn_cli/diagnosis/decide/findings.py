@@ -113,7 +113,7 @@ def report(
         claims.append(_doubted(inquiry, effects, x, sized, finding))
         shown.append(np.sum([terms[k] for k in own], axis=0))
         places += own
-    claims, doubt = bodies.other_robot(passing.doubted(claims, passing.ends(inquiry.evidence.recording)))
+    claims, doubt = bodies.other_robot(passing.doubted(claims, passing.ends_of(inquiry.evidence.recording)))
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
     acting = tuple(sized.whole.acting[k] for k in places)

@@ -39,7 +39,7 @@ def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) 
     return [_unknown(one) if in_doubt(one) else one for one in claims]
 
 
-def ends(recording: Recording) -> dict[str, tuple[float, float]]:
+def ends_of(recording: Recording) -> dict[str, tuple[float, float]]:
     """First and last time [s] of every trajectory."""
     found: dict[str, tuple[float, float]] = {}
     for piece in recording.pieces:
