@@ -7,7 +7,9 @@ import pytest
 
 from experiments.arms import random_robot
 from invdyn_cli.diagnosis.case import Options, prepared
+from invdyn_cli.diagnosis.decide import findings
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
+from invdyn_cli.diagnosis.decide.unclaimed import together, unclaimed
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.simulation.hidden import Hidden
@@ -67,6 +69,24 @@ def test_a_refused_spring_stays_in_the_model(robot):
     assert found["joint_spring"].parameters["stiffness"].value == pytest.approx(spring["stiffness"], rel=0.05)
     assert "joint_spring" in {one.effect.name for one in without.model.acting}
     np.testing.assert_allclose(rmse(without), rmse(with_name), rtol=0.1)
+
+
+def test_bristles_of_which_coulomb_friction_is_claimed_stay_in_the_model(robot):
+    """Where only the special case may be claimed, the written model may still have the general one, in its place: it
+    leaves less than half, and Coulomb friction is not beside it."""
+    draw = np.random.default_rng(7)
+    level = float(draw.uniform(1.0, 2.0))
+    bristles = {"coulomb": level, "stiffness": level / float(draw.uniform(0.02, 0.04))}
+    log = recorded(robot, [Hidden("presliding_hysteresis", robot.joints[1], bristles)])
+    case = prepared(log, robot, None, None, Options(replay=False), EFFECTS)
+    inquiry, _ = searched(case)
+    coulomb = next(c for c in inquiry.pool if c.key == ("coulomb_friction", 1))
+    made = findings.report(replace(inquiry, hypothesis=(coulomb,)), EFFECTS, case.examination, log.torque_side)
+    more = unclaimed(inquiry, made)
+    fuller, told = together(inquiry, made, more)
+    assert [(f.effect, f.evidence["in_place_of"]) for f in told] == [("presliding_hysteresis", ("coulomb_friction",))]
+    assert [one.effect.name for one in fuller.acting] == ["presliding_hysteresis"]
+    assert np.std(fuller.residual[:, 1]) < 0.5 * np.std(made.residual[:, 1])
 
 
 def test_what_misleads_is_left_out(robot, load):
