@@ -186,6 +186,14 @@ class Recording:
         real = times > np.maximum(REAL, PLAIN * floor)[:, None]
         return f[np.where(real.all(1), -1, np.argmin(real, axis=1))]
 
+    @cached_property
+    def ends(self) -> dict[str, tuple[float, float]]:
+        """First and last time [s] of every trajectory."""
+        times: dict[str, list[float]] = {}
+        for p in self.pieces:
+            times.setdefault(p.trajectory, []).extend(map(float, p.t[[0, -1]]))
+        return {name: (min(own), max(own)) for name, own in times.items()}
+
     def stretch(self, piece: Piece) -> Span:
         """Where and when a piece was."""
         return Span(piece.trajectory, piece.t, self.filter.rate)
@@ -288,8 +296,8 @@ def _bandwidths(cut: list, noise: np.ndarray, cutoffs: np.ndarray, period: float
 
 
 def _speed_noise(noise: np.ndarray, bandwidth: np.ndarray | float, period: float) -> np.ndarray:
-    """[rad/s; m/s] Standard deviation of the speed that white noise of the positions, sampled with this period [s],
-    makes behind a low-pass at a bandwidth [Hz]."""
+    """[rad/s; m/s] Standard deviation of a joint's speed, after a low-pass at this bandwidth [Hz], where its positions
+    have white noise and are sampled with this period [s]."""
     return noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
 
 

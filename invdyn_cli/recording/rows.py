@@ -160,7 +160,7 @@ def _roughness(t: np.ndarray, x: np.ndarray) -> float:
     """RMS of the second differences of x (T,) over that of the first, on rows that are so far apart that an encoder's
     steps, if it has any as small as COARSEST, do not count."""
     step, first, second = lattice(x), 0.0, 0.0
-    for apart in (1, *itertools.takewhile(lambda n: len(x) > 20 * n, (2**k for k in range(1, 10)))):
+    for apart in [n for n in 2 ** np.arange(10) if n == 1 or len(x) > 20 * n]:
         own, steps = x[::apart], np.diff(t[::apart])
         near = steps <= longest_step(steps)
         both = near[1:] & near[:-1]

@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from invdyn_cli.diagnosis.decide.passing import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
@@ -25,7 +26,6 @@ from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     NO_BREAK,
     STATUS_WORDS,
-    UNKNOWN,
     advised,
     capital,
     cause,

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from invdyn_cli.diagnosis.decide.passing import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import CHANNELS
@@ -19,8 +20,6 @@ STATUS_WORDS = {
     "not_observable": "not observable",
 }
 NO_BREAK = "\N{NO-BREAK SPACE}"
-UNKNOWN = ("unknown",)
-"""The alternative of a finding beside which most of what its joint misses has no name."""
 
 SHOWN_RIVALS = 2
 """Largest number of alternatives in a headline (one more if it is the last); the list has all."""

@@ -113,7 +113,7 @@ def report(
         claims.append(_doubted(inquiry, effects, x, sized, finding))
         shown.append(np.sum([terms[k] for k in own], axis=0))
         places += own
-    claims, doubt = bodies.other_robot(passing.doubted(claims, passing.ends_of(inquiry.evidence.recording)))
+    claims, doubt = bodies.other_robot(passing.doubted(claims, inquiry.evidence.recording.ends))
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
     acting = tuple(sized.whole.acting[k] for k in places)
@@ -192,8 +192,9 @@ def _doubted(
     more = []
     if acting.effect is not candidate.effect and bodies.may_be_payload(sized.wanted[i]):
         more.append((candidate.effect.name,))
-    if sized.costs.get(i, 0.0) > NO_BODY * claimed.evidence or _is_vague(finding) or not held_out(evidence):
-        more.append(("unknown",))
+    no_body = i in sized.costs and sized.costs[i] > NO_BODY * claimed.evidence
+    if no_body or _is_vague(finding) or not held_out(evidence):
+        more.append(passing.UNKNOWN)
     alternatives = (*finding.alternatives, *more)
     if not alternatives:
         return finding
@@ -363,7 +364,7 @@ def taken_back(
         delay = one.parameters.get(effects[one.effect].late_by) if one.status == "named" else None
         value = None if delay is None else delay.value
         if value is not None and any(abs(value - shift) < TAKEN_BACK * abs(shift) for shift in shifts):
-            one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
+            one = replace(one, status="ambiguous", alternatives=(passing.UNKNOWN,), advice=advice)
         out.append(one)
     return tuple(out)
 

@@ -3,16 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from invdyn_cli.diagnosis.decide.gain import lowers
-from invdyn_cli.recording.pieces import Recording
 from invdyn_cli.types import Finding
 
 MOMENT = 0.25
 """[s] Two edges of windows that are no farther apart are of one moment: an edge is known to some tenths of a second."""
 
 UNKNOWN = ("unknown",)
+"""The alternative of a finding that may be of an effect which is not in the catalogue."""
 
 
 def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) -> list[Finding]:
@@ -39,13 +37,9 @@ def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) 
     return [_unknown(one) if in_doubt(one) else one for one in claims]
 
 
-def ends_of(recording: Recording) -> dict[str, tuple[float, float]]:
-    """First and last time [s] of every trajectory."""
-    found: dict[str, tuple[float, float]] = {}
-    for piece in recording.pieces:
-        first, last = found.get(piece.trajectory, (np.inf, -np.inf))
-        found[piece.trajectory] = min(first, float(piece.t[0])), max(last, float(piece.t[-1]))
-    return found
+def perhaps_unknown(findings: Sequence[Finding]) -> bool:
+    """Whether one of what comes and goes may be of an effect that is not in the catalogue."""
+    return any(f.window is not None and UNKNOWN in f.alternatives for f in findings)
 
 
 def _at_once(one: Finding, other: Finding) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.decide import passing
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.diagnosis.search.naming import structure
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel
@@ -107,7 +108,7 @@ def in_doubt(
         least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
         if one.status == "named" and saved < least * unknown:
             advice = "look for another effect on this joint: most of what the model misses there is still unknown"
-            one = replace(one, status="ambiguous", alternatives=(("unknown",),), advice=advice)
+            one = replace(one, status="ambiguous", alternatives=(passing.UNKNOWN,), advice=advice)
         out.append(one)
     return tuple(out)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.decide.findings import Made
 from invdyn_cli.diagnosis.decide.gain import lowers
+from invdyn_cli.diagnosis.decide.passing import perhaps_unknown
 from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.15
@@ -53,11 +54,6 @@ def verdict(
     if floor is not None:
         fine |= after < 1.2 * np.sqrt(2) * floor
     return "explained" if np.all(fine) and not perhaps_unknown(made.findings) else "partly_explained"
-
-
-def perhaps_unknown(findings: Sequence[Finding]) -> bool:
-    """Whether one of what comes and goes may be of an effect that is not in the catalogue."""
-    return any(f.window is not None and ("unknown",) in f.alternatives for f in findings)
 
 
 def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:

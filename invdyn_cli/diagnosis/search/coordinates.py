@@ -60,8 +60,7 @@ def inside(evidence: Evidence, acting: Sequence[EffectInstance], labels, theta: 
     for i, (number, name, _) in enumerate(labels):
         a = acting[number]
         if name in EDGES and a.when is not None:
-            times = [p.t[[0, -1]] for p in evidence.recording.pieces if p.trajectory == a.when.trajectory]
-            lower[i], upper[i] = np.min(times), np.max(times)
+            lower[i], upper[i] = evidence.recording.ends[a.when.trajectory]
         elif name in a.effect.parameters:
             lower[i], upper[i] = a.effect.parameters[name].lower, a.effect.parameters[name].upper
     return np.clip(theta, lower, upper)

@@ -144,11 +144,11 @@ def _alike(one: TimeWindow, other: TimeWindow) -> bool:
 
 def _other_end(evidence: Evidence, when: TimeWindow) -> list[TimeWindow]:
     """What is left of the trajectory, if the window is at one of its ends: a change until then is one from then on."""
-    t = np.concatenate([p.t for p in evidence.recording.pieces if p.trajectory == when.trajectory])
-    if when.start - t[0] < EDGE < t[-1] - when.end:
-        return [when._replace(start=when.end, end=float(t[-1]))]
-    if t[-1] - when.end < EDGE < when.start - t[0]:
-        return [when._replace(start=float(t[0]), end=when.start)]
+    first, last = evidence.recording.ends[when.trajectory]
+    if when.start - first < EDGE < last - when.end:
+        return [when._replace(start=when.end, end=last)]
+    if last - when.end < EDGE < when.start - first:
+        return [when._replace(start=first, end=when.start)]
     return []
 
 

@@ -66,9 +66,7 @@ def _rest(
     """From when to when [s] no row of a trajectory tells of what comes or goes, around an edge; None: they do. And the
     trajectory's ends."""
     assert one.when is not None
-    pieces = [p for p in evidence.recording.pieces if p.trajectory == one.when.trajectory]
-    ends = float(min(p.t[0] for p in pieces)), float(max(p.t[-1] for p in pieces))
-    names = evidence.trajectory
+    ends, names = evidence.recording.ends[one.when.trajectory], evidence.trajectory
     row = evidence.recording.filter.keep / evidence.recording.filter.rate
     t = evidence.on_rows("t")[telling & (names == one.when.trajectory)]
     for start, end in pairwise([ends[0], *t, ends[1]]):
