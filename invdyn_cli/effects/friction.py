@@ -30,8 +30,9 @@ def about_reversals(jump: Array, rate: float) -> tuple[np.ndarray, np.ndarray]:
     return late, STICK_TIME * rate * np.gradient(late, axis=-1)
 
 
-LEAST_DROP = 1.1
-"""Smallest ratio of static to Coulomb level of a gear that has Stribeck friction."""
+LEAST_DROP, LARGEST_DROP = 1.1, 4.0
+"""Ratio of static to Coulomb level, above which it shows that a gear has Stribeck friction, and of which none has more:
+most have 1.1 to 1.6, and what sticks for some rows beside a reversal is no level."""
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,9 @@ class StribeckFriction(AbstractTorqueEffect):
     def refuse(self, parameters: Parameters) -> str:
         if parameters["static"] < parameters["coulomb"]:
             return "friction would rise with speed: the static level is below Coulomb's"
+        if parameters["static"] > LARGEST_DROP * parameters["coulomb"] > 0:
+            ratio = parameters["static"] / parameters["coulomb"]
+            return f"the static level would be {ratio:.3g} times Coulomb's; possible: up to {LARGEST_DROP:g}"
         return super().refuse(parameters)
 
 

@@ -106,6 +106,15 @@ def test_what_rises_is_refused():
     assert "rise" in EFFECTS["thermal_friction_drift"].refuse({"cold": 1.0, "warm": 2.0, "time_constant": 9.0})
 
 
+def test_a_static_level_far_above_coulombs_is_refused():
+    """Gears stick at 1.1 to 1.6 times their Coulomb friction (Armstrong et al. 1994); five times is none, and a level
+    that a slow log leaves open is no reason."""
+    effect, fall = EFFECTS["stribeck_friction"], {"velocity": 0.02, "exponent": 2.0}
+    assert "5 times Coulomb's" in effect.refuse({"coulomb": 2.0, "static": 10.0, **fall})
+    assert effect.refuse({"coulomb": 2.0, "static": 5.0, **fall}) == ""
+    assert effect.refuse({"coulomb": 0.0, "static": 5.0, **fall}) == ""
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_confounders_exist(name):
     """What may stand for an effect, and what it contains, is in the catalogue, is not the effect itself, is said once,

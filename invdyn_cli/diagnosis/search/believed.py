@@ -14,7 +14,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search.feigned import feigned
-from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.noise import Noise, beside
 from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.steps import free_beside
@@ -23,10 +23,10 @@ SIZES = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Sizes of link errors that are tried with an anomaly, as multiples of the size that was fitted without it: that is too
 large where links took up what the anomaly does, and too small where other effects took up what links do."""
 
-SHORTLIST = 3
+SHORTLIST, LOOKED_AT = 3, 40
 """Number of trials whose evidence is computed: those with the largest gain at the noise of the present hypothesis, and
-those with the largest gain at the smallest noise. A large anomaly that is missing makes the noise of its joint so large
-that nothing is gained there."""
+those with the largest gain at the smallest noise, if they are possible; and how many are looked at for that. A large
+anomaly that is missing makes the noise of its joint so large that nothing is gained there."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,9 @@ def believed(
         every = (*scorer.always, *found)
         theta = scorer.quick(every)[1]
         left = beside(evidence, evidence.residual(every, theta), rows, noise)
-        cost = precision_of(every) @ theta**2 + volume(scorer, (links,)) + scorer.price(found)
+        bodies = (links, *(c for c in found if c.effect.load))
+        by_volume = volume(scorer, bodies) - PRICE_OF_COEFFICIENT * sum(map(scorer.freedom, bodies[1:]))
+        cost = precision_of(every) @ theta**2 + scorer.price(found) + by_volume
         return Belief(links, found, left, float(cost))
 
     def best(of: Iterable[Belief]) -> Belief:
@@ -144,7 +146,7 @@ def _best(scorer: HypothesisScorer, every: Hypothesis, free: Sequence[Candidate]
     """The possible trials that gain most beside a hypothesis, the best of each effect and joint."""
     losses, own = scorer.extended(every, free)
     seen: dict[tuple, Candidate] = {}
-    for i in np.argsort(losses - [scorer.price((c,)) for c in free]):
+    for i in np.argsort(losses - [scorer.price((c,)) for c in free])[:LOOKED_AT]:
         if len(seen) == SHORTLIST:
             break
         one = (*every, free[i])

@@ -108,3 +108,9 @@ class Grams:
             alike.members.append(c)
             self._places[c] = kind, len(alike.members) - 1
         return self._places[c]
+
+    def square(self, c: Candidate, j: int) -> np.ndarray:
+        """Products (m, m) of a candidate's columns on a joint."""
+        kind, number = self.place(c)
+        alike = self.alike[kind]
+        return alike.squares[number][alike.joints[number].index(j)]

@@ -283,9 +283,8 @@ class HypothesisScorer:
 
     def _size(self, candidate: Candidate, own: np.ndarray, j: int) -> float:
         """Root of the sum of squares of a candidate's torque on a joint."""
-        fixed, free = candidate.columns[j]
-        columns, factors = [*fixed, *free], np.concatenate([np.ones(len(fixed)), own])
-        return float(np.sqrt(max(factors @ self.grams.totals[j][np.ix_(columns, columns)] @ factors, 0.0)))
+        factors = np.concatenate([np.ones(len(candidate.columns[j][0])), own])
+        return float(np.sqrt(max(factors @ self.grams.square(candidate, j) @ factors, 0.0)))
 
     def _left(self, j: int) -> float:
         """The same for the nominal model's residual on that joint, noise included."""

@@ -47,19 +47,20 @@ class Shared:
         self.precision = precision_of(always)
         self.at = [columns_of(always, j) for j in range(len(weights))]
         folds, k = len(grams.parts[0]), len(self.precision)
-        self._squares, self._moments = np.zeros((len(weights), folds)), np.zeros((len(weights), folds, k))
+        squares, moments = np.zeros((len(weights), folds)), np.zeros((folds, k))
         self.normal = np.zeros((folds, k, k))
         for j, (fixed, free, place) in enumerate(self.at):
             gram, w, signs = grams.parts[j], weights[j], _signs(fixed)
             target = np.array([0, *fixed])
-            self._squares[j] = w * (gram[:, target[:, None], target] @ signs @ signs)
-            self._moments[j][:, place] = w * (gram[:, free[:, None], target] @ signs)
+            squares[j] = w * (gram[:, target[:, None], target] @ signs @ signs)
+            moments[:, place] += w * (gram[:, free[:, None], target] @ signs)
             self.normal[:, place[:, None], place] += w * gram[:, free[:, None], free]
         total = self.normal.sum(0)
         self.inverse = inverted(total, self.precision)[None]
+        self._given = {False: (squares, moments), True: (squares.sum(1, keepdims=True), moments.sum(0, keepdims=True))}
         self._projected: dict[tuple, tuple[int, np.ndarray]] = {}
         self._crossed = np.zeros((0, 0, 0))
-        self._known: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
+        self._known: dict[tuple[Candidate, bool], tuple[np.ndarray, np.ndarray]] = {}
 
     @cached_property
     def inverses(self) -> np.ndarray:
@@ -71,37 +72,38 @@ class Shared:
     def equations(self, own: Hypothesis, whole: bool = False) -> Equations:
         """Those of a hypothesis' own columns, of each fold; of all rows as one if `whole`."""
         grams = [gram[None] for gram in self.grams.totals] if whole else self.grams.parts
+        of_joints, shared = self._given[whole]
         m = sum(len(c.precision) for c in own)
-        beside = [self._beside(c) for c in own]
-        shared = self._moments.sum(0) - sum(x for x, _ in beside)
+        beside = [self._beside(c, whole) for c in own]
+        shared = shared - sum(x for x, _ in beside)
         cross = np.concatenate([np.zeros((*shared.shape, 0)), *(x for _, x in beside)], axis=2)
-        squares = self._squares.sum(0)
-        if whole:
-            squares, shared, cross = (x.sum(0, keepdims=True) for x in (squares, shared, cross))
+        squares = of_joints.sum(0)
         moments, normal = np.zeros((len(squares), m)), np.zeros((len(squares), m, m))
         for j in {j for c in own for j in c.columns}:
             gram, w, given = grams[j], self.weights[j], self.at[j][0]
             fixed, free, place = columns_of(own, j)
             target, signs = np.array([0, *given, *fixed]), _signs((*given, *fixed))
             if len(fixed):
-                known = self._squares[j].sum() if whole else self._squares[j]
-                squares = squares + w * (gram[:, target[:, None], target] @ signs @ signs) - known
+                squares = squares + w * (gram[:, target[:, None], target] @ signs @ signs) - of_joints[j]
             moments[:, place] += w * (gram[:, free[:, None], target] @ signs)
             normal[:, place[:, None], place] += w * gram[:, free[:, None], free]
         return Equations(squares, shared, moments, cross, normal)
 
-    def _beside(self, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
-        """Of each fold, the products of what is always there with a candidate's fixed columns (F, k) and with its free
-        ones (F, k, m)."""
-        if c not in self._known:
-            folds, k = self._moments.shape[1:]
+    def _beside(self, c: Candidate, whole: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Of each fold, or of all rows as one, the products of what is always there with a candidate's fixed columns
+        (F, k) and with its free ones (F, k, m)."""
+        if (c, whole) not in self._known and whole:
+            fixed, cross = self._beside(c, False)
+            self._known[c, whole] = fixed.sum(0, keepdims=True), cross.sum(0, keepdims=True)
+        if (c, whole) not in self._known:
+            folds, k = self._given[False][1].shape
             fixed, cross = np.zeros((folds, k)), np.zeros((folds, k, len(c.precision)))
             for j, (tried, free) in c.columns.items():
                 gram, w, (_, mine, at) = self.grams.parts[j], self.weights[j], self.at[j]
                 fixed[:, at] += w * gram[:, np.array(tried, int)[:, None], mine].sum(1)
                 cross[:, at] += w * np.swapaxes(gram[:, np.array(free, int)[:, None], mine], 1, 2)
-            self._known[c] = fixed, cross
-        return self._known[c]
+            self._known[c, whole] = fixed, cross
+        return self._known[c, whole]
 
     def solve(self, equations: Equations, own: Hypothesis, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (F, k) of what is always there and (F, m) of the rest; `inverse` (F, k, k) belongs to the same

@@ -1,10 +1,12 @@
 """Link errors and anomalies, grown together until the evidence grows no more."""
 
 import numpy as np
+import pinocchio as pin
+import pytest
 
 from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.search import believed, noise
-from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
+from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
 
 
 def test_a_step_back_is_not_the_end(monkeypatch):
@@ -63,3 +65,27 @@ def test_no_anomaly_is_allowed():
     least = noise.measure(evidence, rows)
     (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
     assert believed.believed(evidence, rows, least, (), links, list(evidence.candidates), [()], 0)[0].found == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_payload_is_paid_for_as_links_are(seed):
+    """Links that are all some percent off are no payload beside smaller link errors, however little noise there is:
+    both are paid for by the volume that the log leaves of what was believed of them."""
+    draw, model = np.random.default_rng(seed), pin.buildModelFromXML(arm().urdf)
+    off = model.copy()
+    for link in off.inertias:
+        mass, inertia = np.exp(draw.uniform(-0.08, 0.08, 2))
+        lever = link.lever + 0.05 * np.linalg.norm(link.lever) * draw.uniform(-1, 1, 3)
+        link.mass, link.lever, link.inertia = link.mass * mass, lever, link.inertia * inertia
+
+    def more(t, m):
+        """What these links need beyond the nominal torque, by Pinocchio."""
+        each = [[pin.rnea(x, x.createData(), *row) for row in zip(m.q, m.qd, m.qdd, strict=True)] for x in (off, model)]
+        return np.subtract(*each)
+
+    evidence = evidence_of(log_of(raw(*moved(15.0), more, torque=1e-3, position=1e-7)), ("payload",))
+    rows = np.ones(len(evidence.tau), bool)
+    least = noise.measure(evidence, rows)
+    for share in (0.01, 0.1):
+        (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, share)
+        assert believed.believed(evidence, rows, least, (), links, list(evidence.candidates), [()], 3)[0].found == ()
