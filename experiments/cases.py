@@ -125,7 +125,7 @@ def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> C
 
 def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_joint: bool | None = None) -> Case:
     """A case with these effects hidden, all from one seed; `same_joint`: all on one, or all on different joints."""
-    for attempt in range(20):  # an arm that loses control is no log
+    for attempt in range(60):  # an arm that loses control is no log
         draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode())])
         scene = draw_scene(draw, joints)
         strong = felt(scene, "")

@@ -180,7 +180,7 @@ class Drawn(NamedTuple):
 
 def drawn(seed: int, name: str) -> Drawn:
     """The log of a seed with an anomaly, or none for ""."""
-    for attempt in range(20):
+    for attempt in range(60):
         draw = np.random.default_rng([seed, attempt, zlib.crc32(name.encode()), 9])
         scene, worn = _scene(draw)
         anomaly = sized(draw, scene, name) if name else None
