@@ -180,6 +180,10 @@ class AbstractEffect(abc.ABC):
                 return f"{name} would be {np.round(value, 4)}{unit}; possible: {allowed}"
         return ""
 
+    def remark(self, parameters: Parameters, robot: Robot) -> str:
+        """What a user should know of these values on a nominal robot that the values do not say, "" if nothing."""
+        return ""
+
 
 class AbstractTorqueEffect(AbstractEffect):
     """An effect that adds a torque to one joint. A coupled effect also adds `share_on_driver` times this torque to the

@@ -18,7 +18,7 @@ from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import MOVES, measure
 from invdyn_cli.diagnosis.standard import CLAIMED, LINK, Columns, least_of, std_of
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.maths.standard import Standard, link_scales
+from invdyn_cli.maths.standard import USUAL, Standard, link_scales
 from invdyn_cli.recording.pieces import ROLES
 
 WORN = 0.005
@@ -54,11 +54,11 @@ def worn_links(columns: Columns, weights: np.ndarray, share: float, moved: np.nd
 
 
 def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:
-    """Links that are off by as much as a log leaves open, where a load was found on links that seem right: what a load
-    takes up of their errors does not show; nothing where none was, or links are part of every hypothesis."""
+    """Links that are off by as much as a log leaves open, where a load was found: what it takes up of their errors does
+    not show, and links beside it seem better than they are. Nothing where none was found."""
     acting = inquiry.chosen.acting
     others = [a for a in acting if not a.effect.load or a.when is not None]
-    if inquiry.wear or len(others) == len(acting):
+    if len(others) == len(acting):
         return ()
     choosing = inquiry.evidence.role == ROLES.index("train")
     share = columns.behind(others).widest(inquiry.model.residual(others), choosing)
@@ -123,6 +123,6 @@ def beside(
     moved = wear.theta[: len(columns.links)]
     worn = with_links(evidence, np.asarray(evidence.robot.inertial) + moved.reshape(-1, 10))
     weights = measure(worn, worn.role == ROLES.index("train")).weights if weights is None else weights
-    links = worn_links(columns, weights, wear.share, moved)
+    links = worn_links(columns, weights, min(wear.share, USUAL), moved)
     start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
     return worn, links, tuple(start)

@@ -13,8 +13,8 @@ from invdyn_cli.types import Array, Motion, Robot
 MASS, MOMENT, INERTIA = 5.0, 1.0, 0.3
 """Scales that changes of a link's mass [kg], first moments [kg m] and inertia [kg m²] hardly exceed on a robot arm."""
 
-USUAL_TILT = 0.05
-"""[rad]"""
+USUAL_TILT, LEVEL = 0.05, 1e-6
+"""[rad]; and by how much the cosine of the mounting of a level base differs from 1."""
 
 STILL = np.zeros(3)
 
@@ -163,6 +163,14 @@ class BaseTilt(AbstractBodyEffect):
         down = down / np.linalg.norm(down)
         angle = np.arctan2(np.hypot(down[0], down[1]), -down[2])
         return {"angle": float(angle), "azimuth": float(np.arctan2(down[1], down[0]))}
+
+    def remark(self, parameters: Parameters, robot: Robot) -> str:
+        nominal = np.asarray(robot.gravity) / _length(robot)
+        if nominal[2] < -1 + LEVEL:  # then that is the angle
+            return ""
+        down = np.asarray(self.changed(parameters, robot, None).gravity) / _length(robot)
+        turned = np.degrees(np.arccos(np.clip(nominal @ down, -1.0, 1.0)))
+        return f"Gravity is {turned:.3g} degrees away from where the stated mounting of the base has it."
 
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         nominal = np.asarray(robot.gravity) / _length(robot)

@@ -117,6 +117,7 @@ def report(
     order = sorted(range(len(claims)), key=lambda k: (claims[k].group == "standard", -lowers([claims[k]])))
     ordered = tuple(claims[k] for k in order)
     acting = tuple(sized.whole.acting[k] for k in places)
+    remarks = filter(None, (a.effect.remark(a.parameters, inquiry.evidence.robot) for a in acting))
     return Made(
         findings=(
             *ordered,
@@ -131,7 +132,7 @@ def report(
         residual=chosen.residual + inquiry.worn(chosen),
         alone=inquiry.model.residual(chosen.acting),
         whole=inquiry.model.residual(acting),
-        notes=(*dropped, *doubt, *_what_counts(inquiry), *sized.notes),
+        notes=(*dropped, *doubt, *remarks, *_what_counts(inquiry), *sized.notes),
     )
 
 

@@ -69,6 +69,8 @@ def _is_a_limit(evidence: Evidence, model: Model, measured: noise.Noise, refined
     saturation = refined.acting[place]
     j, limit = saturation.joint, saturation.parameters["limit"]
     assert j is not None
+    if limit <= 0:  # then no torque would be left, and everything would be beyond it
+        return False
     used = evidence.valid[:, j]
     others = [a for k, a in enumerate(refined.acting) if k != place]
     beyond = np.abs(model.without(refined, others) - refined.residual)[used, j]
