@@ -11,7 +11,7 @@ from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.decide import findings, unclaimed, unexplained, wording
+from invdyn_cli.diagnosis.decide import findings, lateness, unclaimed, unexplained, wording
 from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
@@ -129,7 +129,7 @@ def decided(
     structured_joints = unexplained.beyond_noise(evidence, left, judged(evidence))
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
-    made = replace(made, findings=findings.taken_back(made.findings, effects, case.examination))
+    made = replace(made, findings=lateness.taken_back(made.findings, effects, case.examination))
     progress(0.9, "model")
     written, unnamed = (more, ()) if case.compares else _fuller(inquiry, columns, made, more, unsure)
     model = _written(case, written)
@@ -165,6 +165,7 @@ def decided(
             *(() if case.compares else extension.beside_dynamics(model)),  # a change is not all of its friction
             *transition.note_of(robot, case.recording.transition),
             *made.notes,
+            *lateness.note_of(made.findings, effects),
             *repeats.note_of(evidence.recording),
             *why,
         ),

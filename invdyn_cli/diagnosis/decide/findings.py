@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, held_out, left, refitted
@@ -31,9 +30,6 @@ from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Examination, Finding, Gain, Robot
-
-TAKEN_BACK = 0.25
-"""Share of a shift of all torques by which a joint's delay that takes it back may differ from it."""
 
 NO_BODY = 0.1
 """Share of the evidence for a body that inertials which can be may lose at most: a slightly wrong model loses a percent
@@ -350,24 +346,6 @@ def perhaps_stribeck(inquiry: Inquiry, claimed: Hypothesis, found: Finding) -> F
     if not refused and not naming.blind_to_stribeck(inquiry.judge, others, own, inquiry.pool):
         return found
     return replace(found, status="ambiguous", alternatives=((StribeckFriction.name,),), advice=StribeckFriction.advice)
-
-
-def taken_back(
-    found: Sequence[Finding], effects: Mapping[str, AbstractEffect], examination: Examination
-) -> tuple[Finding, ...]:
-    """The findings; a delay that takes back the shift by which the torques of all joints were corrected is ambiguous:
-    other joints may have told that shift by what they have beside it."""
-    checks = [c for c in examination.checks if c.check == TimeOffset.name and c.joint is None]
-    shifts = [float(c.value) for c in checks if c.severity in ("warn", "fail") and c.value is not None]
-    advice = "diagnose the log with correct=false: the shift of all torques, which this takes back, may be wrong"
-    out = []
-    for one in found:
-        delay = one.parameters.get(effects[one.effect].late_by) if one.status == "named" else None
-        value = None if delay is None else delay.value
-        if value is not None and any(abs(value - shift) < TAKEN_BACK * abs(shift) for shift in shifts):
-            one = replace(one, status="ambiguous", alternatives=(passing.UNKNOWN,), advice=advice)
-        out.append(one)
-    return tuple(out)
 
 
 def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) -> Made:

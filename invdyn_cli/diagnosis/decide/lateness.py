@@ -1,0 +1,55 @@
+"""Delays of single joints that are perhaps one delay of all torques."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.decide import passing
+from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.types import Examination, Finding, Quantity
+
+TAKEN_BACK = 0.25
+"""Share of a shift of all torques by which a joint's delay that takes it back may differ from it."""
+
+
+def taken_back(
+    found: Sequence[Finding], effects: Mapping[str, AbstractEffect], examination: Examination
+) -> tuple[Finding, ...]:
+    """The findings; a delay that takes back the shift by which the torques of all joints were corrected is ambiguous:
+    other joints may have told that shift by what they have beside it."""
+    checks = [c for c in examination.checks if c.check == TimeOffset.name and c.joint is None]
+    shifts = [float(c.value) for c in checks if c.severity in ("warn", "fail") and c.value is not None]
+    advice = "diagnose the log with correct=false: the shift of all torques, which this takes back, may be wrong"
+    out = []
+    for one in found:
+        delay = one.parameters.get(effects[one.effect].late_by) if one.status == "named" else None
+        value = None if delay is None else delay.value
+        if value is not None and any(abs(value - shift) < TAKEN_BACK * abs(shift) for shift in shifts):
+            one = replace(one, status="ambiguous", alternatives=(passing.UNKNOWN,), advice=advice)
+        out.append(one)
+    return tuple(out)
+
+
+def note_of(found: Sequence[Finding], effects: Mapping[str, AbstractEffect]) -> tuple[str, ...]:
+    """That the delays, or the lags, of several joints agree within their intervals, if they do: then one cause is
+    likelier than several."""
+    said = []
+    for effect in (e for e in effects.values() if e.late_by):
+        own = [f for f in found if f.effect == effect.name and f.window is None]
+        late = [f.parameters[effect.late_by] for f in own]
+        if len(own) > 1 and _agree(late):
+            middle = 1e3 * np.mean([x.value for x in late])
+            which = "logged" if middle < 0 else "delivered"
+            said.append(
+                f"The torques of {', '.join(str(f.joint) for f in own)} are {which} {abs(middle):.3g} ms late, all "
+                "alike: suspect what they have in common (the logger, a filter, the bus) rather than each drive."
+            )
+    return tuple(said)
+
+
+def _agree(late: Sequence[Quantity]) -> bool:
+    """Whether there is a value in all of the intervals."""
+    ends = [x.interval95 for x in late if x.interval95 is not None]
+    return len(ends) == len(late) and max(x[0] for x in ends) < min(x[1] for x in ends)
