@@ -37,7 +37,7 @@ def note_of(found: Sequence[Finding], effects: Mapping[str, AbstractEffect]) -> 
     likelier than several."""
     said = []
     for effect in (e for e in effects.values() if e.late_by):
-        own = [f for f in found if f.effect == effect.name and f.window is None]
+        own = [f for f in found if f.effect == effect.name and effect.late_by in f.parameters and f.window is None]
         late = [f.parameters[effect.late_by] for f in own]
         if len(own) > 1 and _agree(late):
             middle = 1e3 * np.mean([x.value for x in late])

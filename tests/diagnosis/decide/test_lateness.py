@@ -25,9 +25,10 @@ def test_delays_that_agree_have_a_cause_in_common(delays, said):
 
 
 def test_one_delay_is_of_its_drive():
-    """Nothing is said of one joint, nor of an effect that is never late."""
+    """Nothing is said of one joint, nor of an effect that is never late, nor of what this log cannot show."""
+    unseen = [Finding("torque_delay", f"j{k}", "not_excited") for k in (2, 3)]
     other = Finding("torque_offset", "j1", "named", parameters={"offset": Quantity(0.02, "N m", [0.01, 0.03])})
-    assert lateness.note_of([late("j0", 0.02, 0.001), other], EFFECTS) == ()
+    assert lateness.note_of([late("j0", 0.02, 0.001), other, *unseen], EFFECTS) == ()
 
 
 @pytest.mark.parametrize(("delay", "status"), [(0.0055, "ambiguous"), (-0.0055, "named"), (0.02, "named")])
