@@ -11,7 +11,7 @@ from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.decide import findings, lateness, unclaimed, unexplained, wording
+from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, unexplained, wording
 from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
@@ -121,7 +121,7 @@ def decided(
     if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings
         there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}
         terms, torques = standard.claims(evidence, more, there)
-        told = [findings.perhaps_stribeck(inquiry, made.hypothesis, x) for x in terms]
+        told = [findings.perhaps_stribeck(inquiry, made.hypothesis, x) for x in sums.uneven(effects, terms)]
         made = findings.joined(made, told, torques)
     left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
