@@ -47,8 +47,9 @@ def load_urdf(
 
     Args:
         path: a .urdf or .xacro file (xacro may run Python code), or the name of a built-in robot.
-        joints: names of the joints that move, in the order of the columns, parents before children; None: all except a
-            gripper's (mimic joints and what they follow, names as in GRIPPER, short branches at the arm's end).
+        joints: names of the joints that move, in any order, that of a log's columns if these have no names (the robot
+            has parents before children); None: all except a gripper's (mimic joints and what they follow, names as in
+            GRIPPER, short branches at the arm's end).
         tip: a link or joint; the joints between it and the base move.
         dofs: keeps that many of these joints, from the base, and drops all bodies behind them (paper, section V-A).
         gravity: [m/s^2] (3,) in the base frame; None: [0,0,-9.81].
@@ -69,7 +70,8 @@ def load_urdf(
     urdf_checks.renamed(root)
     tags = {x.get("name", ""): x for x in root.findall("joint")}
     whole, notes = _model(root, path)
-    moving, why = _moving(whole, tags, joints, tip)
+    named, why = _moving(whole, tags, joints, tip)
+    moving = _parents_first(whole, named)
     model, locked = _locked(whole, tags, moving)
     names = [whole.names[i] for i in moving]
     parents = _parents(model, names)
@@ -112,6 +114,7 @@ def load_urdf(
         friction=dynamics[:, 1],
         urdf=urdf.without(text, dropped),
         notes=tuple(notes),
+        columns=() if moving == named or dropped else tuple(whole.names[i] for i in named),
     )
     return replace(robot, notes=(*robot.notes, *urdf_checks.inertialess(_inertias(robot, path))))
 
@@ -203,7 +206,7 @@ def _named(model: pin.Model, joints: Sequence[str]) -> list[int]:
         if name not in allowed:
             raise RobotError(
                 f"no moving joint {name!r}{closest(name, allowed)}; allowed: {listed(allowed)}",
-                advice=f"robot.joints=[{','.join(allowed[: len(joints)])}], in the order of the log's columns",
+                advice=f"robot.joints=[{','.join(allowed[: len(joints)])}], in any order",
             )
     return [model.getJointId(x) for x in joints]
 
@@ -263,14 +266,18 @@ def _locked(model: pin.Model, tags: Mapping[str, ET.Element], moving: list[int])
     return pin.buildReducedModel(model, ids, q), words
 
 
+def _parents_first(model: pin.Model, moving: list[int]) -> list[int]:
+    """The joints as they are if parents stand before children, otherwise from the base on."""
+    place = {i: k for k, i in enumerate(moving)}
+    if all(place.get(above, -1) <= place[i] for i in moving for above in model.supports[i]):
+        return moving
+    return sorted(moving, key=lambda i: len(model.supports[i]))
+
+
 def _parents(model: pin.Model, names: list[str]) -> list[int]:
     """Column of each joint's parent, -1 for the base."""
     ids = [model.getJointId(x) for x in names]
     parents = [ids.index(model.parents[i]) if model.parents[i] else -1 for i in ids]
-    if any(parent >= column for column, parent in enumerate(parents)):
-        order = sorted(names, key=lambda x: len(model.supports[model.getJointId(x)]))
-        got = f"robot.joints=[{','.join(names)}] has a joint before the one that carries it"
-        raise RobotError(f"{got}; allowed: parents before children", advice=f"robot.joints=[{','.join(order)}]")
     return parents
 
 

@@ -39,6 +39,8 @@ class Robot:
         damping, friction: (n,) the URDF's <dynamics> tags [N m s/rad], [N m]; zero unless `dynamics_tags=use`.
         urdf: the whole URDF text it was made from.
         notes: what the reader should know: locked joints, ignored parts.
+        columns: the joints in the order in which the user named them, that of a log's columns without names; ():
+            that of `joints`.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Robot:
     friction: Array
     urdf: str = ""
     notes: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
 
     @property
     def dofs(self) -> int:
@@ -65,7 +68,7 @@ class Robot:
         return len(self.joints)
 
 
-_ROBOT_STATIC = ("name", "joints", "parents", "prismatic", "urdf", "notes")
+_ROBOT_STATIC = ("name", "joints", "parents", "prismatic", "urdf", "notes", "columns")
 jax.tree_util.register_dataclass(
     Robot,
     data_fields=[f for f in Robot.__dataclass_fields__ if f not in _ROBOT_STATIC],

@@ -71,6 +71,9 @@ def robot(tree: Mapping[str, Any]) -> Robot:
     shapes = {"rotation": (n, 3, 3), "translation": (n, 3), "axis": (n, 3), "inertial": (n, 10), "gravity": (3,)}
     shapes |= dict.fromkeys(("damping", "friction"), (n,))
     limits = dict.fromkeys(("lower", "upper", "velocity_limit", "effort_limit"), (n,))
+    columns = names(tree.get("columns", ()), "columns")
+    if columns and sorted(columns) != sorted(joints):
+        raise ValueError(f"columns {shortened(columns)}: other names than those of the joints")
     return Robot(
         name=text(tree["name"], "name"),
         joints=joints,
@@ -80,6 +83,7 @@ def robot(tree: Mapping[str, Any]) -> Robot:
         **{key: array(tree[key], key, shape, finite=False) for key, shape in limits.items()},
         urdf=text(tree.get("urdf", ""), "urdf"),
         notes=names(tree.get("notes", ()), "notes"),
+        columns=columns,
     )
 
 

@@ -13,6 +13,8 @@ from invdyn_cli.errors import LogError, listed
 from invdyn_cli.formats import values
 from invdyn_cli.formats.candidates import NAME, candidates, in_order, ranged
 from invdyn_cli.formats.columns import GIVEN, NONE, Channel, ColumnMap, each, expanded, numbered, seconds
+from invdyn_cli.formats.joint_names import in_order as unchanged
+from invdyn_cli.formats.joint_names import matched, placed
 from invdyn_cli.formats.table import ASK, Table
 from invdyn_cli.formats.units import ACCELERATION, ALLOWED, CURRENTS, SPEED, factor
 from invdyn_cli.formats.words import meaning
@@ -156,11 +158,34 @@ class _Guess:
         if len(wanted) != len(named) or len(set(wanted)) < len(wanted):
             got = f"{self.where}: joints={wanted}, and q has {len(named)} columns: {listed(self.columns_q)}"
             raise LogError(f"{got}; allowed: a name for each, each once")
-        if set(wanted) == set(named) and not self.given.channel("q").columns:  # an order, not new names
-            order = [named.index(name) for name in wanted]
+        if order := matched(named, wanted) if words else None:  # an order, not new names
             self.joints_by = [self.joints_by[k] for k in order]
-            self.channels["q"] = replace(self.channels["q"], columns=tuple(self.columns_q[k] for k in order))
+            if self.given.channel("q").columns:
+                self.channels["q"] = self.reordered("q", self.channels["q"], order)
+            else:  # units and signs are given in the order of the joints
+                self.channels["q"] = replace(self.channels["q"], columns=placed(order, self.columns_q))
         return wanted
+
+    def arranged(self, name: str, one: Channel) -> Channel:
+        """A channel whose columns are given, in the order of the joints if the columns' names say which is which."""
+        named = [self.joint(x) for x in one.columns]
+        if len(named) != len(self.joints):
+            return one
+        order = matched(named, self.joints_by) or matched(named, self.joints)
+        return self.reordered(name, one, order) if order else one
+
+    def reordered(self, name: str, one: Channel, order: list[int]) -> Channel:
+        """A channel with its columns, and what is given for each of them, in another order; a note says so. Columns
+        that have only numbers keep the order in which they are given: a robot's axes may be counted otherwise."""
+        if unchanged(order):
+            return one
+        columns = placed(order, one.columns)
+        if all(self.joint(x).isdigit() for x in columns):
+            kept = f"{name}.columns are taken in the order given, {listed(one.columns)}, not in that of their numbers"
+            self.notes.append(f"{kept}, for the joints {listed(self.joints or self.given.joints)}.")
+            return one
+        self.notes.append(f"{name}.columns are put in the order of the joints, by their names: {listed(columns)}.")
+        return Channel(columns, placed(order, one.unit), placed(order, one.sign), placed(order, one.full_scale))
 
     def joint(self, column: str) -> str:
         told = self.table.told.get(column)
@@ -223,7 +248,8 @@ class _Guess:
             self.channels["tau"], self.known["tau"] = given, GIVEN
             return
         if given.columns:
-            self.channels["tau"] = replace(given, columns=expanded(self.where, self.table, given.columns))
+            given = replace(given, columns=expanded(self.where, self.table, given.columns))
+            self.channels["tau"] = self.arranged("tau", given)
             self.known["tau"] = GIVEN
         else:
             tried = [("tau", False), ("current", False), ("load", False), ("tau", True), ("current", True)]
@@ -261,7 +287,8 @@ class _Guess:
             self.channels.pop(name, None)
             return
         if given.columns:
-            self.channels[name] = replace(given, columns=expanded(self.where, self.table, given.columns))
+            given = replace(given, columns=expanded(self.where, self.table, given.columns))
+            self.channels[name] = self.arranged(name, given)
             self.known[name] = GIVEN
         elif not guessed:
             quantity = "q" if name in ("q_ref", "q_link") else name

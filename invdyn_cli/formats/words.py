@@ -108,12 +108,15 @@ def _unit(words: list[str], quantity: str) -> tuple[str, set[int]]:
 
 
 def _joint(text: str, tokens: list[tuple[str, int, int]], kept: list[int]) -> str:
-    """The name of the joint as it is written: the rest of a name, with "joint" if it stands beside it."""
+    """The name of the joint as it is written: the rest of a name, with "joint" if it stands behind it, and with the "j"
+    of "j3_quill"."""
     if not kept:
         return ""
     if all(tokens[i][0].isdigit() for i in kept):
         return tokens[kept[-1]][0]
     first, last = kept[0], kept[-1]
+    if first and tokens[first - 1][0] in FILLERS and tokens[first - 1][2] == tokens[first][1]:
+        first -= 1
     while last + 1 < len(tokens) and tokens[last + 1][0] in FILLERS:
         last += 1
     return text[tokens[first][1] : tokens[last][2]]

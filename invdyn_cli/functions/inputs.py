@@ -7,6 +7,7 @@ from typing import Any, Unpack
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.errors import RobotError, UsageError, listed
 from invdyn_cli.formats.columns import numbered
+from invdyn_cli.formats.joint_names import matched
 from invdyn_cli.formats.reading import Columns
 from invdyn_cli.functions.arrays import Arrays, from_arrays
 from invdyn_cli.log import Log
@@ -83,10 +84,20 @@ def named_by(header: Header | None) -> str:
 
 
 def with_joints(load: Callable[[Sequence[str] | None], Any], joints: Sequence[str] | None) -> Any:
-    """The result of `load(joints)`; if the names are only numbers, the joints are those of the URDF, in its order."""
+    """The result of `load(joints)`; if names are not the URDF's, that of the URDF's joints that they match, or, if they
+    are only numbers, of all its joints."""
     try:
         return load(joints)
     except RobotError:
-        if joints is None or tuple(joints) != numbered(len(joints)):
+        if joints is None or isinstance(joints, str):
             raise
-        return load(None)
+        try:
+            whole = load(None)
+        except RobotError:
+            whole = None
+        if whole is not None and tuple(joints) == numbered(len(joints)):
+            return whole
+        found = matched(whole.joints, joints) if isinstance(whole, Robot) else None
+        if not found:
+            raise
+        return load([whole.joints[k] for k in found])

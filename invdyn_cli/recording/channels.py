@@ -6,15 +6,18 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn_cli.errors import LogError, RobotError, listed
+from invdyn_cli.formats.columns import numbered
+from invdyn_cli.formats.joint_names import elsewhere, matched
 from invdyn_cli.log import CHANNELS, Log, RawTrajectory
 from invdyn_cli.types import Robot
 
 
 def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
-    """The log with its columns in the robot's order of joints.
+    """The log with its columns in the robot's order of joints: by their names in any order; if no name is a joint's, as
+    they stand, and a note says so.
 
     Raises:
-        RobotError: for a robot with other joints.
+        RobotError: for a robot with another number of joints, or names of which only some are joints'.
         LogError: for a channel that lacks columns.
     """
     if robot is None or robot.joints == log.joints:
@@ -22,16 +25,7 @@ def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
     if robot.dofs != len(log.joints):
         got = f"robot {robot.name!r} moves {robot.dofs} joints: {listed(robot.joints)}; the log has {len(log.joints)}"
         raise RobotError(f"{got}: {listed(log.joints)}", advice="a URDF of the logged robot, robot.path=…")
-    if known := set(robot.joints) & set(log.joints) if set(robot.joints) != set(log.joints) else set():
-        got = f"robot {robot.name!r} moves {listed(robot.joints)}, the log has {listed(log.joints)}"
-        raise RobotError(
-            f"{got}: only {listed(sorted(known))} in both; allowed: the same names, or all others, taken in order",
-            advice="robot.joints=[…] in the order of the log's columns, or another URDF",
-        )
-    if set(robot.joints) != set(log.joints):
-        notes.append(f"the log's joints {listed(log.joints)} are read as the robot's {listed(robot.joints)}")
-        return replace(log, joints=robot.joints)
-    order = [log.joints.index(joint) for joint in robot.joints]
+    order = _order(log.joints, robot, notes)
     gain = None if log.drive_gain is None else log.drive_gain[order]
     try:
         trajectories = tuple(
@@ -42,6 +36,29 @@ def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
         got = f"a channel has fewer columns than joint_names: {error}"
         raise LogError(got, advice="a column for each joint") from error
     return replace(log, joints=robot.joints, drive_gain=gain, trajectories=trajectories)
+
+
+def _order(joints: Sequence[str], robot: Robot, notes: list[str]) -> list[int]:
+    """The column of each of the robot's joints; RobotError where names leave it open."""
+    wanted = robot.columns or robot.joints
+    counted = tuple(joints) == numbered(len(joints))
+    found = None if counted and robot.columns else matched(joints, robot.joints)
+    if found:
+        if set(joints) != set(robot.joints):
+            read = listed(f"{joints[k]} = {name}" for k, name in zip(found, robot.joints, strict=True))
+            notes.append(f"joints of the log and of the robot, by their names: {read}")
+        return found
+    known = sorted(set(wanted) & set(joints))
+    apart = [] if counted else elsewhere(joints, wanted)
+    if known or apart:
+        said = f"only {listed(known)} in both" if known else f"{apart[0][0]} is like {apart[0][1]}, at another place"
+        got = f"robot {robot.name!r} moves {listed(wanted)}, the log has {listed(joints)}: {said}"
+        raise RobotError(
+            f"{got}; allowed: the robot's names in any order, or all others, taken in order",
+            advice="'data.columns={joints: […]}', the robot's names in the order of the log's columns; or another URDF",
+        )
+    notes.append(f"the log's joints {listed(joints)} are read as the robot's {listed(wanted)}, in this order")
+    return [wanted.index(name) for name in robot.joints]
 
 
 def newton_metres(log: Log, raw: RawTrajectory) -> np.ndarray:
