@@ -39,8 +39,7 @@ class Robot:
         damping, friction: (n,) the URDF's <dynamics> tags [N m s/rad], [N m]; zero unless `dynamics_tags=use`.
         urdf: the whole URDF text it was made from.
         notes: what the reader should know: locked joints, ignored parts.
-        columns: the joints in the order in which the user named them, that of a log's columns without names; ():
-            that of `joints`.
+        columns: the joints in the order in which the user named them, that of columns without names; (): as `joints`.
     """
 
     name: str
@@ -70,9 +69,7 @@ class Robot:
 
 _ROBOT_STATIC = ("name", "joints", "parents", "prismatic", "urdf", "notes", "columns")
 jax.tree_util.register_dataclass(
-    Robot,
-    data_fields=[f for f in Robot.__dataclass_fields__ if f not in _ROBOT_STATIC],
-    meta_fields=list(_ROBOT_STATIC),
+    Robot, [f for f in Robot.__dataclass_fields__ if f not in _ROBOT_STATIC], list(_ROBOT_STATIC)
 )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from invdyn_cli import hdf5
 from invdyn_cli.errors import LogError, UsageError, listed
-from invdyn_cli.formats.reading import Columns, is_foreign, read_log, trajectory_names
+from invdyn_cli.formats.reading import Columns, files_of, is_foreign, read_log, trajectory_names
 from invdyn_cli.interfaces import AbstractSource, Progress, silent
 from invdyn_cli.log import Log, Recorded
 from invdyn_cli.logfile import refuse_defects
@@ -35,7 +35,7 @@ class RealLog(AbstractSource):
     With logged derivatives and without filter, lag and rate the clock is not used, and samples are unchanged.
 
     Attributes:
-        path: the log, or a list of logs of one robot.
+        path: the log, a list of logs of one robot, or a folder of logs of one format other than invdyn's.
         train: trajectories to learn from, a list of name or name[t0:t1] in seconds (an end may be left open); None: see
             train_share.
         validation: trajectories that are watched during training and never learned from; None: see validation_share.
@@ -90,6 +90,8 @@ class RealLog(AbstractSource):
             if value is not None:
                 single = isinstance(value, str | int | float | Path)
                 object.__setattr__(self, name, (value,) if single else tuple(value))
+        paths = [[x] if not Path(str(x)).is_dir() else map(str, files_of(x)) for x in self.path]
+        object.__setattr__(self, "path", tuple(file for files in paths for file in files))
 
     @property
     def limit(self) -> float:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from invdyn_cli.formats.table import Table
-from invdyn_cli.formats.words import Meaning, meaning
+from invdyn_cli.formats.words import FORCES, Meaning, meaning
 
 NAME = "guessed from the name"
 
@@ -35,6 +35,13 @@ def candidates(table: Table) -> list[Candidate]:
             key = (*key, "another")
         groups.setdefault(key, {})[one.joint] = name
         read.setdefault(key, one)
+    for key in [x for x in groups if read[x].word in FORCES]:  # a slide's force beside torques of the other joints
+        of, forces = read[key], groups[key]
+        for other, columns in groups.items():
+            sides = read[other].quantity, read[other].commanded, read[other].measured, read[other].link
+            beside = read[other].word not in FORCES and sides == (of.quantity, of.commanded, of.measured, of.link)
+            if beside and not set(forces) & set(columns) and all(columns):
+                columns |= forces
     return [Candidate(read[key], columns, table.by if key[0] else NAME) for key, columns in groups.items()]
 
 

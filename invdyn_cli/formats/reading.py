@@ -43,13 +43,34 @@ def is_foreign(path: str | Path) -> bool:
     return path.is_file() and path.suffix.lower() in (*READERS, *BAGS)
 
 
+def files_of(path: str | Path) -> list[Path]:
+    """The files that a path means: of a folder that is no recording itself, all those of the one kind in it; text files
+    beside others are notes. A folder of invdyn logs, and one without recordings, stay as they are.
+
+    Raises:
+        LogError: for a folder with files of several kinds.
+    """
+    path = Path(path).expanduser()
+    if not path.is_dir() or is_foreign(path):
+        return [path]
+    files = sorted(x for x in path.iterdir() if is_foreign(x))
+    if any(x.suffix in (".h5", ".hdf5") for x in path.iterdir()):
+        return [path]
+    files = [x for x in files if x.suffix.lower() != ".txt"] or files
+    if len({x.suffix.lower() for x in files}) > 1:
+        got = f"{path} is a folder of files of several kinds: {listed(x.name for x in files)}"
+        raise LogError(f"{got}; allowed: one kind", advice=f"data.path=[{','.join(map(str, files[:2]))}], some of them")
+    return files or [path]
+
+
 def imported(paths: Sequence[str | Path], given: ColumnMap, limit: float = hdf5.LIMIT) -> Imported:
     """One log of files that have the same columns, a trajectory for each recording in them.
 
     Raises:
         LogError: for a file that cannot be read, columns that leave something open or differ between files.
     """
-    tables = [table for path in paths for table in read_tables(Path(path).expanduser(), limit, given.topic)]
+    paths = [file for path in paths for file in files_of(path)]
+    tables = [table for path in paths for table in read_tables(path, limit, given.topic)]
     names = [table.name for table in tables]
     if len(set(names)) < len(names):
         twice = listed(dict.fromkeys(name for name in names if names.count(name) > 1))

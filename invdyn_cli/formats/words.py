@@ -12,16 +12,16 @@ QUANTITIES = {
     "q": "q pos position positions angle angles theta state winkel lage posicion posizione",
     "qd": "qd dq vel velocity velocities speed speeds omega qdot geschwindigkeit drehzahl vitesse velocidad velocita",
     "qdd": "qdd ddq acc accel acceleration accelerations qddot",
-    "tau": "tau torque torques trq effort efforts moment moments drehmoment drehmomente couple coppia",
+    "tau": "tau torque torques trq effort efforts eff moment moments drehmoment drehmomente couple coppia",
     "current": "current currents cur curr amps i strom courant corriente corrente",
     "load": "load pwm",
-    "t": "t time timestamp timestamps stamp clock zeit zeitstempel temps tiempo tempo",
+    "t": "t time timestamp timestamps stamp clock epoch unixtime zeit zeitstempel temps tiempo tempo",
 }
 _FLAGS = {
     "commanded": "target desired des cmd command commanded commands ref reference setpoint goal action d soll "
     "sollwert consigne",
     "measured": "actual act measured meas msr feedback fb present observation ist istwert",
-    "other": "tcp pose cartesian ee wrench force ext external error err temp temperature temperatures temperatur "
+    "other": "tcp pose cartesian ee wrench ext external error err temp temperature temperatures temperatur "
     "voltage volt ft spannung",
     "filler": "joint joints j a axis achse axe motor robot value values data sensor states field header",
     "unit": "deg degs degree degrees grad grados gradi rad rads radian radians ms us ns nm nmm ma rpm "
@@ -33,7 +33,18 @@ COMMANDED, MEASURED, OTHER, FILLERS, UNITS = (frozenset(words.split()) for words
 LAST_UNITS = {"s": "t", "sec": "t", "secs": "t", "seconds": "t", "a": "current"}
 """Units only at the end of the name of that quantity: elsewhere they may mean anything."""
 
+FORCES = frozenset({"force", "kraft", "fuerza", "forza"})
+"""A force of a joint with a name is the torque of a slide; forces with a number or an axis are those of a sensor."""
+
+_CLOCKS = (
+    "unix epoch posix utc gps wall system sys host pc cpu ros log logger rec recording sample elapsed relative rel abs "
+    "absolute monotonic controller device server local"
+)
+CLOCKS = frozenset(_CLOCKS.split())
+"""Words that say which clock a time is of."""
+
 _QUANTITY = {word: quantity for quantity, words in QUANTITIES.items() for word in words.split()}
+_QUANTITY |= dict.fromkeys(FORCES, "tau")
 _TOKEN = re.compile(r"[a-zµ°%]+|\d+")
 _BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]")
 
@@ -83,6 +94,10 @@ def meaning(name: str) -> Meaning:
     rest = [i for i, w in enumerate(words) if i not in used and w not in flags and w not in found]
     kept = [i for i in rest if words[i] not in FILLERS] or [i for i in rest if len(words[i]) == 1]
     joint = _joint(text, tokens, kept)
+    if quantity == "t" and {words[i] for i in kept} <= CLOCKS:
+        joint = ""
+    if word in FORCES and (len(joint) < 2 or joint.isdigit()):
+        return Meaning("")
     return Meaning(
         quantity,
         word,

@@ -97,7 +97,6 @@ def with_joints(load: Callable[[Sequence[str] | None], Any], joints: Sequence[st
             whole = None
         if whole is not None and tuple(joints) == numbered(len(joints)):
             return whole
-        found = matched(whole.joints, joints) if isinstance(whole, Robot) else None
-        if not found:
+        if not isinstance(whole, Robot) or not (found := matched(whole.joints, joints)):
             raise
         return load([whole.joints[k] for k in found])

@@ -287,10 +287,10 @@ def _rejected(rejected: Sequence[tuple[str, str]]) -> str:
 
 def _blind_spots(diagnosis: Diagnosis) -> str:
     """Effects that this log cannot show, joints with the same reason and the same advice in one row."""
-    rows: dict[tuple[str, str, str], list[str]] = {}
+    rows: dict[tuple[str, str, str], dict[str, None]] = {}
     for x in diagnosis.findings:
         if x.status in ("not_excited", "not_observable"):
-            rows.setdefault((x.effect, x.status, x.advice), []).append(place(x))
+            rows.setdefault((x.effect, x.status, x.advice), {})[place(x)] = None
     body, every = "", joints_of(diagnosis)
     for (effect, status, advice), places in rows.items():
         where = "all joints" if len(every) > 1 and set(places) >= set(every) else ", ".join(places)

@@ -101,10 +101,10 @@ def unclaimed_line(diagnosis: Diagnosis) -> Text | None:
 
 def unseen_line(diagnosis: Diagnosis) -> str:
     """'This log cannot show: Stribeck friction (joint3, joint4), …', nothing where nothing was hidden."""
-    hidden: dict[str, list[str]] = {}
+    hidden: dict[str, dict[str, None]] = {}
     for x in diagnosis.findings:
         if x.status in ("not_excited", "not_observable"):
-            hidden.setdefault(x.effect, []).append(place(x))
+            hidden.setdefault(x.effect, {})[place(x)] = None  # once, with one encoder or with another
     every = joints_of(diagnosis)
     said = [
         f"{words(effect)} ({'all joints' if len(every) > 1 and set(places) >= set(every) else ', '.join(places)})"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.formats import reading
 from invdyn_cli.formats.columns import ColumnMap
@@ -94,3 +95,16 @@ def test_too_large(kind, tmp_path):
     path = WRITERS[kind](tmp_path, recording())
     with pytest.raises(LogError, match=r"GB; allowed: .*max_size"):
         read_log(path, limit=1000.0)
+
+
+def test_a_folder_of_files(tmp_path):
+    """A folder of tables is a log of all of them, notes in text beside them or not; of several kinds it is refused."""
+    data = recording()
+    for name in ("b", "a"):
+        write_csv(tmp_path / f"{name}.csv", named(data, q="q_{}", tau="tau_{}"))
+    (tmp_path / "notes.txt").write_text("a run on Monday")
+    assert [x.name for x in imported([tmp_path], ColumnMap()).log.trajectories] == ["a", "b"]
+    assert [x.name for x in RealLog(str(tmp_path)).recorded(None).log.trajectories] == ["a/a", "b/b"]
+    np.savez(tmp_path / "c.npz", **data)
+    with pytest.raises(LogError, match=r"several kinds: a.csv, b.csv, c.npz; allowed: one kind. Try: data.path=\["):
+        RealLog(str(tmp_path))

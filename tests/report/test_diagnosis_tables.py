@@ -8,7 +8,14 @@ from rich.console import Console
 
 from invdyn_cli.diagnosis.decide.wording import in_table, summary
 from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
-from invdyn_cli.report.diagnosis_tables import error_table, finding_table, standard_table, unclaimed_line, verdict_line
+from invdyn_cli.report.diagnosis_tables import (
+    error_table,
+    finding_table,
+    standard_table,
+    unclaimed_line,
+    unseen_line,
+    verdict_line,
+)
 from invdyn_cli.report.model_sections import unclaimed_section
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
@@ -121,6 +128,14 @@ def test_blind_spots_are_below_the_table():
     """What the log could not have shown is named below the table, all joints in two words."""
     text = " ".join(printed(finding_table(make_diagnosis())).split())
     assert "This log cannot show: Stribeck friction (joint3" in text and "rotor inertia (all joints)" in text
+
+
+def test_a_blind_joint_is_named_once():
+    """An effect that a joint may have twice, as an offset of either of its encoders, names the joint once."""
+    made = make_diagnosis()
+    twice = [Finding("encoder_offset", joint, "not_excited") for joint in ("joint3", "joint1", "joint3")]
+    text = unseen_line(replace(made, findings=tuple(twice)))
+    assert text == "This log cannot show: encoder offset (joint3, joint1)."
 
 
 def test_error_table_has_every_number():

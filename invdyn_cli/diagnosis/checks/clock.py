@@ -12,7 +12,6 @@ from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.rows import (
     clock_pieces,
     each,
-    forward_rows,
     is_series,
     longest_step,
     median_step,
@@ -46,7 +45,24 @@ class Duplicates(AbstractCheck):
         """Per trajectory."""
         found = []
         for raw in log.trajectories:
-            stuck = ~forward_rows(raw.t) & np.isfinite(raw.t)
+            pieces = clock_pieces(raw.t)
+            if len(pieces) > 1:
+                times = "once" if len(pieces) == 2 else f"{len(pieces) - 1} times"
+                found.append(
+                    Check(
+                        self.name,
+                        "fail",
+                        raw.name,
+                        value=len(pieces) - 1,
+                        threshold=0,
+                        seen=f"the clock restarts {times}, first in row {pieces[1][0]}",
+                        meaning=f"{len(pieces)} recordings stand in one; they are read apart",
+                        advice="a file, or a trajectory, for each recording",
+                        source="a clock increases",
+                    )
+                )
+            stuck = np.isfinite(raw.t)
+            stuck[np.concatenate(pieces)] = False
             if stuck.any():
                 found.append(
                     Check(
@@ -57,7 +73,7 @@ class Duplicates(AbstractCheck):
                         threshold=0,
                         seen=f"in {stuck.sum()} of {len(stuck)} rows the clock stands still or runs backwards, "
                         f"first in row {np.argmax(stuck)}",
-                        meaning="rows were written twice, out of order, or the recording started anew",
+                        meaning="rows were written twice, or out of order",
                         advice="the logger's time stamps; stamp where the sample is taken",
                         source="a clock increases",
                     )
@@ -91,9 +107,10 @@ class Duplicates(AbstractCheck):
             drop = self.repeated(raw)
             pieces = [rows[~drop[rows]] for rows in clock_pieces(raw.t)]
             gone = len(raw.t) - sum(map(len, pieces))
-            notes.append(f"{raw.name}: dropped {gone} rows whose stamps are out of order or whose values repeat")
+            done = [f"dropped {gone} rows whose stamps are out of order or whose values repeat"] if gone else []
             if len(pieces) > 1:
-                notes[-1] += f"; parted into {len(pieces)} where the clock starts anew"
+                done.append(f"read as {len(pieces)} recordings, parted where the clock restarts")
+            notes.append(f"{raw.name}: {'; '.join(done)}")
             return parted(raw, pieces)
 
         return each(log, change), notes

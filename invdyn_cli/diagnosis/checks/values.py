@@ -44,6 +44,9 @@ class NotFinite(AbstractCheck):
                     continue
                 columns = np.flatnonzero(bad.any(0)) if bad.ndim > 1 else []
                 joint = log.joints[columns[0]] if len(columns) == 1 else None
+                if channel == "tau" and bad.all():
+                    found.append(self._no_torque(raw.name, len(rows)))
+                    continue
                 seen = f"{channel} is not finite in {rows.sum()} of {len(rows)} rows, first in row {np.argmax(rows)}"
                 found.append(self._seen(raw.name, joint, channel, int(rows.sum()), seen))
         return found
@@ -80,6 +83,14 @@ class NotFinite(AbstractCheck):
             return parted(raw, pieces) if pieces else []
 
         return each(log, change), notes
+
+    def _no_torque(self, trajectory: str, rows: int) -> Check:
+        return replace(
+            self._seen(trajectory, None, "tau", rows, "there are no torques"),
+            meaning="nothing can be said of the arm's dynamics without them",
+            advice="'data.columns={tau: {columns: FIRST:LAST, unit: N m}}', where a file has them in columns that were "
+            "not recognised",
+        )
 
     def _mostly(self, raw: RawTrajectory, channel: str) -> bool:
         """Whether at least half of a channel's rows have a value for every joint."""
