@@ -22,6 +22,7 @@ from invdyn_cli.diagnosis.checks.saturation import Saturation
 from invdyn_cli.diagnosis.checks.stamps import IrregularStamps
 from invdyn_cli.diagnosis.checks.torque_units import TorqueUnits
 from invdyn_cli.diagnosis.checks.torques import GravityRemoved
+from invdyn_cli.diagnosis.checks.turns import WrappedAngles
 from invdyn_cli.diagnosis.checks.units import MotionUnits
 from invdyn_cli.diagnosis.checks.values import NotFinite, Outliers
 from invdyn_cli.errors import LogError, RobotError, listed
@@ -33,6 +34,7 @@ from invdyn_cli.types import Check, Examination, Robot
 CHECKS: tuple[AbstractCheck, ...] = (
     NotFinite(),
     Duplicates(),
+    WrappedAngles(),
     MotionUnits(),
     IrregularStamps(),
     ClockJitter(),

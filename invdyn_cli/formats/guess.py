@@ -93,8 +93,8 @@ class _Guess:
         named = [c for c in self.candidates if c.meaning.quantity == "t" and not c.meaning.commanded]
         told = [(x, c.known) for c in named for joint, x in c.columns.items() if not joint]
         grows = [x for x in told if (np.diff(self.table.columns[x[0]]) >= 0).mean() > 0.5]
-        if grows:
-            return grows
+        if grows:  # a count of runs is not, or an epoch that stays
+            return sorted(grows, key=lambda x: (np.diff(self.table.columns[x[0]]) > 0).mean() < 0.5)
         first = next(iter(self.table.columns))
         column = self.table.columns[first]
         named = any(meaning(name).quantity for name in self.table.columns)
@@ -347,7 +347,7 @@ class _Guess:
         of = {"qd": "q", "qdd": "qd"}.get(name, "q")
         if of not in self.channels or not self.channels[of].unit or self.clock is None:
             return None
-        other = self.scaled(of)
+        other = values.continuous(self.scaled(of)) if of == "q" else self.scaled(of)
         matrix = matrix * np.array(each(f"{name}.sign", self.channels[name].sign or (1,), matrix.shape[1]))
         if name in ("qd", "qdd"):
             ratio = values.derivative_ratio(self.clock, other, matrix)
@@ -355,7 +355,7 @@ class _Guess:
         units = self.channels[of].unit
         if len(set(units)) > 1:
             return None
-        return units[0] if values.follows(other, matrix * factor("q", units[0])) else None
+        return units[0] if values.follows(other, values.continuous(matrix * factor("q", units[0]))) else None
 
     def scaled(self, name: str) -> np.ndarray:
         """A channel (T, n) in rad, rad/s, …."""

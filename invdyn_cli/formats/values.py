@@ -57,6 +57,11 @@ def current_unit(i: np.ndarray) -> str | None:
     return "A" if 0.1 < largest < 30 and (i != np.round(i)).any() else None
 
 
+def continuous(q: np.ndarray) -> np.ndarray:
+    """Positions (T, n) [rad; m] without jumps of a turn; those with missing values as they are."""
+    return np.where(np.isfinite(q).all(0), np.unwrap(q, axis=0), q)
+
+
 def derivative_ratio(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> float | None:
     """The number by which y (T, n) is to be multiplied to be the derivative of x (T, n) over t [s].
 

@@ -169,6 +169,23 @@ def test_no_torques():
     assert np.isnan(log(columns).tau).all()
 
 
+def test_forces_beside_torques():
+    """A slide's force stands in the same channel as the torques of the hinges; the unit of each is its own."""
+    columns = {"t": DATA["t"], "base pos [rad]": DATA["q"][:, 0], "quill pos [mm]": 1000 * DATA["q"][:, 1]}
+    columns |= {"base torque [N mm]": 1000 * DATA["tau"][:, 0], "quill force [N]": DATA["tau"][:, 1]}
+    found = guessed(columns | {"force_x": DATA["t"], "force_y": DATA["t"]})
+    assert found.channel("tau").columns == ("base torque [N mm]", "quill force [N]")
+    np.testing.assert_allclose(log(columns).tau, DATA["tau"])
+
+
+def test_a_clock_beside_a_column_that_stays():
+    """A time since 1970 is the clock; an epoch that is the same in every row is not, wherever it stands."""
+    columns = {k: x for k, x in named(DATA, q="q_{}", tau="tau_{}").items() if k != "t"}
+    columns = {"epoch": np.full(len(DATA["t"]), 3.0)} | columns | {"unix_time": 1.7643e9 + DATA["t"]}
+    assert guessed(columns).channel("t").columns == ("unix_time",)
+    np.testing.assert_allclose(log(columns).t, DATA["t"], atol=1e-6)
+
+
 def test_percent():
     """A load in percent with its full scale is a torque; without, a note says that it is stored like a current."""
     columns = named(scaled(tau=10), q="q_{}", tau="load_{}")
@@ -220,3 +237,11 @@ def test_counts_of_joints(n):
     columns |= {name.replace("q", "tau"): np.full(len(DATA["t"]), float(k)) for k, name in enumerate(names)}
     shuffled = dict(sorted(columns.items()))
     assert list(log(shuffled).tau[0]) == list(range(n))
+
+
+def test_velocities_beside_angles_within_a_turn():
+    """Velocities and commands of an angle that was logged within one turn are recognised by their values."""
+    q, wrap = 5 * DATA["q"], lambda x: np.pi - (np.pi - x) % (2 * np.pi)
+    data = DATA | {"q": wrap(q), "qd": 5 * DATA["qd"], "q_ref": wrap(q + 1e-3)}
+    found = guessed(named(data, q="q_{}", qd="dq_{}", q_ref="target_q_{}", tau="tau_{}"))
+    assert found.channel("qd").unit == ("rad/s",) and found.channel("q_ref").unit == ("rad",)
