@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis import doctor
+from invdyn_cli.robots import load_urdf
 from tests.diagnosis.sick import changed, seen, sound
 
 
@@ -35,3 +36,12 @@ def test_no_torques(log, arm):
     none = changed(log, tau=np.full_like(log.trajectories[0].tau, np.nan))
     (found,) = seen(doctor.examine(none, arm), "not_finite")
     assert found.seen == "there are no torques" and "data.columns" in found.advice
+
+
+def test_an_arm_under_a_ceiling():
+    """Torques of several joints that run against those of an upright arm: the mounting is suggested, and fits."""
+    upright, hanging = load_urdf("apollo_arm", dofs=6), load_urdf("apollo_arm", dofs=6, base_rpy=[np.pi, 0, 0])
+    slow = sound(upright, truth=hanging, seconds=60.0)
+    found = seen(doctor.examine(slow, upright), "sign_error", least="warn")
+    assert not seen(doctor.examine(slow, hanging), "sign_error")
+    assert len(found) > 1 and all("robot.base_rpy=[3.14159,0,0]" in x.advice for x in found)
