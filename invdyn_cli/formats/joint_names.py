@@ -45,9 +45,9 @@ def _bare(name: str) -> Words:
 
 
 def _is_part(name: str, want: str) -> bool:
-    """Whether one is the beginning or the end of the other."""
+    """Whether one is the beginning or the end of the other; a number alone is no such part."""
     short, long = sorted((_bare(name), _bare(want)), key=len)
-    return bool(short) and short in (long[: len(short)], long[-len(short) :])
+    return any(not x.isdigit() for x in short) and short in (long[: len(short)], long[-len(short) :])
 
 
 _RULES: tuple[Callable[[str, str], bool], ...] = (

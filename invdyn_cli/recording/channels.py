@@ -45,8 +45,8 @@ def _order(joints: Sequence[str], robot: Robot, notes: list[str]) -> list[int]:
     found = None if counted and robot.columns else matched(joints, robot.joints)
     if found:
         if set(joints) != set(robot.joints):
-            read = listed(f"{joints[k]} = {name}" for k, name in zip(found, robot.joints, strict=True))
-            notes.append(f"joints of the log and of the robot, by their names: {read}")
+            own = listed(joints[k] for k in found)
+            notes.append(f"the log's joints {own} are read as the robot's {listed(robot.joints)}, by their names")
         return found
     known = sorted(set(wanted) & set(joints))
     apart = [] if counted else elsewhere(joints, wanted)

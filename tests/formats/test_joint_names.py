@@ -119,4 +119,5 @@ def test_names_that_leave_it_open():
     """Two joints like one name, and counts from 0 beside counts from 1, are no match."""
     assert matched(["wrist_1", "arm_1"], ["1", "2"]) is None
     assert matched(["0", "1"], ["j1", "j2"]) is None
+    assert matched(["arm_1", "arm_2"], ["axis1", "axis2"]) is None  # another robot's
     assert matched(["joint_a2", "joint_a1"], ["a1", "a2"]) == [1, 0]
