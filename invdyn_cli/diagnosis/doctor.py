@@ -14,7 +14,7 @@ from invdyn_cli.diagnosis.checks.clock import ClockJitter, Duplicates, Gaps, Too
 from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
 from invdyn_cli.diagnosis.checks.commands import CommandLag, CommandSigns, CommandUnits
 from invdyn_cli.diagnosis.checks.derivatives import DerivativeConsistency
-from invdyn_cli.diagnosis.checks.description import Description
+from invdyn_cli.diagnosis.checks.description import OTHERWISE_MOUNTED, Description
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
@@ -124,6 +124,12 @@ def correct(
 def done(examination: Examination) -> tuple[str, ...]:
     """A sentence for every correction."""
     return tuple(one["done"] for one in examination.corrections)
+
+
+def doubts(examination: Examination) -> tuple[str, ...]:
+    """A sentence for what no correction heals, and without which a diagnosis is of another arm: its mounting."""
+    found = (x for x in examination.checks if x.meaning == OTHERWISE_MOUNTED)
+    return tuple(f"{x.seen[:1].upper()}{x.seen[1:]}: {x.meaning}; try {x.advice}." for x in found)
 
 
 def _asked(check: AbstractCheck, log: Log, robot: Robot | None) -> list[Check]:

@@ -56,6 +56,25 @@ def test_a_sound_log_states_nothing(drawn):
     assert [c for c in found.checks if c.severity in ("warn", "fail")] == []
 
 
+@pytest.mark.parametrize("down", [(0, 0, 1), (1, 0, 0)])
+@pytest.mark.parametrize("seed", usually([3], range(3, 7)))
+def test_a_base_that_is_mounted_otherwise(tmp_path, seed, down):
+    """A log of an arm under a ceiling, or at a wall, read with the URDF of one on the floor: no column is turned or
+    exchanged, the direction of gravity is told, and with it nothing is left to tell."""
+    draw = np.random.default_rng(seed)
+    (tmp_path / "arm.urdf").write_text(random_arm(draw, 6))
+    robot = load_urdf(tmp_path / "arm.urdf")
+    hung = replace(robot, gravity=9.81 * np.array(down, float))
+    truth = replace(hung, inertial=robot.inertial * draw.uniform(0.95, 1.05, robot.dofs)[:, None])
+    log = sound(robot, seed, seconds=20, coulomb=0.2, truth=truth, channels=("qd",))
+    checks = (*COLUMNS, Description())
+    corrected, examination = doctor.correct(log, robot, checks=checks)
+    assert not examination.corrections
+    (said,) = doctor.doubts(examination)
+    assert str(np.round(hung.gravity, 2).tolist()) in said
+    assert doctor.doubts(doctor.examine(log, hung, checks)) == ()
+
+
 def test_exchanged_joints(drawn):
     """Two joints exchanged, in the torques alone and in all columns: stated, or ambiguous with the truth; what is
     stated is corrected to the log as it was."""

@@ -7,7 +7,7 @@ what makes them rare beforehand; those that are as likely as the best are told, 
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -47,6 +47,9 @@ ROUNDS = 3
 AFTER_ORDER = "the columns may stand in another order; judged once that is certain"
 """Why a check is skipped whose finding may be no more than a consequence of a wrong order."""
 
+MOUNTINGS = np.concatenate([np.eye(3), -np.eye(3)])
+"""Directions of gravity in the base frame: of a base on the floor, under a ceiling or at a wall."""
+
 UNITS = (1.0, 1e3, 1e-3)
 """Logged torque over N m while orders and signs are looked for; else every column has a factor of its own."""
 
@@ -83,13 +86,16 @@ class Arrangement:
 class Verdict:
     """`logged`: the columns as they stand; `best`: the likeliest; `alike`: others as likely as the best by all three
     likelihoods; `rivals`: these, and others as simple that one of the three does not exclude; `judged` (n,): whether
-    the torque of each joint, so arranged, is explained by its rigid body."""
+    the torque of each joint, so arranged, is explained by its rigid body. `gravity` (3,) [m/s^2]: in which direction it
+    acts on the base if that, with the columns as they stand, is likelier than the URDF's, or as likely as columns that
+    would be wrong; then the best is as logged."""
 
     logged: Arrangement
     best: Arrangement
     alike: tuple[Arrangement, ...]
     rivals: tuple[Arrangement, ...]
     judged: np.ndarray
+    gravity: np.ndarray | None = None
 
     @property
     def stated(self) -> bool:
@@ -160,6 +166,10 @@ def _searched(rows: Rows, robot: Robot, unit: float, mode: int, effective: np.nd
     fit = look.fits[(best.order, best.signs)]
     at = np.arange(n), np.array(best.columns)
     judged = (fit.explained[at] > 0.5) & (fit.likelihood[at][..., mode].max(1) > fit.lost[at] + 3.0)
+    stated = best.key != logged.key
+    gravity, odds = look.otherwise_mounted(best) if stated or not judged.all() else (None, -np.inf)
+    if odds > (-ALIKE if stated else FOUND):
+        return Verdict(logged, logged, (), (), judged, gravity), fit
     alike, rivals = (tuple(sorted(found, key=lambda x: -x.likelihood)) for found in (alike, rivals))
     return Verdict(logged, best, alike, rivals, judged), fit
 
@@ -201,6 +211,20 @@ class _Look:
                 break
             best = top
         return logged, best
+
+    def otherwise_mounted(self, best: Arrangement) -> tuple[np.ndarray | None, float]:
+        """The likeliest direction of gravity but the URDF's with the columns as they stand, and the log of its odds
+        against an arrangement; upside down, it turns the torque of every joint that it loads."""
+        start, known = (tuple(range(self.robot.dofs)), (1.0,) * self.robot.dofs), np.asarray(self.robot.gravity, float)
+        others = [x for x in np.linalg.norm(known) * MOUNTINGS if not np.allclose(x, known)]
+
+        def odds(gravity: np.ndarray) -> float:
+            robot = replace(self.robot, gravity=gravity)
+            one = _Look(self.rows, robot, self.unit, self.mode, self.effective).at(start)[0]
+            return replace(one, cost=one.cost + FLAW + np.log(len(MOUNTINGS))).beside(best)
+
+        likeliest = max(others, key=odds) if known.any() and not self.rows.without_gravity else None
+        return likeliest, -np.inf if likeliest is None else odds(likeliest)
 
     def best(self, start: Arrangement) -> Arrangement:
         """The start, or one whose odds beside it are FOUND: of these the simplest, unless another one has such odds

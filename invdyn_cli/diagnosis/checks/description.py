@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, arrangement
+from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, FOUND, arrangement
 from invdyn_cli.diagnosis.checks.fits import left
 from invdyn_cli.diagnosis.checks.placeholders import EQUAL, SAME, ZERO, kinds_of
 from invdyn_cli.diagnosis.checks.samples import Samples, gather, nominal_torque, regressor_rows
@@ -20,6 +20,9 @@ from invdyn_cli.types import Check, Motion, Robot
 
 NOT_COMPARED = "tool and base are not compared"
 SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+OTHERWISE_MOUNTED = "the base is not mounted as the URDF says: it hangs, or stands at a wall"
+"""What a check means beside which a diagnosis is of little use."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,8 @@ class Description(AbstractCheck):
         verdict = arrangement(log, robot)
         if verdict is not None and not verdict.in_order:
             return [*found, self.skipped(f"{AFTER_ORDER}: {NOT_COMPARED}")]
+        if verdict is not None and verdict.gravity is not None:
+            return [*found, self._mounting(robot, verdict.gravity)]
         samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
         judged = self._joints(samples, doubted(log, robot))
         if samples is None or len(judged) < 2:
@@ -114,6 +119,21 @@ class Description(AbstractCheck):
             return []
         explained, _, excited = matched(samples)
         return np.flatnonzero((excited > EXCITED) & (np.diag(explained) > 0.5) & ~doubted).tolist()
+
+    def _mounting(self, robot: Robot, gravity: np.ndarray) -> Check:
+        """Another mounting of the base, by the likelihoods of the arrangement."""
+        known = np.asarray(robot.gravity, float)
+        return Check(
+            self.name,
+            "warn",
+            value=float(np.degrees(np.arccos(np.clip(gravity @ known / (known @ known), -1, 1)))),
+            threshold={"log_odds": FOUND},
+            seen=f"the torques fit an arm with gravity along {np.round(gravity, 2).tolist()} m/s^2 in the base frame, "
+            f"and not along {np.round(known, 2).tolist()}",
+            meaning=OTHERWISE_MOUNTED,
+            advice=f"robot.gravity=[{','.join(f'{x:.4g}' for x in gravity)}], or robot.base_rpy",
+            source="log likelihood of friction, rotor, spring and the URDF with a prior; own choice: odds of e^8",
+        )
 
     def _gravity(self, samples: Samples, robot: Robot, judged: list[int]) -> list[Check]:
         """The direction of gravity in the base frame, by least squares beside friction."""
