@@ -68,7 +68,7 @@ def test_a_base_that_is_mounted_otherwise(tmp_path, seed, down):
     truth = replace(hung, inertial=robot.inertial * draw.uniform(0.95, 1.05, robot.dofs)[:, None])
     log = sound(robot, seed, seconds=20, coulomb=0.2, truth=truth, channels=("qd",))
     checks = (*COLUMNS, Description())
-    corrected, examination = doctor.correct(log, robot, checks=checks)
+    _, examination = doctor.correct(log, robot, checks=checks)
     assert not examination.corrections
     (said,) = doctor.doubts(examination)
     assert str(np.round(hung.gravity, 2).tolist()) in said
