@@ -11,8 +11,6 @@ from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose, pipeline
 from invdyn_cli.diagnosis.case import Options
-from invdyn_cli.diagnosis.decide.findings import taken_back
-from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import LogError
 from invdyn_cli.functions import checking
 from invdyn_cli.robots import load_urdf
@@ -20,7 +18,6 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
-from invdyn_cli.types import Check, Examination, Finding, Quantity
 from tests.diagnosis.analytic import said
 
 LOAD = {"mass": 0.8, "com": [0.02, -0.01, 0.1]}
@@ -219,14 +216,3 @@ def test_nothing_is_corrected_on_request(loaded, robot):
     assert any("as recorded" in note for note in made.notes)
     assert made.model is not None
     assert made.model.provenance["as_recorded"] is True and made.model.provenance["corrections"] == []
-
-
-@pytest.mark.parametrize(("delay", "status"), [(-0.0055, "ambiguous"), (-0.012, "named"), (0.0055, "named")])
-def test_a_delay_that_takes_back_a_shift_is_in_doubt(delay, status):
-    """All torques were moved by 5.6 ms, and one joint's delay says the opposite: one of both is wrong. Other delays are
-    what they are."""
-    found = Finding("torque_delay", "axis2", "named", parameters={"delay": Quantity(delay, "s", [delay, delay])})
-    shifted = Examination(True, (Check("time_offset", "warn", value=-0.0056),), {})
-    (told,) = taken_back([found], EFFECTS, shifted)
-    assert told.status == status
-    assert ("correct=false" in told.advice) == (status == "ambiguous")

@@ -153,6 +153,8 @@ class SignError(AbstractCheck):
         samples = gather(log, robot) if verdict is not None else None
         if verdict is None or samples is None:
             return [self.skipped(NO_MOTION, "tau")]
+        if verdict.gravity is not None:
+            return [self.skipped("the base is mounted otherwise than in the URDF, which turns torques", "tau")]
         sizes, values = self._sizes(samples)
         best, every = verdict.best, (verdict.best, *(verdict.alike if verdict.in_order else verdict.rivals))
         n = robot.dofs
@@ -192,8 +194,6 @@ class SignError(AbstractCheck):
             else:
                 found += [self._doubted(log, j, float(values[j])) for j in doubted]
                 found += [self._either(log, j, {(1, -1), (-1, 1)}, _drives(work[j])) for j in driven]
-        if sum(c.joint is not None for c in found) > 1:  # gravity of another direction turns several joints' torques
-            found = [replace(c, advice=f"{MOUNTING}; or {c.advice}") if c.joint else c for c in found]
         told = {c.joint for c in found}
         unsure = [j for j in range(n) if not verdict.judged[j] or len(pairs[j]) > 1]
         unsure = [log.joints[j] for j in unsure if log.joints[j] not in told or (j in half and not verdict.judged[j])]
@@ -300,10 +300,6 @@ class SignError(AbstractCheck):
             advice="the sign convention of the channel; positive torque drives towards positive q",
             source=SOURCE,
         )
-
-
-MOUNTING = "the mounting: robot.base_rpy=[3.14159,0,0] for a base under a ceiling, [1.5708,0,0] at a wall"
-"""What to try where several joints' torques run against the URDF's."""
 
 
 def _drives(work: float) -> str:
