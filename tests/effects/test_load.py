@@ -130,3 +130,12 @@ def test_an_encoder_offset(joint, robot, motion):
     assert true.qd is motion.qd and true.qdd is motion.qdd
     one = effect.true({"offset": 0.1}, Motion(motion.q[:, 0], motion.qd[:, 0], motion.qdd[:, 0]), joint)
     np.testing.assert_allclose(one.q, true.q[:, 0])
+
+
+@pytest.mark.parametrize(("mounting", "said"), [([0, 0, 0], ""), ([np.pi, 0, 0], "3.44 degrees")])
+def test_a_tilt_is_told_from_the_mounting(mounting, said):
+    """The angle of a tilt is from upright; of a base that hangs the distance from hanging is told, too."""
+    robot = load_urdf("apollo_arm", base_rpy=mounting)
+    turned = {"angle": abs(mounting[0] - 0.06), "azimuth": 0.3}
+    remark = EFFECTS["base_tilt"].remark(turned, robot)
+    assert said in remark and bool(remark) == bool(said)

@@ -1,11 +1,15 @@
 """Link errors and anomalies, grown together until the evidence grows no more."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.search import believed, noise
+from invdyn_cli.maths.standard import Standard
 from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
 
 
@@ -89,3 +93,15 @@ def test_a_payload_is_paid_for_as_links_are(seed):
     for share in (0.01, 0.1):
         (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, share)
         assert believed.believed(evidence, rows, least, (), links, list(evidence.candidates), [()], 3)[0].found == ()
+
+
+@pytest.mark.parametrize(("fitted", "believed_in"), [(0.03, 0.03), (0.9, 0.1)])
+def test_links_are_not_believed_far_beyond_the_usual(fitted, believed_in):
+    """A fit with links that are off by 90 % is no reason to believe in 90 %: the search begins at the usual 10 %."""
+    evidence = evidence_of(log_of(raw(*moved(10.0), torque=0.02, position=1e-5)), ())
+    columns, weights = standard.columns_of(evidence, "unknown"), np.ones(3)
+    fit = cast(Standard, SimpleNamespace(theta=np.zeros(len(columns.links)), share=fitted))
+    _, (links,), _ = wear.beside(columns, fit, weights)
+    (asked,) = wear.worn_links(columns, weights, believed_in)
+    made, wanted = (np.linalg.norm(evidence.tables[2][:, list(x.columns[2][1])]) for x in (links, asked))
+    assert made == pytest.approx(wanted, rel=1e-9)
