@@ -112,6 +112,10 @@ def felt(scene: Scene, name: str) -> np.ndarray:
     return np.flatnonzero(strong)
 
 
+ATTEMPTS = 60
+"""How often a case is drawn: an arm that loses control is no log."""
+
+
 def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> Case:
     """The log of a scene with these effects, and noise: torque 0.2 to 2 % of each joint's, encoders of 17 to 21 bit."""
     torque = np.maximum(scene.torque, 0.02 * scene.torque.max()) * np.exp(draw.uniform(np.log(0.002), np.log(0.02)))
@@ -125,7 +129,7 @@ def play(draw: np.random.Generator, scene: Scene, hidden: Sequence[Hidden]) -> C
 
 def draw_case(seed: int, names: Sequence[str], joints: int | None = None, same_joint: bool | None = None) -> Case:
     """A case with these effects hidden, all from one seed; `same_joint`: all on one, or all on different joints."""
-    for attempt in range(60):  # an arm that loses control is no log
+    for attempt in range(ATTEMPTS):
         draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode())])
         scene = draw_scene(draw, joints)
         strong = felt(scene, "")

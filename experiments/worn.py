@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
-from experiments.cases import SIZES, Case, Scene, draw_effect, draw_scene, excess, felt, scene_of
+from experiments.cases import ATTEMPTS, SIZES, Case, Scene, draw_effect, draw_scene, excess, felt, scene_of
 from experiments.confusion import claims
 from experiments.told import by_kind, jobs, name_of, said_of, told
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
@@ -180,7 +180,7 @@ class Drawn(NamedTuple):
 
 def drawn(seed: int, name: str) -> Drawn:
     """The log of a seed with an anomaly, or none for ""."""
-    for attempt in range(60):
+    for attempt in range(ATTEMPTS):
         draw = np.random.default_rng([seed, attempt, zlib.crc32(name.encode()), 9])
         scene, worn = _scene(draw)
         anomaly = sized(draw, scene, name) if name else None
@@ -197,7 +197,7 @@ def drawn(seed: int, name: str) -> Drawn:
 
 def several(seed: int, names: Sequence[str]) -> Case:
     """A log with these anomalies at once, each on a joint of its own and by itself above LOUD times the noise."""
-    for attempt in range(60):
+    for attempt in range(ATTEMPTS):
         draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode()), 9])
         scene, worn = _scene(draw)
         anomalies: list[Hidden] = []

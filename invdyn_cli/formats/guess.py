@@ -13,8 +13,7 @@ from invdyn_cli.errors import LogError, listed
 from invdyn_cli.formats import values
 from invdyn_cli.formats.candidates import NAME, candidates, in_order, ranged
 from invdyn_cli.formats.columns import GIVEN, NONE, Channel, ColumnMap, each, expanded, numbered, seconds
-from invdyn_cli.formats.joint_names import in_order as unchanged
-from invdyn_cli.formats.joint_names import matched, placed
+from invdyn_cli.formats.joint_names import matched, placed, unchanged
 from invdyn_cli.formats.table import ASK, Table
 from invdyn_cli.formats.units import ACCELERATION, ALLOWED, CURRENTS, SPEED, factor
 from invdyn_cli.formats.words import meaning

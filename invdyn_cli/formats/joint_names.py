@@ -1,6 +1,5 @@
 """Which names of joints mean the same joint: those of a log's columns beside those of a robot, in any order."""
 
-import itertools
 import re
 from collections.abc import Callable, Sequence
 
@@ -63,6 +62,6 @@ def placed(order: Sequence[int], values: Sequence) -> tuple:
     return tuple(values[k] for k in order) if len(values) == len(order) else tuple(values)
 
 
-def in_order(order: Sequence[int]) -> bool:
+def unchanged(order: Sequence[int]) -> bool:
     """Whether an order changes nothing."""
-    return all(a == b for a, b in zip(order, itertools.count()))
+    return list(order) == list(range(len(order)))

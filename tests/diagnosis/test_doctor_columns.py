@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis.checks.torques import GravityRemoved
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Motion
 from tests.commands import usually
-from tests.diagnosis.sick import changed, sound
+from tests.diagnosis.sick import changed, seen, sound
 
 COLUMNS = (JointOrder(), SignError())
 
@@ -73,6 +73,17 @@ def test_a_base_that_is_mounted_otherwise(tmp_path, seed, down):
     (said,) = doctor.doubts(examination)
     assert str(np.round(hung.gravity, 2).tolist()) in said
     assert doctor.doubts(doctor.examine(log, hung, checks)) == ()
+
+
+def test_an_arm_under_a_ceiling():
+    """Torques of several joints run against those of an upright arm: the mounting is told, no sign, and it fits."""
+    upright, hanging = load_urdf("apollo_arm", dofs=6), load_urdf("apollo_arm", dofs=6, base_rpy=[np.pi, 0, 0])
+    slow = sound(upright, truth=hanging, seconds=60.0)
+    examination = doctor.examine(slow, upright)
+    assert not seen(examination, "sign_error")
+    (said,) = doctor.doubts(examination)
+    assert "robot.gravity=[0,0,9.81], or robot.base_rpy" in said
+    assert not seen(doctor.examine(slow, hanging), "sign_error")
 
 
 def test_exchanged_joints(drawn):

@@ -44,6 +44,9 @@ that rests changes places with one that moves (ours)."""
 ROUNDS = 3
 """How often the search begins anew with the noise of what was found."""
 
+SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; own choice: odds of e^8"
+"""Where a threshold of what is stated comes from."""
+
 AFTER_ORDER = "the columns may stand in another order; judged once that is certain"
 """Why a check is skipped whose finding may be no more than a consequence of a wrong order."""
 
@@ -223,8 +226,9 @@ class _Look:
             one = _Look(self.rows, robot, self.unit, self.mode, self.effective).at(start)[0]
             return replace(one, cost=one.cost + FLAW + np.log(len(MOUNTINGS))).beside(best)
 
-        likeliest = max(others, key=odds) if known.any() and not self.rows.without_gravity else None
-        return likeliest, -np.inf if likeliest is None else odds(likeliest)
+        if not known.any() or self.rows.without_gravity:
+            return None, -np.inf
+        return max(((x, odds(x)) for x in others), key=lambda one: one[1])
 
     def best(self, start: Arrangement) -> Arrangement:
         """The start, or one whose odds beside it are FOUND: of these the simplest, unless another one has such odds

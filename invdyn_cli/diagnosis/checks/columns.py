@@ -11,6 +11,7 @@ from invdyn_cli.diagnosis.checks.arrangement import (
     AFTER_ORDER,
     ALIKE,
     FOUND,
+    SOURCE,
     Arrangement,
     arrangement,
     known_orders,
@@ -24,7 +25,6 @@ from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.rows import each, present
 from invdyn_cli.types import Check, Robot
 
-SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; own choice: odds of e^8"
 NO_MOTION = "no motion, or a torque that never changes"
 POSITIONS = ("q", "qd", "qdd", "q_ref", "q_link")
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, FOUND, arrangement
+from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, FOUND, SOURCE, arrangement
 from invdyn_cli.diagnosis.checks.fits import left
 from invdyn_cli.diagnosis.checks.placeholders import EQUAL, SAME, ZERO, kinds_of
 from invdyn_cli.diagnosis.checks.samples import Samples, gather, nominal_torque, regressor_rows
@@ -126,13 +126,13 @@ class Description(AbstractCheck):
         return Check(
             self.name,
             "warn",
-            value=float(np.degrees(np.arccos(np.clip(gravity @ known / (known @ known), -1, 1)))),
+            value=_degrees(gravity, known),
             threshold={"log_odds": FOUND},
             seen=f"the torques fit an arm with gravity along {np.round(gravity, 2).tolist()} m/s^2 in the base frame, "
             f"and not along {np.round(known, 2).tolist()}",
             meaning=OTHERWISE_MOUNTED,
             advice=f"robot.gravity=[{','.join(f'{x:.4g}' for x in gravity)}], or robot.base_rpy",
-            source="log likelihood of friction, rotor, spring and the URDF with a prior; own choice: odds of e^8",
+            source=SOURCE,
         )
 
     def _gravity(self, samples: Samples, robot: Robot, judged: list[int]) -> list[Check]:
@@ -154,8 +154,7 @@ class Description(AbstractCheck):
             return [self.skipped("the direction of gravity is not known: the load changes on too few joints")]
         fitted, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
         after = float(np.sum((wanted - columns @ fitted) ** 2))
-        cosine = fitted @ known / max(np.linalg.norm(fitted) * np.linalg.norm(known), 1e-300)
-        angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+        angle = _degrees(fitted, known)
         if before < self.better * after:
             return []
         share = float(np.linalg.norm(fitted) / np.linalg.norm(known))
@@ -248,3 +247,9 @@ def _triple(inertial: ET.Element | None) -> np.ndarray:
         return np.array([float(x) for x in origin.get("xyz", "0 0 0").split()]) if origin is not None else np.zeros(3)
     except ValueError:
         return np.zeros(3)
+
+
+def _degrees(one: np.ndarray, other: np.ndarray) -> float:
+    """The angle between two directions (3,) [degrees]."""
+    cosine = one @ other / max(np.linalg.norm(one) * np.linalg.norm(other), 1e-300)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
