@@ -40,7 +40,7 @@ Base = tuple[str, Log, Robot]
 
 OF_TORQUE = (
     "units_torque", "unit_of_one_torque", "sign_all", "sign_torque", "sign_position", "sign_axis", "order_torque",
-    "order_all", "order_reversed", "time_offset", "gravity_removed", "saturation",
+    "order_all", "order_reversed", "time_offset", "gravity_removed", "saturation", "power_off",
 )  # fmt: skip
 """Defects that a log shows by the torque of its drives."""
 
@@ -48,8 +48,8 @@ HIDES = {"model_mismatch": OF_TORQUE, "derivative": ("units_qd",)}
 """What cannot be found beside a defect: in white noise in place of the torque nothing, nor does noise stay at a limit;
 of velocities that belong to other joints not their unit."""
 
-SEQUENCE = ("gravity_removed", "model_mismatch", "time_offset", "saturation", "units_torque", "unit_of_one_torque",
-            "sign_all", "sign_torque", "sign_position", "sign_axis", "order_torque", "order_all",
+SEQUENCE = ("power_off", "gravity_removed", "model_mismatch", "time_offset", "saturation", "units_torque",
+            "unit_of_one_torque", "sign_all", "sign_torque", "sign_position", "sign_axis", "order_torque", "order_all",
             "order_reversed", "q_ref", "derivative", "outliers", "units_qd", "units_q", "units_of_one_q", "units_t",
             "stamps", "not_finite")  # fmt: skip
 """In which two defects are put in: first what the drive does, then what a logger does; the doctor undoes the last

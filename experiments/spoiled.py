@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.samples import nominal_torque
@@ -186,6 +187,29 @@ def saturation(draw, log, robot):
     }), lambda c: c.joint == log.joints[j]  # fmt: skip
 
 
+def power_off(draw, log, robot):
+    """An emergency stop that ends the last tenth to third: drives without torque, brakes that stop the arm in 50 ms."""
+    share, slip = draw.uniform(0.7, 0.9), 0.05
+
+    def moved(raw: RawTrajectory) -> dict[str, Any]:
+        k = int(share * len(raw.t))
+        since = (raw.t[k:] - raw.t[k])[:, None]
+        speed = np.gradient(raw.q[: k + 1], raw.t[: k + 1], axis=0)[-20:].mean(axis=0)
+        steps, hiss = (x - scipy.ndimage.median_filter(x, (9, 1)) for x in (raw.q, raw.tau))
+        held = {
+            "q": raw.q[k] + slip * speed * -np.expm1(-since / slip) + steps[k:],
+            "qd": speed * np.exp(-since / slip),
+            "qdd": -speed / slip * np.exp(-since / slip),
+            "tau": hiss[k:],
+        }
+        there = {c: y for c in ("q_ref", *held) if (y := getattr(raw, c)) is not None}
+        held["q_ref"] = held["q"]
+        return {c: np.concatenate([y[:k], held[c]]) for c, y in there.items()}
+
+    longest = max(float(np.ptp(raw.t)) for raw in log.trajectories)
+    return put(log, moved), lambda c: 0 < c.value < (1 - share) * longest + 1
+
+
 def other_velocities(draw, log, robot):
     """Velocities in the order of other joints."""
     return put(log, lambda raw: {} if raw.qd is None else {"qd": raw.qd[:, ::-1].copy()}), lambda c: _about(c, "qd")
@@ -231,6 +255,7 @@ DEFECTS: dict[str, tuple[str, Change]] = {
     "not_finite": ("not_finite", missing),
     "outliers": ("outliers", outliers),
     "saturation": ("saturation", saturation),
+    "power_off": ("power_off", power_off),
     "derivative": ("derivative_consistency", other_velocities),
     "gravity_removed": ("gravity_removed", no_gravity),
     "model_mismatch": ("model_mismatch", noise),

@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.checks.description import OTHERWISE_MOUNTED, Descripti
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
+from invdyn_cli.diagnosis.checks.power import PowerOff
 from invdyn_cli.diagnosis.checks.saturation import Saturation
 from invdyn_cli.diagnosis.checks.stamps import IrregularStamps
 from invdyn_cli.diagnosis.checks.torque_units import TorqueUnits
@@ -47,6 +48,7 @@ CHECKS: tuple[AbstractCheck, ...] = (
     TooShort(),
     NotMoving(),
     Quantisation(),
+    PowerOff(),
     GravityRemoved(),
     JointOrder(),
     SignError(),

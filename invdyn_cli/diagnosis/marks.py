@@ -9,6 +9,7 @@ import numpy as np
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.clock import Duplicates
 from invdyn_cli.diagnosis.checks.excitation import Excitation
+from invdyn_cli.diagnosis.checks.power import PowerOff
 from invdyn_cli.diagnosis.checks.saturation import Saturation
 from invdyn_cli.diagnosis.checks.values import Outliers
 from invdyn_cli.log import Log, RawTrajectory
@@ -137,6 +138,7 @@ def _label(one: Check) -> str:
     words = {
         "saturation": f"stays at {number}",
         "quantisation": f"steps of {number}",
+        "power_off": "no power",
         "not_moving": "does not move",
         "duplicates": "stamps out of order" if one.severity == "fail" else "repeated rows",
         "sign_error": "opposite sign" if one.severity == "fail" else "sign in doubt",
@@ -174,6 +176,10 @@ def _saturation(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: i
     return Saturation().rows_of(log, raw, one)
 
 
+def _power_off(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+    return PowerOff().rows_of(raw, one)
+
+
 Place = Callable[[Log, RawTrajectory, Check, str, int | None], np.ndarray]
 PLACES: dict[str, Place] = {
     "not_finite": _not_finite,
@@ -181,6 +187,7 @@ PLACES: dict[str, Place] = {
     "gaps": _gaps,
     "outliers": _outliers,
     "saturation": _saturation,
+    "power_off": _power_off,
 }
 """Checks whose findings are in some rows of a channel, and these rows: a mask or numbers."""
 

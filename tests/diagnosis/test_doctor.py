@@ -24,7 +24,7 @@ from tests.diagnosis.sick import alarms, changed, delayed, motion, seen, sound
 
 NAMES = {
     "unit_error", "sign_error", "joint_order", "time_offset", "clock_jitter", "gaps", "duplicates",
-    "derivative_consistency", "quantisation", "saturation", "outliers", "gravity_removed",
+    "derivative_consistency", "quantisation", "saturation", "power_off", "outliers", "gravity_removed",
     "command_copies_measurement", "not_moving", "too_short", "not_finite", "wrapped_angle", "model_mismatch", "urdf",
 }  # fmt: skip
 

@@ -1,0 +1,130 @@
+"""Drives without power: brakes hold the arm, and the torque in the log is zero."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from invdyn_cli.diagnosis.checks.excitation import Excitation
+from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
+from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.channels import newton_metres
+from invdyn_cli.recording.rows import each, is_series, median_step, runs, taken, uninterrupted
+from invdyn_cli.types import Check, Motion, Robot
+
+
+class Follows(NamedTuple):
+    """How the torque of each joint follows the URDF's while the arm moves: by which factor, and with which scatter,
+    (n,) each."""
+
+    factor: np.ndarray
+    scatter: np.ndarray
+
+
+@dataclass(frozen=True)
+class PowerOff(AbstractCheck):
+    """Torques of zero while the arm rests where gravity loads it: after an emergency stop, or in a pause under brakes.
+
+    While the arm moves, a joint's torque follows the URDF's by a factor, which covers its unit and sign, and with a
+    scatter, which covers friction and errors of the URDF. At rest a joint is judged where gravity loads it by far more
+    than that scatter. Power is off where all joints rest and none of those that are judged has a torque. A gear that
+    holds its load by friction looks the same, and its torque tells as little.
+
+    Attributes:
+        window: [s] of a mean.
+        beside: [s] before and after that are left out, too: a window, and 0.25 s in which the arm comes to rest or the
+            brakes open (ours: brakes take 0.05 to 0.2 s).
+        loaded: least load of a joint that is judged, in its scatters (ours: five standard deviations).
+        none: largest torque that counts as none, of the load (ours: offsets of sensors are below).
+        moving: least number of rows in motion that tell factor and scatter.
+    """
+
+    name: ClassVar[str] = "power_off"
+    window: float = 0.5
+    beside: float = 0.75
+    loaded: float = 5.0
+    none: float = 0.1
+    moving: int = 100
+
+    def examine(self, log: Log, robot: Robot | None) -> list[Check]:
+        """Per trajectory; the value is the time without power [s]."""
+        if robot is None:
+            return [self.skipped("no robot")]
+        if "gravity" in log.compensated:
+            return [self.skipped("the log says that gravity is compensated")]
+        follows = self._follows(log, robot)
+        if follows is None:
+            return [self.skipped("no motion")]
+        found = [(raw, self._periods(log, raw, robot, follows)) for raw in log.trajectories if is_series(raw)]
+        return [self._seen(raw, periods) for raw, periods in found if periods]
+
+    def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
+        """Leave out the rows without power."""
+        of = {one.trajectory: one for one in found}
+
+        def change(raw: RawTrajectory) -> RawTrajectory:
+            return taken(raw, ~self.rows_of(raw, of[raw.name])) if raw.name in of else raw
+
+        words = "of the log left out, where the drives have no power"
+        return each(log, change), [f"{name}: {one.value:.3g} s {words}" for name, one in of.items()]
+
+    def rows_of(self, raw: RawTrajectory, one: Check) -> np.ndarray:
+        """(T,) bool: rows of a trajectory in the periods that were found."""
+        return np.any([(raw.t >= a) & (raw.t <= b) for a, b in one.threshold["periods"]], axis=0)
+
+    def _follows(self, log: Log, robot: Robot) -> Follows | None:
+        """Medians over the rows in motion; the factor from those where the URDF's torque is above its own median."""
+        samples = gather(log, robot)
+        moves = np.zeros(0, bool) if samples is None else (np.abs(samples.motion.qd) > Excitation().rest).any(axis=1)
+        if samples is None or moves.sum() < self.moving:
+            return None
+        tau, nominal = samples.tau[moves], samples.nominal[moves]
+        strong = np.abs(nominal) >= np.maximum(np.median(np.abs(nominal), axis=0), 1e-12)
+        factor = np.nan_to_num(np.nanmedian(np.where(strong, tau / np.where(strong, nominal, 1.0), np.nan), axis=0))
+        return Follows(factor, 1.48 * np.median(np.abs(tau - factor * nominal), axis=0))
+
+    def _periods(self, log: Log, raw: RawTrajectory, robot: Robot, follows: Follows) -> list[tuple[float, float]]:
+        """First and last time [s] of each period without power."""
+        size = max(int(self.window / median_step(raw.t)), 1)
+        parts = [rows[: len(rows) // size * size].reshape(-1, size) for rows in uninterrupted(raw)]
+        rows = np.concatenate([np.empty((0, size), int), *parts])
+        rows = rows[(np.ptp(raw.q[rows], axis=1) < Excitation().rest * self.window).all(axis=1)]
+        if not len(rows):
+            return []
+        q = raw.q[rows].mean(axis=1)
+        load = np.abs(follows.factor * nominal_torque(robot, Motion(q, np.zeros_like(q), np.zeros_like(q)))[1])
+        judged = load > self.loaded * follows.scatter
+        without = np.abs(newton_metres(log, raw)[rows].mean(axis=1)) < self.none * load
+        rows = rows[judged.any(axis=1) & (without | ~judged).all(axis=1)]
+        off = np.zeros(len(raw.t), bool)
+        off[rows] = True
+        return [(float(raw.t[a] - self.beside), float(raw.t[b - 1] + self.beside)) for a, b in runs(off)]
+
+    def _seen(self, raw: RawTrajectory, periods: list[tuple[float, float]]) -> Check:
+        out = {"channel": "tau", "periods": periods}
+        inside = self.rows_of(raw, Check(self.name, "warn", threshold=out))
+        seconds = float(median_step(raw.t) * np.sum(inside))
+        times = "once" if len(periods) == 1 else f"{len(periods)} times"
+        return Check(
+            self.name,
+            "warn",
+            raw.name,
+            value=seconds,
+            threshold=out,
+            seen=f"the torques are zero {times} while the arm rests where gravity loads it, {seconds:.3g} s in all, "
+            f"first at t = {periods[0][0] + self.beside:.3f} s",
+            meaning="brakes hold the arm, after an emergency stop or in a pause, and the drives have no power",
+            advice="nothing; these rows are left out",
+            source="own choice: five standard deviations of what the torque and the URDF's differ by in motion",
+        )
+
+
+def _followed(tau: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """By which factor the torque (W, n) follows gravity's (W, n), and its scatter about that, (n,) each: medians, the
+    factor of the windows in which gravity is above its own median."""
+    strong = np.abs(gravity) >= np.median(np.abs(gravity), axis=0)
+    ratio = np.where(strong & (gravity != 0), tau / np.where(gravity == 0, 1.0, gravity), np.nan)
+    factor = np.nan_to_num(np.nanmedian(ratio, axis=0))
+    return factor, 1.48 * np.median(np.abs(tau - factor * gravity), axis=0)
