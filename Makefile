@@ -56,7 +56,8 @@ tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/table
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
 	$(BIN)/invdyn figures
 
-grand: grand_comparison  ## every model on the same rows of simulated and real robots: error, time, size; what to choose
+grand: $(INSTALLED)  ## every model on the same rows of simulated and real robots: error, time, size; what to choose
+	$(ONE_THREAD) $(BIN)/invdyn experiment grand_comparison workers=2 $(said)
 
 real: real_logs ur10e_load  ## the same models on real robots' logs
 
