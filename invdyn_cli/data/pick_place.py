@@ -16,6 +16,10 @@ import numpy as np
 
 from invdyn_cli import simulation
 from invdyn_cli.data.tasks import AbstractTaskSource, Task
+from invdyn_cli.effects.friction import StribeckFriction, ViscousFriction
+from invdyn_cli.effects.gear import JointElasticity
+from invdyn_cli.effects.passing import PayloadChange
+from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.log import Log, RawTrajectory, Recorded
@@ -169,10 +173,10 @@ class PickPlace(AbstractTaskSource):
             level = {"coulomb": float(coulomb), "static": float(STATIC * coulomb), "velocity": STRIBECK}
             gear = {"stiffness": float(size["stiffness"][i]), "rotor": float(size["rotor"][i])}
             wave = {"amplitude": float(self.ripple * size["ripple"][i]), "cycles": CYCLES, "phase": float(i)}
-            out += [Hidden("stribeck_friction", joint, level)] * (self.friction > 0)
-            out += [Hidden("viscous_friction", joint, {"damping": float(damping)})] * (self.friction > 0)
-            out += [Hidden("joint_elasticity", joint, gear)] * self.elastic
-            out += [Hidden("torque_ripple", joint, wave)] * (self.ripple > 0)
+            out += [Hidden(StribeckFriction.name, joint, level)] * (self.friction > 0)
+            out += [Hidden(ViscousFriction.name, joint, {"damping": float(damping)})] * (self.friction > 0)
+            out += [Hidden(JointElasticity.name, joint, gear)] * self.elastic
+            out += [Hidden(TorqueRipple.name, joint, wave)] * (self.ripple > 0)
         return tuple(out)
 
     def trial(self, robot: Robot, number: int, *, loaded: bool) -> Task:
@@ -192,7 +196,7 @@ class PickPlace(AbstractTaskSource):
             reference=reference,
             duration=DURATION,
             seed=own,
-            hidden=(*self.hidden(robot), *[Hidden("payload_change", None, load)] * loaded),
+            hidden=(*self.hidden(robot), *[Hidden(PayloadChange.name, None, load)] * loaded),
             noise=Noise(position=self.position_noise, torque=torque_noise),
             begins={stage: times[stage][0] for stage in STAGES},
         )
