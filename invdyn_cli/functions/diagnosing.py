@@ -1,6 +1,7 @@
 """`diagnose`: what the simulation of a robot gets wrong on a log, and the model that is better."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Unpack
@@ -90,9 +91,10 @@ class DiagnosisResult(Shown):
             parts += [Text(line) for line in advised(diagnosis)]
         return Group(*parts)
 
-    def save(self, folder: str | Path, progress: Progress = silent) -> None:
+    def save(self, folder: str | Path, progress: Progress = silent, helper: Executor | None = None) -> None:
         """Write all files of `invdyn diagnose` into the folder: diagnosis.json, the page with its figures, the extended
-        model as JSON, URDF and MJCF, and what to record next. Of an unusable log there is no model."""
+        model as JSON, URDF and MJCF, and what to record next. Of an unusable log there is no model. A process of
+        `helper` draws half of the figures."""
         folder, diagnosis = Path(folder), self.diagnosis
         folder.mkdir(parents=True, exist_ok=True)
         for name in (DIAGNOSIS, MODEL, REPORT, URDF, MJCF, next_motion.FILE):
@@ -105,7 +107,8 @@ class DiagnosisResult(Shown):
         if (design := self.design) is not None:
             write_csv(folder / next_motion.FILE, design.t, np.asarray(design.motion.q), design.robot.joints)
             files["trajectory"] = next_motion.FILE
-        drawn = diagnosis_figures.draw_all(diagnosis, folder / "figures") if diagnosis.signals is not None else []
+        figures = folder / "figures"
+        drawn = diagnosis_figures.draw_all(diagnosis, figures, helper=helper) if diagnosis.signals is not None else []
         progress(0.9, "report")
         trajectory = files.get("trajectory", "")
         diagnosis_page.write_report(diagnosis, self.robot.name, drawn, folder / REPORT, lacks, trajectory)

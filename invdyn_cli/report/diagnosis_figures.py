@@ -4,6 +4,8 @@ Black is the measurement minus the terms of the other effects; vermillion is the
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 
@@ -66,25 +68,45 @@ JOINTS = "joints"
 """The panel that shows all joints over time."""
 
 
-def draw_all(diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+def draw_all(
+    diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",), helper: Executor | None = None
+) -> list[Path]:
     """Draw the overview, the torques, the replay, failed residual tests and every cause's picture into `folder`, once
-    per format (png, svg, pdf).
+    per format (png, svg, pdf); every other one in the process of `helper`, if there is one.
 
     The paths come back. Nothing is drawn without signals: a log that is unusable has nothing to show.
     """
-    folder = Path(folder)
-    written: list[Path] = []
+    if helper is None:
+        return _draw_some(diagnosis, Path(folder), formats)
+    other = helper.submit(_draw_some, diagnosis, Path(folder), formats, slice(1, None, 2))
+    written = _draw_some(diagnosis, Path(folder), formats, slice(0, None, 2))
+    if other.exception() is None:
+        return written + other.result()
+    return written + _draw_some(diagnosis, Path(folder), formats, slice(1, None, 2))  # what hindered it may not be here
+
+
+def _draw_some(diagnosis: Diagnosis, folder: Path, formats: Sequence[str], part: slice = slice(None)) -> list[Path]:
+    """Draw this part of the figures."""
+    written = []
     with house_style():
-        drawn = [(OVERVIEW, overview(diagnosis))] if diagnosis.signals is not None else []
-        drawn += [(OVERLAY, overlay(diagnosis))] if diagnosis.signals is not None else []
-        drawn += [(REPLAY, replay_figure(diagnosis))] if diagnosis.replay is not None else []
-        drawn += [(RESIDUAL_TESTS, tests_figure(diagnosis))] if failing(diagnosis) else []
-        drawn += [(picture(x.number, x.finding), draw(x)) for x in exhibits(diagnosis)]
-        for name, figure in drawn:
+        for name, made in list(_figures(diagnosis).items())[part]:
+            figure = made()
             for suffix in formats:
                 written.append(folder / f"{name}.{suffix}")
                 save(figure, written[-1])
     return written
+
+
+def _figures(diagnosis: Diagnosis) -> dict[str, Callable[[], Figure]]:
+    """What there is to draw: name and figure."""
+    made: dict[str, Callable[[], Figure]] = {}
+    if diagnosis.signals is not None:
+        made |= {OVERVIEW: partial(overview, diagnosis), OVERLAY: partial(overlay, diagnosis)}
+    if diagnosis.replay is not None:
+        made[REPLAY] = partial(replay_figure, diagnosis)
+    if failing(diagnosis):
+        made[RESIDUAL_TESTS] = partial(tests_figure, diagnosis)
+    return made | {picture(x.number, x.finding): partial(draw, x) for x in exhibits(diagnosis)}
 
 
 def draw(exhibit: Exhibit) -> Figure:

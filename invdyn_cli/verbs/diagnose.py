@@ -1,7 +1,11 @@
 """invdyn diagnose: what a simulation gets wrong on a log, as tables, diagnosis.json, a report and the better model."""
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -23,6 +27,7 @@ from invdyn_cli.interfaces import (
     AbstractTorqueEffect,
 )
 from invdyn_cli.recording.pieces import Preparation
+from invdyn_cli.report import diagnosis_figures
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import imports, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, job, launch
@@ -55,7 +60,8 @@ def task(config: DictConfig) -> None:
     if in_sweep():
         _one_of_many(config, folder)
         return
-    diagnosis = execute(config, folder, Screen())
+    with _drawer() as drawer:
+        diagnosis = execute(config, folder, Screen(), drawer=drawer)
     failed = any(one.severity == "fail" for one in diagnosis.examination.checks)
     if config.strict and failed:
         raise SystemExit(1)
@@ -78,9 +84,22 @@ def _one_of_many(config: DictConfig, folder: Path) -> None:
     screen.tell(f"job {number} {status}: {message or log}")
 
 
-def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = False) -> Diagnosis:
+@contextmanager
+def _drawer() -> Iterator[Executor | None]:
+    """Another process, which begins with what drawing imports; None where this one shall take one core."""
+    if sweep.cores() < 2 or os.environ.get("OMP_NUM_THREADS") == "1":
+        yield None
+        return
+    with sweep.writers(1) as drawer:
+        drawer.submit(import_module, diagnosis_figures.__name__)
+        yield drawer
+
+
+def execute(
+    config: DictConfig, folder: Path, console: Screen, *, shows: bool = False, drawer: Executor | None = None
+) -> Diagnosis:
     """Config -> objects -> diagnosis -> files in `folder`; prints the result on `console`, and shows progress unless
-    `console` is quiet, or always if `shows` is true."""
+    `console` is quiet, or always if `shows` is true. A process of `drawer` draws half of the figures."""
     use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.diagnosis.design, bool):
@@ -113,7 +132,7 @@ def execute(config: DictConfig, folder: Path, console: Screen, *, shows: bool = 
             designing=stage("next"),
             notes=[f"data: {note}" for note in found.notes],
         )
-        result.save(folder, stage("write"))
+        result.save(folder, stage("write"), drawer)
     imports.keep(maps, folder, console)
     console.print(result)
     console.whole(f"page: {relative(folder) / REPORT}")

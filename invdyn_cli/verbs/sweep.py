@@ -111,10 +111,11 @@ class Made:
 
 
 @contextmanager
-def writers() -> Iterator[Executor]:
-    """Processes that write files, one per core, started when there is something to write; they end with this one."""
+def writers(most: int | None = None) -> Iterator[Executor]:
+    """Processes that write files, one per core but at most so many, started when there is something to write; they end
+    with this one."""
     os.environ["PYTHONWARNINGS"] = ",".join(x for x in (os.environ.get("PYTHONWARNINGS"), SILENT) if x)
-    pool = ProcessPoolExecutor(_cores(), multiprocessing.get_context("spawn"), initializer=_begin)
+    pool = ProcessPoolExecutor(min(cores(), most or cores()), multiprocessing.get_context("spawn"), initializer=_begin)
     try:
         yield pool
     finally:
@@ -123,12 +124,13 @@ def writers() -> Iterator[Executor]:
 
 def started(writers: Executor) -> Executor:
     """The same processes, which begin with their imports."""
-    for _ in range(_cores()):
+    for _ in range(cores()):
         writers.submit(int)
     return writers
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,5 +1,6 @@
 import math
 import re
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -12,6 +13,7 @@ from invdyn_cli.report.quantities import gain_text, quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import claims, joints_of, law, picture, words
 from invdyn_cli.types import Check, Gain, Quantity
+from invdyn_cli.verbs.sweep import writers
 from tests.diagnoses import EVERY_EFFECT, log_unusable, make_diagnosis, nothing_found, quantities
 
 VOID = {"meta", "img", "br"}
@@ -221,6 +223,26 @@ def test_nothing_found_is_said(tmp_path):
     diagnosis = nothing_found()
     text = Reader(page(diagnosis, "lbr", draw_all(diagnosis, tmp_path))).text
     assert "None was found." in text and "no noise floor" in text and "extended_model.json" in text
+
+
+class Broken(Executor):
+    """Another process that ends before it has drawn anything."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.set_exception(BrokenExecutor())
+        return future
+
+
+def test_another_process_draws_the_same(tmp_path):
+    """The figures are those of one process, byte for byte, where another one draws some of them, or should have."""
+    diagnosis = make_diagnosis()
+    alone = {x.name: x.read_bytes() for x in draw_all(diagnosis, tmp_path / "alone")}
+    assert len(alone) > 2
+    with writers(1) as other:
+        for name, helper in (("two", other), ("one", Broken())):
+            drawn = {x.name: x.read_bytes() for x in draw_all(diagnosis, tmp_path / name, helper=helper)}
+            assert drawn == alone
 
 
 def test_write_is_all_or_nothing(tmp_path):
