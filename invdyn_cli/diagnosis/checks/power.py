@@ -38,7 +38,7 @@ class PowerOff(AbstractCheck):
             brakes open (ours: brakes take 0.05 to 0.2 s).
         loaded: least load of a joint that is judged, in its scatters (ours: five standard deviations).
         none: largest torque that counts as none, of the load (ours: offsets of sensors are below).
-        moving: least number of rows in motion that tell factor and scatter.
+        moving: least number of rows in motion that tell a joint's factor and scatter.
     """
 
     name: ClassVar[str] = "power_off"
@@ -46,7 +46,7 @@ class PowerOff(AbstractCheck):
     beside: float = 0.75
     loaded: float = 5.0
     none: float = 0.1
-    moving: int = 100
+    moving: int = 50
 
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory; the value is the time without power [s]."""
@@ -75,15 +75,17 @@ class PowerOff(AbstractCheck):
         return np.any([(raw.t >= a) & (raw.t <= b) for a, b in one.threshold["periods"]], axis=0)
 
     def _follows(self, log: Log, robot: Robot) -> Follows | None:
-        """Medians over the rows in motion; the factor from those where the URDF's torque is above its own median."""
+        """Medians over the rows in motion on which the URDF's torque is at least half of its 99 % quantile."""
         samples = gather(log, robot)
         moves = np.zeros(0, bool) if samples is None else (np.abs(samples.motion.qd) > Excitation().rest).any(axis=1)
         if samples is None or moves.sum() < self.moving:
             return None
-        tau, nominal = samples.tau[moves], samples.nominal[moves]
-        strong = np.abs(nominal) >= np.maximum(np.median(np.abs(nominal), axis=0), 1e-12)
-        factor = np.nan_to_num(np.nanmedian(np.where(strong, tau / np.where(strong, nominal, 1.0), np.nan), axis=0))
-        return Follows(factor, 1.48 * np.median(np.abs(tau - factor * nominal), axis=0))
+        size = np.abs(samples.nominal[moves])
+        strong = (size >= np.quantile(size, 0.99, axis=0) / 2) & (size > 0)
+        tau, nominal = (np.where(strong, x[moves], np.nan) for x in (samples.tau, samples.nominal))
+        factor = _median(tau / nominal)
+        scatter = 1.48 * _median(np.abs(tau - factor * nominal))
+        return Follows(factor, np.where(strong.sum(axis=0) < self.moving, np.inf, scatter))
 
     def _periods(self, log: Log, raw: RawTrajectory, robot: Robot, follows: Follows) -> list[tuple[float, float]]:
         """First and last time [s] of each period without power."""
@@ -128,3 +130,8 @@ def _followed(tau: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndar
     ratio = np.where(strong & (gravity != 0), tau / np.where(gravity == 0, 1.0, gravity), np.nan)
     factor = np.nan_to_num(np.nanmedian(ratio, axis=0))
     return factor, 1.48 * np.median(np.abs(tau - factor * gravity), axis=0)
+
+
+def _median(x: np.ndarray) -> np.ndarray:
+    """(n,) of the numbers in each column of x (R, n); 0 where there are none."""
+    return np.array([np.median(some) if len(some := one[np.isfinite(one)]) else 0.0 for one in x.T])
