@@ -1,6 +1,5 @@
 """invdyn diagnose: what a simulation gets wrong on a log, as tables, diagnosis.json, a report and the better model."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from invdyn_cli.interfaces import (
     AbstractMotionEffect,
     AbstractTorqueEffect,
 )
+from invdyn_cli.maths.threads import cores
 from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.report import diagnosis_figures
 from invdyn_cli.types import Diagnosis
@@ -87,7 +87,7 @@ def _one_of_many(config: DictConfig, folder: Path) -> None:
 @contextmanager
 def _drawer() -> Iterator[Executor | None]:
     """Another process, which begins with what drawing imports; None where this one shall take one core."""
-    if sweep.cores() < 2 or os.environ.get("OMP_NUM_THREADS") == "1":
+    if cores() < 2:
         yield None
         return
     with sweep.writers(1) as drawer:

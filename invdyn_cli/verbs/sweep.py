@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from invdyn_cli import interruption, store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError
 from invdyn_cli.files import write_file
+from invdyn_cli.maths.threads import cores
 from invdyn_cli.report import compared, tables
 from invdyn_cli.types import RunRecord
 from invdyn_cli.verbs import folders, origin
@@ -127,11 +128,6 @@ def started(writers: Executor) -> Executor:
     for _ in range(cores()):
         writers.submit(int)
     return writers
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _begin() -> None:

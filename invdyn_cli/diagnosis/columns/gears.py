@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, change, nomi
 from invdyn_cli.effects.composition import LEAST_INERTIA, EffectInstance, identity, inertia_column, link_torque
 from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect, Parameters
+from invdyn_cli.maths.threads import side_by_side
 from invdyn_cli.types import Array
 
 ANGLE_STEP = 1e-3
@@ -22,17 +24,24 @@ YIELD = 0.1
 """Relative step of finite differences in the compliance of a gear: play shows at its edges, which move by samples."""
 
 
+class Yields(NamedTuple):
+    """What a gear that yields changes of the torque with others, and the change with its compliance, (n, R) each; how
+    far it yields [rad; m]."""
+
+    fixed: np.ndarray
+    slope: np.ndarray
+    far: float
+
+
 class Gears(AbstractKind[AbstractGearEffect]):
     """A gear with a compliance: the torque change that it makes together with other effects (fixed), and the derivative
     by its compliance (free)."""
 
     def gathered(self, evidence: Evidence, effects: Sequence[AbstractGearEffect]) -> list[Candidate]:
-        made = []
-        for effect in effects:
-            for joint in range(evidence.dofs):
-                shapes = shapes_of(evidence, effect, joint)
-                made += [self.candidate(evidence, effect, joint, shape) for shape in shapes]
-        return made
+        places = [(effect, joint) for effect in effects for joint in range(evidence.dofs)]
+        trials = [(*at, shape) for at in places for shape in shapes_of(evidence, *at)]
+        yields = side_by_side(lambda at: _yields(evidence, *at), trials)
+        return [self.candidate(evidence, *at, yields=one) for at, one in zip(trials, yields, strict=True)]
 
     def candidate(
         self,
@@ -42,11 +51,11 @@ class Gears(AbstractKind[AbstractGearEffect]):
         trial: Parameters,
         beside: Beside = (),
         exact: bool = False,
+        yields: Yields | None = None,
     ) -> Candidate:
-        """`exact`: the fixed column from the full formula, also for a small deflection."""
-        fixed, slope, far = _columns(evidence, effect, joint, trial, beside)
-        if exact or far > STRAIGHT:
-            fixed = change(evidence, EffectInstance(effect, joint, trial), beside)
+        """`exact`: the fixed column from the full formula, also for a small deflection; `yields`: of these parameters,
+        where they are known."""
+        fixed, slope, _ = yields or _yields(evidence, effect, joint, trial, beside, exact)
         columns = {}
         for j in range(evidence.dofs):
             numbers = evidence.append(j, [fixed[j], slope[j]])
@@ -68,7 +77,7 @@ class Gears(AbstractKind[AbstractGearEffect]):
         beside: Beside,
     ) -> np.ndarray:
         softer = effect.compliance(after) - effect.compliance(before)
-        return _columns(evidence, effect, joint, before, beside)[1] * softer
+        return _columns(evidence, effect, joint, before, beside).slope * softer
 
     def step(self, effect: AbstractEffect, name: str, value: float) -> float:
         return max(3e-2 * value, 1e-6)
@@ -93,11 +102,25 @@ def load_on(evidence: Evidence, joint: int, beside: Beside = ()) -> np.ndarray:
     return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
 
 
+def _yields(
+    evidence: Evidence,
+    effect: AbstractGearEffect,
+    joint: int,
+    parameters: Parameters,
+    beside: Beside = (),
+    exact: bool = False,
+) -> Yields:
+    """To first order; what it changes by the full formula where that is asked or it yields far."""
+    made = _columns(evidence, effect, joint, parameters, beside)
+    if exact or made.far > STRAIGHT:
+        return made._replace(fixed=change(evidence, EffectInstance(effect, joint, parameters), beside))
+    return made
+
+
 def _columns(
     evidence: Evidence, effect: AbstractGearEffect, joint: int, parameters: Parameters, beside: Beside = ()
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """(n, R) what a gear that yields changes of the torque with others, and the change with its compliance, to first
-    order: it goes with the link's acceleration against the motor's, and with its angle; how far it yields [rad; m]."""
+) -> Yields:
+    """To first order: it goes with the link's acceleration against the motor's, and with its angle."""
     recording, carried = evidence.recording, _carried(evidence, joint, beside)
     compliance = effect.compliance(parameters)
 
@@ -106,7 +129,7 @@ def _columns(
 
     softer = [more - less for (more, _), (less, _) in zip(yielded(1 + YIELD), yielded(1 - YIELD), strict=True)]
     parts, far = zip(*yielded(1.0), strict=True)
-    return filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * compliance), max(far)
+    return Yields(filtered(recording, parts), filtered(recording, softer) / (2 * YIELD * compliance), max(far))
 
 
 def _yielded(
