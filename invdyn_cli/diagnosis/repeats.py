@@ -37,7 +37,7 @@ def floor_of_repeats(recording: Recording) -> np.ndarray | None:
             continue
         first, second = (a.tau[:, max(shift, 0) :], b.tau[:, max(-shift, 0) :])
         length = min(first.shape[1], second.shape[1])
-        halves.append(recording.filter(first[:, :length] - second[:, :length]) / 2)
+        halves.append(recording.filter([first[:, :length] - second[:, :length]])[0] / 2)
     return np.sqrt(np.mean(np.concatenate(halves, axis=1) ** 2, axis=1)) if halves else None
 
 

@@ -3,6 +3,9 @@
 Everything here is numpy and SciPy on whole trajectories, before learning starts; nothing is jitted.
 """
 
+import itertools
+import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -37,6 +40,10 @@ def differentiate(
     return np.concatenate([steps[:1], steps])
 
 
+TOGETHER = 2**16
+"""Numbers that pass a filter together, about: more do not fit into a processor's cache."""
+
+
 @lru_cache(maxsize=256)
 def settling(rate: float, cutoff: float, order: int = 4) -> int:
     """Samples until the Butterworth low-pass has forgotten all but 1 %: how far into a block its ends reach.
@@ -67,19 +74,58 @@ def lowpass(
     Raises:
         ValueError: as `settling` does, or with no more than `settling` samples.
     """
-    padding, samples = settling(rate, cutoff, order), np.shape(x)[axis]
-    if samples <= padding:
-        raise ValueError(f"{samples} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
-    sections, rest = butterworth(rate, cutoff, order), at_rest(rate, cutoff, order)
     x = np.moveaxis(np.asarray(x), axis, -1)
-    rest = rest.reshape(len(rest), *[1] * (x.ndim - 1), 2)
     if causal:
-        return np.moveaxis(scipy.signal.sosfilt(sections, x, zi=rest * x[..., :1])[0], -1, axis)
-    first, last = x[..., :1], x[..., -1:]
-    x = np.concatenate([2 * first - x[..., padding:0:-1], x, 2 * last - x[..., -2 : -padding - 2 : -1]], axis=-1)
+        _long_enough(x, rate, cutoff, order)
+        first = at_rest(rate, cutoff, order).reshape(-1, *[1] * (x.ndim - 1), 2) * x[..., :1]
+        return np.moveaxis(scipy.signal.sosfilt(butterworth(rate, cutoff, order), x, zi=first)[0], -1, axis)
+    (made,) = lowpass_each([x], rate, cutoff, order)
+    return np.moveaxis(made, -1, axis)
+
+
+def lowpass_each(parts: Sequence[np.ndarray], rate: float, cutoff: float, order: int = 4) -> list[np.ndarray]:
+    """Signals (..., T) of any shapes and lengths through `lowpass` along their last axis. Those of similar lengths pass
+    it together: on short ones a call costs more than its numbers.
+
+    Raises:
+        ValueError: as `lowpass` does.
+    """
+    for x in parts:
+        _long_enough(x, rate, cutoff, order)
+    made: dict[int, np.ndarray] = {}
+    left = sorted(range(len(parts)), key=lambda k: parts[k].shape[-1])
+    while left:
+        longest, size, some = parts[left[-1]].shape[-1], 0, []
+        while left and (not some or (parts[left[-1]].shape[-1] > longest / 2 and size < TOGETHER)):
+            some.append(left.pop())
+            size += longest * math.prod(parts[some[-1]].shape[:-1])
+        made |= zip(some, _forth_and_back([parts[k] for k in some], rate, cutoff, order), strict=True)
+    return [made[k] for k in range(len(parts))]
+
+
+def _long_enough(x: np.ndarray, rate: float, cutoff: float, order: int) -> None:
+    padding = settling(rate, cutoff, order)
+    if x.shape[-1] <= padding:
+        raise ValueError(f"{x.shape[-1]} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
+
+
+def _forth_and_back(parts: Sequence[np.ndarray], rate: float, cutoff: float, order: int) -> list[np.ndarray]:
+    """Signals (..., T) as rows of one table that is filtered twice; each is turned round at its own end."""
+    padding = settling(rate, cutoff, order)
+    sections, rest = butterworth(rate, cutoff, order), at_rest(rate, cutoff, order)[:, None]
+    edges = np.cumsum([0, *(math.prod(x.shape[:-1]) for x in parts)])
+    ends = [x.shape[-1] + 2 * padding for x in parts]
+    places = [(slice(a, b), slice(0, end)) for (a, b), end in zip(itertools.pairwise(edges), ends, strict=True)]
+    table = np.zeros((edges[-1], max(ends)))
+    for x, at in zip(parts, places, strict=True):
+        row = x.reshape(len(table[at]), x.shape[-1])
+        reflected = 2 * row[:, :1] - row[:, padding:0:-1], 2 * row[:, -1:] - row[:, -2 : -padding - 2 : -1]
+        table[at] = np.concatenate([reflected[0], row, reflected[1]], axis=1)
     for _ in range(2):
-        x = scipy.signal.sosfilt(sections, x, zi=rest * x[..., :1])[0][..., ::-1]
-    return np.moveaxis(x[..., padding : padding + samples], -1, axis)
+        passed = scipy.signal.sosfilt(sections, table, zi=rest * table[:, :1])[0]
+        for at in places:
+            table[at] = passed[at][:, ::-1]
+    return [table[at][:, padding:-padding].reshape(x.shape) for x, at in zip(parts, places, strict=True)]
 
 
 @lru_cache(maxsize=256)

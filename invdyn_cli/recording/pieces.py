@@ -14,7 +14,7 @@ import scipy
 from invdyn_cli.effects.composition import Span
 from invdyn_cli.errors import LogError
 from invdyn_cli.log import Log, RawTrajectory, Window
-from invdyn_cli.maths.signals import lattice, lowpass, resample, settling
+from invdyn_cli.maths.signals import lattice, lowpass, lowpass_each, resample, settling
 from invdyn_cli.recording.rows import without_gaps
 from invdyn_cli.recording.selection import divided
 from invdyn_cli.recording.thinning import thinned
@@ -123,20 +123,20 @@ class Filter:
         """Samples of filtered white noise that a row counts for, one at most: twice the bandwidth for a second."""
         return min(1.0, 2 * self.cutoffs[joint] * self.keep / self.rate)
 
-    def of(self, joint: int, x: np.ndarray) -> np.ndarray:
-        """A joint's columns (..., T) -> (..., rows)."""
-        return self._passed(self.cutoffs[joint], np.asarray(x))
+    def of(self, joint: int, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """A joint's columns (..., T) in every piece -> (..., rows)."""
+        passed = lowpass_each([np.asarray(x) for x in parts], self.rate, self.cutoffs[joint])
+        return [x[..., self.rows(x.shape[-1])] for x in passed]
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Columns of all joints (..., n, T) -> (..., n, rows)."""
-        rows, cutoffs = self.rows(x.shape[-1]), np.array(self.cutoffs)
-        out = np.empty((*x.shape[:-1], len(rows)))
+    def __call__(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Columns of all joints (..., n, T) in every piece -> (..., n, rows)."""
+        cutoffs = np.array(self.cutoffs)
+        out = [np.empty((*x.shape[:-1], len(self.rows(x.shape[-1])))) for x in parts]
         for cutoff in set(self.cutoffs):
-            out[..., cutoffs == cutoff, :] = self._passed(cutoff, x[..., cutoffs == cutoff, :])
+            joints = np.flatnonzero(cutoffs == cutoff)
+            for made, x in zip(out, self.of(int(joints[0]), [x[..., joints, :] for x in parts]), strict=True):
+                made[..., joints, :] = x
         return out
-
-    def _passed(self, cutoff: float, x: np.ndarray) -> np.ndarray:
-        return lowpass(x, self.rate, cutoff, axis=-1)[..., self.rows(x.shape[-1])]
 
     def spread(self, mask: np.ndarray) -> np.ndarray:
         """Rows (n, rows) that any True of a mask (n, T) reaches through the filters."""

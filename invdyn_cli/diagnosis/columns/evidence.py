@@ -257,7 +257,7 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
     """(..., T) of every piece, filtered as a joint's torque is, one behind the other: (..., R); without a joint
     (..., n, T) -> (..., n, R)."""
     arrays = [np.asarray(x) for x in parts]
-    each = [recording.filter(x) if joint is None else recording.filter.of(joint, x) for x in arrays]
+    each = recording.filter(arrays) if joint is None else recording.filter.of(joint, arrays)
     return np.concatenate(each, axis=-1)
 
 
