@@ -113,19 +113,28 @@ def _forth_and_back(parts: Sequence[np.ndarray], rate: float, cutoff: float, ord
     """Signals (..., T) as rows of one table that is filtered twice; each is turned round at its own end."""
     padding = settling(rate, cutoff, order)
     sections, rest = butterworth(rate, cutoff, order), at_rest(rate, cutoff, order)[:, None]
-    edges = np.cumsum([0, *(math.prod(x.shape[:-1]) for x in parts)])
-    ends = [x.shape[-1] + 2 * padding for x in parts]
-    places = [(slice(a, b), slice(0, end)) for (a, b), end in zip(itertools.pairwise(edges), ends, strict=True)]
-    table = np.zeros((edges[-1], max(ends)))
-    for x, at in zip(parts, places, strict=True):
-        row = x.reshape(len(table[at]), x.shape[-1])
-        reflected = 2 * row[:, :1] - row[:, padding:0:-1], 2 * row[:, -1:] - row[:, -2 : -padding - 2 : -1]
-        table[at] = np.concatenate([reflected[0], row, reflected[1]], axis=1)
+    rows = [_reflected(x.reshape(math.prod(x.shape[:-1]), x.shape[-1]), padding) for x in parts]
+    edges = np.cumsum([0, *map(len, rows)])
+    places = [(slice(a, b), slice(x.shape[1])) for x, (a, b) in zip(rows, itertools.pairwise(edges), strict=True)]
+    table = rows[0]
+    if len(rows) > 1:
+        table = np.zeros((edges[-1], max(x.shape[1] for x in rows)))
+        for x, at in zip(rows, places, strict=True):
+            table[at] = x
     for _ in range(2):
-        passed = scipy.signal.sosfilt(sections, table, zi=rest * table[:, :1])[0]
-        for at in places:
-            table[at] = passed[at][:, ::-1]
+        table = scipy.signal.sosfilt(sections, table, zi=rest * table[:, :1])[0]
+        if len(rows) > 1:
+            for at in places:
+                table[at] = table[at][:, ::-1].copy()
+        else:
+            table = table[:, ::-1]
     return [table[at][:, padding:-padding].reshape(x.shape) for x, at in zip(parts, places, strict=True)]
+
+
+def _reflected(x: np.ndarray, padding: int) -> np.ndarray:
+    """x (M, T) with so many samples before and after, reflected about its ends."""
+    before, after = x[:, padding:0:-1], x[:, -2 : -padding - 2 : -1]
+    return np.concatenate([2 * x[:, :1] - before, x, 2 * x[:, -1:] - after], axis=1)
 
 
 @lru_cache(maxsize=256)
