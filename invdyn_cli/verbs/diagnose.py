@@ -1,5 +1,6 @@
 """invdyn diagnose: what a simulation gets wrong on a log, as tables, diagnosis.json, a report and the better model."""
 
+import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -93,6 +94,8 @@ def _drawer() -> Iterator[Executor | None]:
     with sweep.writers(1) as drawer:
         drawer.submit(import_module, diagnosis_figures.__name__)
         yield drawer
+        for process in multiprocessing.active_children():
+            process.terminate()  # by itself it would take half a second to end
 
 
 def execute(
