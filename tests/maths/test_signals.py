@@ -78,6 +78,19 @@ def test_lowpass_halves_at_its_cutoff_without_phase(order):
         assert ratio.real == pytest.approx(gain, rel=warped) and abs(ratio.imag) < 1e-6
 
 
+def test_signals_that_pass_together_come_out_as_alone():
+    """Whatever shapes and lengths pass the filter together, each leaves it as SciPy's filtfilt would leave it."""
+    draw, padding = np.random.default_rng(2), signals.settling(RATE, 8.0)
+    shapes = [(3, 2, 400), (900,), (0, 500), (2, 433), (padding + 1,), (5, 3000), (4, 70_000)]
+    parts = [np.cumsum(draw.normal(size=shape), axis=-1) for shape in shapes]
+    sections = signal.butter(4, 8.0, fs=RATE, output="sos")
+    for x, made in zip(parts, signals.lowpass_each(parts, RATE, 8.0), strict=True):
+        alone = signal.sosfiltfilt(sections, x, padlen=padding) if x.size else x
+        np.testing.assert_allclose(made, alone, atol=1e-12 * max(np.abs(x).max(initial=0), 1))
+    with pytest.raises(ValueError, match="needs more than"):
+        signals.lowpass_each([*parts, np.zeros(padding)], RATE, 8.0)
+
+
 def test_lowpass_looks_both_ways():
     """Filtering a reversed signal is reversing the filtered one; the filter prefers no direction of time."""
     x = np.cumsum(np.random.default_rng(0).normal(size=2000))
