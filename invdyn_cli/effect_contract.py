@@ -1,8 +1,9 @@
 """The contract of effects: physical causes that a simulation may lack, of six kinds. `interfaces` has the others."""
 
 import abc
+import copy
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -105,6 +106,18 @@ class AbstractEffect(abc.ABC):
     """Of an effect whose nonlinear parameters are scanned in a log: the values that a design of motions tries."""
     shows: ClassVar[tuple[str, ...]] = ()
     """Tests of the residual (`types.ResidualTest.against`) in which it appears first if a model lacks it."""
+
+    lessens: ClassVar[bool] = False
+    """Whether there may be less of it than in an earlier log: as a change since then its size has either sign."""
+
+    def as_change(self) -> Self:
+        """The same as a change since an earlier log."""
+        if not self.lessens:
+            return self
+        made = copy.copy(self)
+        bounds = {name: bound._replace(lower=-np.inf) for name, bound in self.parameters.items()}
+        object.__setattr__(made, "parameters", bounds)  # of this object alone; its class is frozen
+        return made
 
     def is_ordinary(self, shape: Parameters) -> bool:
         """Whether its columns at these nonlinear parameters are used to estimate the noise: only a few of many trials,

@@ -127,6 +127,8 @@ def prepared(
         log, windows, more = _beside(log, reference, robot, windows, options)
         notes += more
     pool = {name: e for name, e in effects.items() if name not in log.compensated}
+    if "reference" in (windows or {}):
+        pool = {name: e.as_change() for name, e in pool.items()}
     facts, allowed = known.read(options.known, effects, robot)
     gravity, inertia = "gravity" in log.compensated, _typical_inertia(robot)
 

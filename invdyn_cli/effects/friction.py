@@ -55,6 +55,7 @@ class ViscousFriction(AbstractTorqueEffect):
     advice = "at least three constant speeds in both directions"
     panels = ("velocity",)
     group = "standard"
+    lessens = True
     needs = ("motion", "speeds")
     shows = ("velocity",)
 
@@ -89,6 +90,7 @@ class CoulombFriction(AbstractTorqueEffect):
     jumps = True
     panels = ("velocity",)
     group = "standard"
+    lessens = True
     needs = ("motion", "reversals")
     shows = ("velocity", "reversals")
 

@@ -52,7 +52,7 @@ def test_a_sound_log(command, arm):
     assert set(found) == {"schema", "usable", "as_recorded", "checks", "corrections", "excitation"}
     assert found["usable"] is True and found["as_recorded"] is False
     assert all(set(one) == KEYS for one in found["checks"])
-    assert len({one["check"] for one in found["checks"]}) == 19
+    assert len({one["check"] for one in found["checks"]}) == 20
     assert list(found["excitation"]) == list(arm.joints)
     assert Path(said.out[-1]).parts[:2] == ("outputs", "checks")
     text = "\n".join(said.out)
