@@ -11,6 +11,7 @@ from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose, pipeline
 from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import LogError
 from invdyn_cli.functions import checking
 from invdyn_cli.robots import load_urdf
@@ -112,6 +113,33 @@ def test_a_reference_leaves_what_has_changed(loaded, robot, rubbing):
     for joint, line in diagnosis.baselines["friction"].items():
         assert diagnosis.extended[joint]["rmse"] < line["rmse"] / 3
     assert not any(x["claimed"] for j in robot.joints for x in diagnosis.standard[j].values())
+    assert diagnosis.summary.startswith("Since the reference, payload (or an alternative) has changed.")
+
+
+def test_friction_that_fell_since_a_reference(robot, rubbing):
+    """A joint that has lost a part of its viscous friction, drawn at random, has a negative change within 5 %; the
+    model that is written has what is left. Without a reference negative friction stays impossible."""
+    left = DAMPING * float(np.random.default_rng(7).uniform(0.4, 0.8))
+    fewer = [replace(x, parameters={"damping": left}) if x.joint == "axis2" else x for x in rubbing]
+    later = recorded(robot, fewer, duration=14.0, seed=3)
+    diagnosis = diagnose(later, robot, reference=recorded(robot, rubbing, duration=14.0, seed=4))
+    (found,) = claims(diagnosis)
+    assert (found.effect, found.joint) == ("viscous_friction", "axis2")
+    assert found.parameters["damping"].value == pytest.approx(left - DAMPING, rel=0.05)
+    terms = {a.joint: a.parameters["damping"] for a in diagnosis.model.acting if a.effect.name == "viscous_friction"}
+    assert terms[1] == pytest.approx(left, rel=0.05)
+    for name in ("viscous_friction", "coulomb_friction"):
+        size = next(iter(EFFECTS[name].parameters))
+        assert EFFECTS[name].refuse({size: -1.0}) and not EFFECTS[name].as_change().refuse({size: -1.0})
+
+
+def test_nothing_has_changed_since_a_reference(robot, rubbing):
+    """Two logs of the same arm: no change, and the error told is that of one model of both."""
+    both = [recorded(robot, rubbing, duration=14.0, seed=seed) for seed in (5, 6)]
+    diagnosis = diagnose(both[0], robot, reference=both[1])
+    assert not claims(diagnosis) and "No change since the reference has a name" in diagnosis.summary
+    error = float(diagnosis.summary.split(" of one model of both logs is ")[1].split()[0])
+    assert error < 0.03  # the noise is 0.02 N m
 
 
 @pytest.fixture(scope="module")

@@ -206,7 +206,10 @@ def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
     if not held_out(inquiry.evidence):
         said = ("No stretch of the log is long enough to be held out: all errors are those on the training data.",)
     if inquiry.evidence.reference_rows is not None:
-        said += ("Gains are given in addition to what both logs share. The extended model includes that, too.",)
+        said += (
+            "Sizes and gains are those of changes since the reference; standard terms and the extended model are those "
+            "of the robot now.",
+        )
     elif len(inquiry.always) > len(inquiry.wear):
         said += ("All errors include the known effects. The extended model does not include them.",)
     return said

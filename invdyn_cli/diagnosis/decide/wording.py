@@ -16,6 +16,10 @@ share of the nominal model's error, in N m."""
 MOST_SAID = 4
 """Largest number of effects in the summary's first sentence."""
 
+SINCE = "since_reference"
+"""Among a diagnosis's details, where only changes since a reference were looked for: errors of a model of both logs,
+without the changes and with them."""
+
 FEW = 2
 """Largest number of named standard terms that are listed one by one."""
 
@@ -72,13 +76,16 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     apart = set(diagnosis.details.get("torque_in_A", ()))  # joints of which no error is known in N m
     before, after = (
         np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
-        for table in (diagnosis.baseline, diagnosis.extended)
+        for table in diagnosis.details.get(SINCE, (diagnosis.baseline, diagnosis.extended))
     )
+    compares = SINCE in diagnosis.details
     over = "all joints" if not apart else f"all joints except {_listed(sorted(apart))}"
     rest = _rest(diagnosis)
     if not claims:
-        first = f"No cause was found: the held-out RMS error of the nominal model is {before:.3g} N m over {over}."
-        return f"{first} {rest or 'The residual looks like noise.'}"
+        first = "No cause was found: the held-out RMS error of the nominal model"
+        if compares:
+            first = "No change since the reference has a name: the held-out RMS error of one model of both logs"
+        return f"{first} is {before:.3g} N m over {over}. {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     shown = [f for f in claims if not any(f is x for x in usual)]
     said = _grouped(shown, titles)
@@ -90,8 +97,12 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         terms = few if len(few) <= FEW else [several]
         said = [*terms, *said] if lowers(usual) > lowers(shown) else [*said, *terms]
     more = f" and {len(diagnosis.unclaimed)} more that are not claimed" if diagnosis.unclaimed else ""
-    first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error falls from "
-    first += f"{before:.3g} to {after:.3g} N m over {over}."
+    first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error"
+    if compares:
+        has = "has" if len(said) == 1 else "have"
+        first = f"Since the reference, {_listed(said)} {has} changed. With that, the held-out RMS error of a model of "
+        first += "both logs"
+    first += f" falls from {before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     doubt = " What comes and goes may be of an effect that is not in the catalogue."
