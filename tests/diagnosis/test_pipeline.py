@@ -133,6 +133,18 @@ def test_friction_that_fell_since_a_reference(robot, rubbing):
         assert EFFECTS[name].refuse({size: -1.0}) and not EFFECTS[name].as_change().refuse({size: -1.0})
 
 
+def test_a_drive_that_became_weaker_since_a_reference(robot, rubbing):
+    """A drive's gain, drawn at random, scales friction that was there before, too; that is no lighter link with less
+    friction, and the gain is told within 1 %."""
+    worn = [*rubbing, *[Hidden("coulomb_friction", joint, {"coulomb": 1.5}) for joint in robot.joints]]
+    gain = float(np.random.default_rng(8).uniform(0.8, 0.9))
+    later = recorded(robot, [*worn, Hidden("torque_gain_error", "axis3", {"gain": gain})], duration=14.0, seed=7)
+    diagnosis = diagnose(later, robot, reference=recorded(robot, worn, duration=14.0, seed=8))
+    (found,) = claims(diagnosis)
+    assert (found.effect, found.joint) == ("torque_gain_error", "axis3")
+    assert found.parameters["gain"].value == pytest.approx(gain, rel=0.01)
+
+
 def test_nothing_has_changed_since_a_reference(robot, rubbing):
     """Two logs of the same arm: no change, and the error told is that of one model of both."""
     both = [recorded(robot, rubbing, duration=14.0, seed=seed) for seed in (5, 6)]

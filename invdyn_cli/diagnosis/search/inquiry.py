@@ -12,6 +12,7 @@ from invdyn_cli.diagnosis.search import events, naming, noise, resting
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
+from invdyn_cli.diagnosis.search.equations import solved
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.feigned import feigned
@@ -19,6 +20,8 @@ from invdyn_cli.diagnosis.search.further import acting_of, geared, others_of, re
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.diagnosis.search.shared_part import precision_of
+from invdyn_cli.diagnosis.search.slopes import Slopes
 from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.diagnosis.search.windows import asked_for, at_first, left_by_standard, standing_out, terms_of
 from invdyn_cli.effects.composition import EffectInstance
@@ -185,6 +188,7 @@ def _searched(
     if compares:
         common, pool = known.compared(evidence, pool, ROLES.index("reference"))
         always += common
+        _scale_what_both_show(evidence, always, pool, measured.weights)
     usual: Hypothesis = ()
     if wear:
         usual = terms_of(pool, wear)
@@ -200,6 +204,23 @@ def _searched(
     judge.refresh()
     one = _Search(evidence, effects, choosing, measured, always, usual, most, judge, Model(evidence), pool)
     return one.finished(_begun(judge, pool, always, starts, most), rounds)
+
+
+def _scale_what_both_show(
+    evidence: Evidence, always: Hypothesis, pool: Sequence[Candidate], weights: np.ndarray
+) -> None:
+    """Add to the columns of gains what the reference shows beside the nominal model, friction above all: a gain that
+    came since scales that, too."""
+    before = evidence.reference_rows
+    assert before is not None
+    shown, scale = Slopes.free(evidence, always), np.sqrt(weights) * (before[:, None] & evidence.valid)
+    own = shown.weighed(scale)
+    theta = solved(own.normal(), own.moment(evidence.residual((), np.zeros(0)) * scale), precision_of(always))
+    torque = shown.torque(theta)
+    for c in pool:
+        if c.effect.factor and c.joint is not None:
+            (column,) = c.columns[c.joint][1]
+            evidence.tables[c.joint][~before, column] += torque[~before, c.joint]
 
 
 def _measured(
