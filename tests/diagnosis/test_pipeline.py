@@ -11,6 +11,8 @@ from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose, pipeline
 from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.columns.evidence import Candidate
+from invdyn_cli.diagnosis.search import judge
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import LogError
 from invdyn_cli.functions import checking
@@ -131,6 +133,17 @@ def test_friction_that_fell_since_a_reference(robot, rubbing):
     for name in ("viscous_friction", "coulomb_friction"):
         size = next(iter(EFFECTS[name].parameters))
         assert EFFECTS[name].refuse({size: -1.0}) and not EFFECTS[name].as_change().refuse({size: -1.0})
+
+
+@pytest.mark.parametrize("beside", ["load_dependent_friction", "viscous_friction"])
+def test_friction_does_not_fall_beside_what_looks_like_it(beside):
+    """Less Coulomb friction beside a new friction that grows with the load corrects that one's formula; less viscous
+    friction beside it may be true, and so may it fall on another joint."""
+    one = Candidate(EFFECTS["coulomb_friction"].as_change(), 1, {}, {}, np.zeros(1))
+    others = [Candidate(EFFECTS[beside], joint, {}, {}, np.zeros(1)) for joint in (1, 2)]
+    refused = [bool(judge.falls_beside_its_like(one, np.array([-0.3]), [one, x])) for x in others]
+    assert refused == [beside == "load_dependent_friction", False]
+    assert not judge.falls_beside_its_like(one, np.array([0.3]), [one, *others])
 
 
 def test_a_drive_that_became_weaker_since_a_reference(robot, rubbing):

@@ -243,10 +243,11 @@ class HypothesisScorer:
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:
         """Why the coefficients of a hypothesis are physically impossible, "" if they are possible; effects that are
         always in it may have any values."""
+        others = [c for c in hypothesis if c not in self._always]
         for candidate, own in shared_out(hypothesis, theta):
             if candidate in self._always:
                 continue
-            if why := self.impossible(candidate, own):
+            if why := self.impossible(candidate, own) or falls_beside_its_like(candidate, own, others):
                 return why
             if candidate.effect.stays_near:
                 continue
@@ -302,6 +303,16 @@ class HypothesisScorer:
             prior = np.diag(candidate.precision)
             self._freedom[candidate] = float(np.trace(np.linalg.lstsq(normal + prior, normal, rcond=None)[0]))
         return self._freedom[candidate]
+
+
+def falls_beside_its_like(candidate: Candidate, own: np.ndarray, others: Sequence[Candidate]) -> str:
+    """Why it cannot be that a joint has less of an effect than in a reference, and what looks like the effect beside
+    it: the one then corrects the formula of the other."""
+    if not candidate.effect.lessens or own[0] >= 0:
+        return ""
+    alike = {name for names in candidate.effect.confounders for name in names}
+    other = next((c for c in others if c.joint == candidate.joint and c.effect.name in alike), None)
+    return "" if other is None else f"{candidate.effect.title}: it would fall, and {other.effect.title} come"
 
 
 def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):
