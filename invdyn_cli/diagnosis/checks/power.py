@@ -118,18 +118,9 @@ class PowerOff(AbstractCheck):
             seen=f"the torques are zero {times} while the arm rests where gravity loads it, {seconds:.3g} s in all, "
             f"first at t = {periods[0][0] + self.beside:.3f} s",
             meaning="brakes hold the arm, after an emergency stop or in a pause, and the drives have no power",
-            advice="nothing; these rows are left out",
+            advice="none is needed: these rows are left out",
             source="own choice: five standard deviations of what the torque and the URDF's differ by in motion",
         )
-
-
-def _followed(tau: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """By which factor the torque (W, n) follows gravity's (W, n), and its scatter about that, (n,) each: medians, the
-    factor of the windows in which gravity is above its own median."""
-    strong = np.abs(gravity) >= np.median(np.abs(gravity), axis=0)
-    ratio = np.where(strong & (gravity != 0), tau / np.where(gravity == 0, 1.0, gravity), np.nan)
-    factor = np.nan_to_num(np.nanmedian(ratio, axis=0))
-    return factor, 1.48 * np.median(np.abs(tau - factor * gravity), axis=0)
 
 
 def _median(x: np.ndarray) -> np.ndarray:

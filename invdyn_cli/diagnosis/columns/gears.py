@@ -110,7 +110,7 @@ def _yields(
     beside: Beside = (),
     exact: bool = False,
 ) -> Yields:
-    """To first order; what it changes by the full formula where that is asked or it yields far."""
+    """What a gear changes to first order, or by the full formula where that is asked or it yields far."""
     made = _columns(evidence, effect, joint, parameters, beside)
     if exact or made.far > STRAIGHT:
         return made._replace(fixed=change(evidence, EffectInstance(effect, joint, parameters), beside))
@@ -120,7 +120,7 @@ def _yields(
 def _columns(
     evidence: Evidence, effect: AbstractGearEffect, joint: int, parameters: Parameters, beside: Beside = ()
 ) -> Yields:
-    """To first order: it goes with the link's acceleration against the motor's, and with its angle."""
+    """What a gear changes to first order: it goes with the acceleration of link against motor, and with their angle."""
     recording, carried = evidence.recording, _carried(evidence, joint, beside)
     compliance = effect.compliance(parameters)
 
