@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -207,9 +208,10 @@ SEARCHED = "[{_target_: drag.CableDrag}]"
 
 
 @pytest.fixture
-def dragged(tmp_path) -> float:
+def dragged(tmp_path, monkeypatch) -> float:
     """The files of docs/own_effects.md in the working directory, one of Python and one YAML, with another size [N m
     s³/rad³] of what is hidden."""
+    monkeypatch.delitem(sys.modules, "drag", raising=False)  # of another test's folder
     size = round(float(np.random.default_rng(2611).uniform(0.4, 0.9)), 3)
     blocks = re.findall(r"^```(python|yaml)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     (tmp_path / "drag.py").write_text("".join(code for kind, code in blocks if kind == "python"))
