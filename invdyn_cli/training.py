@@ -5,7 +5,6 @@ one compiled program, which serves all learning rates. Groups of different shape
 padding them to a common shape, or one scan over all, takes about twice the time on a CPU.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 import optax
 
 from invdyn_cli.interfaces import Progress, silent
+from invdyn_cli.maths.threads import takes_one_core
 from invdyn_cli.types import Array, PyTree
 
 
@@ -102,8 +102,7 @@ def train(
         partial(_train_group, group, schedule, data, validation, keys, rates[i], partial(watch, i), start and start[i])
         for i, group in enumerate(groups)
     ]
-    alone = os.environ.get("OMP_NUM_THREADS") == "1"  # one of several processes that share the cores
-    with ThreadPoolExecutor(1 if alone else max(1, len(jobs))) as pool:
+    with ThreadPoolExecutor(1 if takes_one_core() else max(1, len(jobs))) as pool:
         return list(pool.map(lambda job: job(), jobs))
 
 

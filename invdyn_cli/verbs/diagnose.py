@@ -26,7 +26,7 @@ from invdyn_cli.interfaces import (
     AbstractMotionEffect,
     AbstractTorqueEffect,
 )
-from invdyn_cli.maths.threads import cores
+from invdyn_cli.maths.threads import cores, takes_one_core
 from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.report import diagnosis_figures
 from invdyn_cli.types import Diagnosis
@@ -61,8 +61,7 @@ def task(config: DictConfig) -> None:
     if in_sweep():
         _one_of_many(config, folder)
         return
-    with _drawer() as drawer:
-        diagnosis = execute(config, folder, Screen(), drawer=drawer)
+    diagnosis = execute(config, folder, Screen(), helped=True)
     failed = any(one.severity == "fail" for one in diagnosis.examination.checks)
     if config.strict and failed:
         raise SystemExit(1)
@@ -86,23 +85,25 @@ def _one_of_many(config: DictConfig, folder: Path) -> None:
 
 
 @contextmanager
-def _drawer() -> Iterator[Executor | None]:
+def _drawer(wanted: bool) -> Iterator[Executor | None]:
     """Another process, which begins with what drawing imports; None where this one shall take one core."""
-    if cores() < 2:
+    if not wanted or takes_one_core() or cores() < 2:
         yield None
         return
     with sweep.writers(1) as drawer:
         drawer.submit(import_module, diagnosis_figures.__name__)
-        yield drawer
-        for process in multiprocessing.active_children():
-            process.terminate()  # by itself it would take half a second to end
+        try:
+            yield drawer
+        finally:
+            for process in multiprocessing.active_children():
+                process.terminate()  # by itself it would finish its imports, and take half a second to end
 
 
 def execute(
-    config: DictConfig, folder: Path, console: Screen, *, shows: bool = False, drawer: Executor | None = None
+    config: DictConfig, folder: Path, console: Screen, *, shows: bool = False, helped: bool = False
 ) -> Diagnosis:
     """Config -> objects -> diagnosis -> files in `folder`; prints the result on `console`, and shows progress unless
-    `console` is quiet, or always if `shows` is true. A process of `drawer` draws half of the figures."""
+    `console` is quiet, or always if `shows` is true; `helped`: another process draws half of the figures."""
     use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
     if not isinstance(config.diagnosis.design, bool):
@@ -121,21 +122,22 @@ def execute(
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet and not shows) as stage:
         found = source.recorded(robot, stage("data"))
-        result = explain(
-            found.log,
-            robot,
-            windows=found.windows,
-            reference=found.reference,
-            options=options,
-            effects=effects,
-            learner=learner,
-            design=config.diagnosis.design,
-            seed=config.seed,
-            progress=stage("diagnose"),
-            designing=stage("next"),
-            notes=[f"data: {note}" for note in found.notes],
-        )
-        result.save(folder, stage("write"), drawer)
+        with _drawer(helped) as drawer:  # not before the input was read: wrong input is told without it
+            result = explain(
+                found.log,
+                robot,
+                windows=found.windows,
+                reference=found.reference,
+                options=options,
+                effects=effects,
+                learner=learner,
+                design=config.diagnosis.design,
+                seed=config.seed,
+                progress=stage("diagnose"),
+                designing=stage("next"),
+                notes=[f"data: {note}" for note in found.notes],
+            )
+            result.save(folder, stage("write"), drawer)
     imports.keep(maps, folder, console)
     console.print(result)
     console.whole(f"page: {relative(folder) / REPORT}")

@@ -72,7 +72,7 @@ class PowerOff(AbstractCheck):
 
     def rows_of(self, raw: RawTrajectory, one: Check) -> np.ndarray:
         """(T,) bool: rows of a trajectory in the periods that were found."""
-        return np.any([(raw.t >= a) & (raw.t <= b) for a, b in one.threshold["periods"]], axis=0)
+        return _inside(raw.t, one.threshold["periods"])
 
     def _follows(self, log: Log, robot: Robot) -> Follows | None:
         """Medians over the rows in motion on which the URDF's torque is at least half of its 99 % quantile."""
@@ -105,22 +105,25 @@ class PowerOff(AbstractCheck):
         return [(float(raw.t[a] - self.beside), float(raw.t[b - 1] + self.beside)) for a, b in runs(off)]
 
     def _seen(self, raw: RawTrajectory, periods: list[tuple[float, float]]) -> Check:
-        out = {"channel": "tau", "periods": periods}
-        inside = self.rows_of(raw, Check(self.name, "warn", threshold=out))
-        seconds = float(median_step(raw.t) * np.sum(inside))
+        seconds = float(median_step(raw.t) * np.sum(_inside(raw.t, periods)))
         times = "once" if len(periods) == 1 else f"{len(periods)} times"
         return Check(
             self.name,
             "warn",
             raw.name,
             value=seconds,
-            threshold=out,
+            threshold={"channel": "tau", "periods": periods},
             seen=f"the torques are zero {times} while the arm rests where gravity loads it, {seconds:.3g} s in all, "
             f"first at t = {periods[0][0] + self.beside:.3f} s",
             meaning="brakes hold the arm, after an emergency stop or in a pause, and the drives have no power",
             advice="none is needed: these rows are left out",
             source="own choice: five standard deviations of what the torque and the URDF's differ by in motion",
         )
+
+
+def _inside(t: np.ndarray, periods: Sequence[tuple[float, float]]) -> np.ndarray:
+    """(T,) bool: which of the times are in one of these periods."""
+    return np.any([(t >= a) & (t <= b) for a, b in periods], axis=0)
 
 
 def _median(x: np.ndarray) -> np.ndarray:
