@@ -15,6 +15,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.columns.evidence import started
+from invdyn_cli.diagnosis.since import LOGS
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.channels import in_newton_metres
@@ -157,7 +158,9 @@ class Scale:
     def row(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """A row of the table of standard terms."""
         told = self.quantity(Quantity(row["value"], row["unit"], row["interval95"]))
-        return {**row, "value": told.value, "unit": told.unit, "interval95": told.interval95}
+        each = {log: self.quantity(Quantity(row[log][0], row["unit"], row[log][1:])) for log in LOGS if log in row}
+        logs = {log: (x.value, *x.interval95) for log, x in each.items()}
+        return {**row, "value": told.value, "unit": told.unit, "interval95": told.interval95, **logs}
 
     def gain(self, gain: Gain) -> Gain:
         """The errors without and with an effect."""

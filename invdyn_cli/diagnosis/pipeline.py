@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli import compiled
-from invdyn_cli.diagnosis import extension, gains, repeats, standard, transition, wear, yielding
+from invdyn_cli.diagnosis import extension, gains, repeats, since, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence
@@ -93,7 +93,9 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
         return asked(*wear.beside(columns, yielding.believable(columns, case.gear, fitted))), columns
     add_loaded(case.evidence)
     inquiry = asked(case.evidence)
-    fitted = None if case.compares else wear.of(columns, inquiry)
+    if case.compares:
+        return inquiry, replace(columns, evidence=inquiry.evidence)  # which knows that channels changed since
+    fitted = wear.of(columns, inquiry)
     if fitted is not None:
         progress(0.65, "search with link errors")
         again = asked(*wear.beside(columns, fitted, inquiry.noise.weights, inquiry.chosen.acting))
@@ -150,7 +152,7 @@ def decided(
         baselines={
             name: _scores(evidence, x) for name, x in standard.baselines(columns, evidence, more.before).items()
         },
-        standard=standard.told(evidence, more, named),
+        standard=standard.told(evidence, more, named, since.each_log(evidence, made, more)),
         unclaimed=unnamed,
         tests=tests,
         noise_floor=None

@@ -117,8 +117,8 @@ class Columns:
         from the root of the sum of squares: what the noise and the prior leave unknown; their scatter between stretches
         of time or between recordings, which shows what the model has not; and SYSTEMATIC."""
         _, prior, times = self.asked(left, rows, standard.link_scales(self.evidence.robot))
-        stretches = [self._sums(left, stretch) for stretch in _stretches(rows)]
-        ways = [x for x, least in ((stretches, 2), (self._motions(left, rows), RECORDINGS)) if len(x) >= least]
+        parts = [self.sums(left, stretch) for stretch in stretches(rows)]
+        ways = [x for x, least in ((parts, 2), (self._motions(left, rows), RECORDINGS)) if len(x) >= least]
         scatter = reach(
             [standard.replicas(x, prior, times, fitted.share) for x in ways], np.zeros((1, len(fitted.theta)))
         )
@@ -145,9 +145,10 @@ class Columns:
     def _motions(self, left: np.ndarray, rows: np.ndarray) -> list[Sums]:
         """What every trajectory says."""
         names = self.evidence.trajectory
-        return [self._sums(left, rows & (names == name)) for name in dict.fromkeys(names[rows].tolist())]
+        return [self.sums(left, rows & (names == name)) for name in dict.fromkeys(names[rows].tolist())]
 
-    def _sums(self, left: np.ndarray, rows: np.ndarray) -> Sums:
+    def sums(self, left: np.ndarray, rows: np.ndarray) -> Sums:
+        """What some rows (R,) bool say of what is `left` (R, n)."""
         n, p = self.evidence.dofs, len(self.links) + self.own[..., 0].size
         grams, count = np.zeros((n, p + 1, p + 1)), np.zeros(n)
         for j in range(n):
@@ -198,12 +199,18 @@ class Beside:
     worth: np.ndarray
 
 
-def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | None]]) -> dict[str, Any]:
+def told(
+    evidence: Evidence,
+    made: Beside,
+    claimed: Collection[tuple[str, str | None]],
+    more: Mapping[str, Mapping[str, Mapping[str, Any]]],
+) -> dict[str, Any]:
     """The standard terms of every joint in the written model, as diagnosis.json has them; empty where the findings
     say all of it.
 
     Args:
         claimed: (effect, joint) of what was named.
+        more: what else is told of a joint's term, if anything.
     """
     if not made.asked:
         return {}
@@ -211,7 +218,7 @@ def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | 
     for j, joint in enumerate(evidence.robot.joints):
         row = {}
         for term, (effect, name) in TERMS.items():
-            place = _place(made.acting, term, j)
+            place = place_of(made.acting, term, j)
             if place is None:
                 continue
             value, low, high = made.intervals[place].get(name, (made.acting[place].parameters[name],) * 3)
@@ -219,6 +226,7 @@ def told(evidence: Evidence, made: Beside, claimed: Collection[tuple[str, str | 
             ends = [float(low), float(high)]
             named = (effect, joint) in claimed
             row[term] = {"effect": effect, "value": float(value), "unit": unit, "interval95": ends, "claimed": named}
+            row[term] |= more.get(joint, {}).get(term, {})
         out[joint] = row
     share, chosen = made.share
     worth = dict(zip(evidence.robot.joints, made.worth.tolist(), strict=True))
@@ -349,12 +357,12 @@ def least_of(columns: Columns, acting: Sequence[EffectInstance]) -> np.ndarray:
     return least
 
 
-def _stretches(rows: np.ndarray) -> list[np.ndarray]:
+def stretches(rows: np.ndarray) -> list[np.ndarray]:
     """The chosen rows (R,) bool in STRETCHES parts, one behind the other, each as such."""
     return [np.isin(np.arange(len(rows)), at) for at in np.array_split(np.flatnonzero(rows), STRETCHES)]
 
 
-def _place(acting: Sequence[EffectInstance], term: str, joint: int) -> int | None:
+def place_of(acting: Sequence[EffectInstance], term: str, joint: int) -> int | None:
     """Where a joint's term stands among effects that always act."""
     effect = TERMS[term][0]
     return next((k for k, a in enumerate(acting) if a.key == (effect, joint)), None)
@@ -377,7 +385,7 @@ def _merged(
         effect, name = TERMS[term]
         for j in range(n):
             value, wide = (float(x[10 * n + t * n + j]) for x in (theta, half))
-            place = _place(acting, term, j)
+            place = place_of(acting, term, j)
             if place is None:
                 together.append(EffectInstance(EFFECTS[effect], j, {name: value}))
                 ends.append({name: (value, value - wide, value + wide)})
