@@ -119,6 +119,7 @@ def decided(
     progress(0.75, "names")
     unsure = () if case.compares else wear.unsure_links(columns, inquiry)
     made = findings.report(inquiry, effects, case.examination, side, position_side, unsure, refusals)
+    made = since.retold(inquiry, columns, made)
     more = standard.beside(columns, evidence, made)
     if inquiry.wear:  # then standard terms are in every hypothesis, and not among its findings
         there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}

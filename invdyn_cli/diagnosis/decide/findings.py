@@ -162,7 +162,7 @@ def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndar
         gain=_gains(inquiry, claimed.hypothesis, (i,), after),
         rejected=_rejected(robot, candidate.key, rivals),
         advice=acting.effect.advice,
-        evidence=_facts(evidence, term) | _equals(robot, rivals),
+        evidence=facts(evidence, term) | _equals(robot, rivals),
         group=acting.effect.group,
         text=acting.effect.text,
     )
@@ -247,7 +247,8 @@ def _late(rival: naming.Rival, own: Candidate, close: bool) -> naming.Rival:
     return replace(rival, equal=close, why=why)
 
 
-def _facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
+def facts(evidence: Evidence, term: np.ndarray) -> dict[str, Any]:
+    """What an effect that adds a `term` (R, n) makes of every joint's torque."""
     rms, strong = (np.sqrt(np.mean(x**2, axis=0)) for x in (term, evidence.tau))
     share = rms / np.maximum(strong, 1e-300)
     names = evidence.robot.joints
