@@ -68,17 +68,18 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     values, halves = _fitted(columns, links, (reference, ~reference))
     learned, _ = _fitted(columns, links, (reference, ~reference & ~judged(evidence)))
     differ = _differ(values, halves)
-    differ[:, [c.joint for c in others]] = False
+    differ[:, [c.joint for c in others if c.joint is not None]] = False
     pool = {c.key: c for c in inquiry.pool if not c.shape}
     changes = []
     for t, term, j, _ in _places(evidence):
         candidate = pool.get((TERMS[term][0], j))
         if differ[t, j] and candidate is not None:
             own = np.outer(columns.own[kept[t], j] * ~reference, np.eye(evidence.dofs)[j])
-            sizes = [float((x[1] - x[0])[t, j]) for x in (learned, values)]
-            changes.append(_Change(candidate, TERMS[term][1], *sizes, float(np.hypot(*halves[:, t, j])), own))
+            before, after = ((x[1] - x[0])[t, j] for x in (learned, values))
+            half = np.hypot(*halves[:, t, j])
+            changes.append(_Change(candidate, j, TERMS[term][1], float(before), float(after), float(half), own))
     now = links - np.einsum("tj,tjr->rj", learned[1], columns.own[kept])
-    gains = [gain_of(evidence, x.candidate.joint, now + x.learned * x.torque, now) for x in changes]
+    gains = [gain_of(evidence, x.joint, now + x.learned * x.torque, now) for x in changes]
     sure = [(x, gain) for x, gain in zip(changes, gains, strict=True) if gain and gain.interval95[0] > 0]
     if {x.candidate.key for x, _ in sure} <= {a.key for a in made.acting}:
         return made
@@ -89,7 +90,7 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     return replace(
         joined(rest, told, torques),
         hypothesis=hypothesis,
-        acting=tuple(EffectInstance(x.candidate.effect, x.candidate.joint, {x.name: x.size}) for x, _ in sure),
+        acting=tuple(EffectInstance(x.candidate.effect, x.joint, {x.name: x.size}) for x, _ in sure),
         intervals=tuple({x.name: x.ends} for x, _ in sure),
         residual=left(inquiry, hypothesis),
         alone=nominal - sum(x.learned * x.torque for x, _ in sure),
@@ -103,6 +104,7 @@ class _Change:
     its 95 % interval; and the torque (R, n) of a size of one."""
 
     candidate: Candidate
+    joint: int
     name: str
     learned: float
     size: float
@@ -117,9 +119,9 @@ class _Change:
 def _finding(inquiry: Inquiry, hypothesis: Hypothesis, one: _Change, gain: Gain, claims: Sequence[Finding]) -> Finding:
     """A change as a finding; what the search could not tell from it stays its alternative, unless that changed, too."""
     candidate, robot = one.candidate, inquiry.evidence.robot
-    effect, joint = candidate.effect, robot.joints[candidate.joint]
+    effect, joint = candidate.effect, robot.joints[one.joint]
     old = next((x for x in claims if (x.effect, x.joint) == (effect.name, joint)), None)
-    there = {c.effect.name for c in hypothesis if c.joint == candidate.joint}
+    there = {c.effect.name for c in hypothesis if c.joint == one.joint}
     others = [x for x in old.alternatives if not there.issuperset(x)] if old else []
     around = (*inquiry.always, *(c for c in hypothesis if c is not candidate))
     if not old and blind_to_stribeck(inquiry.judge, around, candidate, inquiry.pool):
@@ -129,7 +131,7 @@ def _finding(inquiry: Inquiry, hypothesis: Hypothesis, one: _Change, gain: Gain,
         joint,
         "ambiguous" if others else "named",
         alternatives=tuple(others),
-        parameters=quantities(robot, effect, candidate.joint, {one.name: one.ends}),
+        parameters=quantities(robot, effect, one.joint, {one.name: one.ends}),
         gain={joint: gain},
         evidence=facts(inquiry.evidence, one.size * one.torque),
         rejected=old.rejected if old else (),

@@ -78,7 +78,12 @@ class DiagnosisResult(Shown):
         if diagnosis.verdict == "log_unusable":
             parts.append(shown(diagnosis.examination))
         else:
-            tables = (diagnosis_tables.finding_table, diagnosis_tables.standard_table, diagnosis_tables.unclaimed_line)
+            tables = (
+                diagnosis_tables.finding_table,
+                diagnosis_tables.standard_table,
+                diagnosis_tables.each_log_table,
+                diagnosis_tables.unclaimed_line,
+            )
             parts += [x for x in (table(diagnosis) for table in tables) if x is not None]
             parts.append(diagnosis_tables.error_table(diagnosis))
         if diagnosis.replay is not None:

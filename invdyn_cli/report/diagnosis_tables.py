@@ -10,9 +10,11 @@ from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.report.quantities import best_gain, gain_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
+    EACH_LOG,
     capital,
     cause,
     causes,
+    each_log,
     estimates,
     gaining,
     joints_of,
@@ -90,6 +92,24 @@ def _links(diagnosis: Diagnosis) -> str:
     most = max(worth, key=lambda joint: worth[joint])
     made = f"makes up to {significant(worth[most])} {units_of(diagnosis)[most]} ({most})"
     return f"typically {100 * share:.3g} % off in the URDF, which {made}" if share else "as the URDF has them"
+
+
+def each_log_table(diagnosis: Diagnosis) -> Table | Text | None:
+    """Offsets and frictions that differ between the logs of a comparison; a line if none does; None without a
+    reference."""
+    rows = each_log(diagnosis)
+    if not rows:
+        return None
+    differing = [cells for differs, cells in rows if differs]
+    if not differing:
+        return Text("Fitted to each log by itself, no offset and no friction differs from the reference.", "dim")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
+    table.caption = Text("Offset and friction that differ, fitted to each log by itself; ± 95 %.", "dim")
+    for head in EACH_LOG:
+        table.add_column(head, overflow="fold", justify="right" if head == EACH_LOG[-1] else "left")
+    for cells in differing:
+        table.add_row(*map(Text, cells))
+    return table
 
 
 def unclaimed_line(diagnosis: Diagnosis) -> Text | None:

@@ -4,10 +4,20 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from invdyn_cli.report.html import table
+from invdyn_cli.report.html import folded, table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import capital, claims, estimates, place, standard_rows, units_of, words
+from invdyn_cli.report.wording import (
+    EACH_LOG,
+    capital,
+    claims,
+    each_log,
+    estimates,
+    place,
+    standard_rows,
+    units_of,
+    words,
+)
 from invdyn_cli.types import Diagnosis, Quantity
 
 
@@ -34,7 +44,20 @@ def standard_section(diagnosis: Diagnosis) -> str:
     if diagnosis.details.get("torque_side") == "link":
         note += " The torque was measured behind the gear: its friction is that of bearings, seals and cables, or the "
         note += "sensor feels a part of the gear's, too."
-    return table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
+    made = table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
+    return made + _each_log(diagnosis)
+
+
+def _each_log(diagnosis: Diagnosis) -> str:
+    """Offset and friction of the logs of a comparison; nothing without a reference."""
+    rows, body = each_log(diagnosis), ""
+    for differs, cells in rows:
+        told = [f"<b>{escape(x)}</b>" if differs else escape(x) for x in cells]
+        body += "<tr>" + "".join(f"<td>{x}</td>" for x in told) + "</tr>"
+    note = "Fitted to each log by itself, beside all other changes; ± 95 %; bold: the sizes differ for sure."
+    many = sum(differs for differs, _ in rows)
+    label = f"Offset and friction in the reference and now: {many} of {len(rows)} differ"
+    return folded(label, table(EACH_LOG, body, "dense") + f'<p class="note">{note}</p>', shown=many > 0) if rows else ""
 
 
 def _term(term: Mapping[str, Any], number: int | None) -> str:

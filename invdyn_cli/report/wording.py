@@ -9,9 +9,9 @@ from invdyn_cli.diagnosis.decide.passing import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import in_table
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import CHANNELS
-from invdyn_cli.report.quantities import quantity_text
+from invdyn_cli.report.quantities import quantity_text, unit_text
 from invdyn_cli.report.tables import significant
-from invdyn_cli.types import Diagnosis, EffectText, Finding
+from invdyn_cli.types import Diagnosis, EffectText, Finding, Quantity
 
 STATUS_WORDS = {
     "named": "named",
@@ -154,6 +154,30 @@ def standard_rows(diagnosis: Diagnosis) -> tuple[dict[str, Mapping[str, Any]], l
     """The standard terms of the written model by joint, and the names of all that any joint has."""
     rows = {joint: terms for joint, terms in diagnosis.standard.items() if joint != "inertials"}
     return rows, list(dict.fromkeys(name for terms in rows.values() for name in terms))
+
+
+def each_log(diagnosis: Diagnosis) -> list[tuple[bool, tuple[str, ...]]]:
+    """Whether it differs for sure, and the cells under EACH_LOG, of every offset and friction of a comparison's logs,
+    each fitted by itself; none where there is no reference."""
+    made = []
+    for joint, terms in standard_rows(diagnosis)[0].items():
+        for name, x in terms.items():
+            if "differ" not in x:
+                continue
+            each = (Quantity([one[0]], "-", [[end] for end in one[1:]]) for one in (x["reference"], x["now"]))
+            then, now = (quantity_text(one).strip("()") for one in each)
+            friction = name != "offset" and x["reference"][0] > 0
+            change = f"{100 * (x['now'][0] / x['reference'][0] - 1):+.0f} %" if friction else ""
+            made.append(
+                (
+                    x["differ"],
+                    (joint, f"{name} [{unit_text(x['unit'])}]", then, now, change.replace("-", "\N{MINUS SIGN}")),
+                )
+            )
+    return made
+
+
+EACH_LOG = ("joint", "term", "in the reference", "now", "change")
 
 
 def causes(diagnosis: Diagnosis) -> list[tuple[int, Finding]]:
