@@ -95,6 +95,8 @@ class AbstractEffect(abc.ABC):
     late_by: ClassVar[str] = ""
     """Name of the parameter [s] by which the delivered torque is late; effects with one differ from each other only to
     second order."""
+    sized_by: ClassVar[str] = ""
+    """Name of the parameter that is zero where there is no effect, if it has several."""
     of_joint: ClassVar[bool] = True
     """Whether it acts on a joint or its link; if not, on the whole arm."""
     needs: ClassVar[tuple[str, ...]] = ()

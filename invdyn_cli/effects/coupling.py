@@ -63,6 +63,7 @@ class CoupledFriction(AbstractTorqueEffect):
     shows = ("neighbours",)
     coupled = True
     jumps = True
+    needs = ("motion", "together")
 
     def typical(self, usual: UsualJoint) -> dict[str, Any]:
         level = usual.level / 2

@@ -125,6 +125,7 @@ class BaseTilt(AbstractBodyEffect):
     equation = "gravity = 9.81 (sin angle cos azimuth, sin angle sin azimuth, −cos angle)"
     reference = "Atkeson, An and Hollerbach, IJRR 1986"
     parameters = {"angle": Parameter("rad", 0.0, np.pi), "azimuth": Parameter("rad")}
+    sized_by = "angle"
     confounders = (("link_inertia_error",), ("encoder_offset",), ("torque_offset",))
     advice = (
         "a spirit level on the base; or rotations of a vertical first joint: its gravity torque is zero without tilt"

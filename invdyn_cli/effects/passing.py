@@ -31,6 +31,7 @@ class PayloadChange(AbstractBodyEffect):
     equation = "a body of this mass at com in the frame of the last moving joint, for a time"
     reference = "Gaz and De Luca, IROS 2017"
     parameters = {**Payload.parameters, "mass": Parameter("kg", 0.0)}
+    sized_by = "mass"
     passing = True
     of_joint = False
     load = True

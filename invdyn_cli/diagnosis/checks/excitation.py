@@ -35,6 +35,8 @@ class Excitation:
         acceleration: [rad/s^2] 95th percentile that shows a rotor's inertia (ours: with 0.1 kg m^2, 0.05 N m).
         agile: [Hz] ratio of acceleration to speed below which a gear's spring, 10 Hz or more with its link, adds less
             than a thousandth of the inertial torque (ours).
+        together: share of the time in which a joint or the one before it moves, in which both do: below it a drive that
+            both turn looks like one drive each.
         warm, drift: [s] that friction takes to warm up, offsets to drift.
     """
 
@@ -49,6 +51,7 @@ class Excitation:
     turn: float = 0.5
     acceleration: float = 0.5
     agile: float = 0.3
+    together: float = 0.05
     warm: float = 300.0
     drift: float = 60.0
 
@@ -79,9 +82,17 @@ class Excitation:
                 "condition": condition,
             }
             lacks = dict(self._lacks(numbers, speed, one["qdd"], nominal, moves, seconds))
+            before = -1 if robot is None else robot.parents[joint]
+            if before >= 0 and moves:
+                lacks |= self._alone(speed > self.rest, np.abs(channels["qd"][:, before]) > self.rest)
             numbers["lacks"], numbers["cannot_show"] = lacks, cannot_show(lacks, EFFECTS)
             out[name] = numbers
         return out
+
+    def _alone(self, own: np.ndarray, before: np.ndarray) -> dict[str, str]:
+        """{"together": reason} where a joint and the one before it move, but hardly at the same time (T,)."""
+        share = np.mean(own & before) / max(np.mean(own | before), 1e-12)
+        return {"together": "it and the joint before it move one after the other"} if share < self.together else {}
 
     def _reversals(self, x: Stretch, joint: int) -> int:
         """Changes of direction, each with a speed above `rest` on both sides."""
@@ -157,6 +168,7 @@ NEEDS: Mapping[str, str] = {
     "torque": "its torque varies",
     "load_zeros": "its load changes sign",
     "frequency": "it moves fast to and fro",
+    "together": "it moves while the joint before it moves",
     "minutes": "the recording lasts for minutes",
     "warming": "the recording lasts for as long as friction takes to warm up",
 }

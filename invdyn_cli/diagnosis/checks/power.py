@@ -29,15 +29,16 @@ class PowerOff(AbstractCheck):
 
     While the arm moves, a joint's torque follows the URDF's by a factor, which covers its unit and sign, and with a
     scatter, which covers friction and errors of the URDF. At rest a joint is judged where gravity loads it by far more
-    than that scatter. Power is off where all joints rest and none of those that are judged has a torque. A gear that
-    holds its load by friction looks the same, and its torque tells as little.
+    than that scatter. Power is off where all joints rest, such a joint is among them, and none has a torque. A gear
+    that holds its load by friction looks the same, and its torque tells as little.
 
     Attributes:
         window: [s] of a mean.
         beside: [s] before and after that are left out, too: a window, and 0.25 s in which the arm comes to rest or the
             brakes open (ours: brakes take 0.05 to 0.2 s).
         loaded: least load of a joint that is judged, in its scatters (ours: five standard deviations).
-        none: largest torque that counts as none, of the load (ours: offsets of sensors are below).
+        none: largest torque that counts as none, of the load; of a joint that is not judged, of its torque in the log
+            (ours: offsets of sensors are below).
         moving: least number of rows in motion that tell a joint's factor and scatter.
     """
 
@@ -98,8 +99,10 @@ class PowerOff(AbstractCheck):
         q = raw.q[rows].mean(axis=1)
         load = np.abs(follows.factor * nominal_torque(robot, Motion(q, np.zeros_like(q), np.zeros_like(q)))[1])
         judged = load > self.loaded * follows.scatter
-        without = np.abs(newton_metres(log, raw)[rows].mean(axis=1)) < self.none * load
-        rows = rows[judged.any(axis=1) & (without | ~judged).all(axis=1)]
+        tau = newton_metres(log, raw)
+        usual = np.quantile(np.abs(tau), 0.99, axis=0)  # a joint may have one though gravity does not load it there
+        without = np.abs(tau[rows].mean(axis=1)) < self.none * np.where(judged, load, usual)
+        rows = rows[judged.any(axis=1) & without.all(axis=1)]
         off = np.zeros(len(raw.t), bool)
         off[rows] = True
         return [(float(raw.t[a] - self.beside), float(raw.t[b - 1] + self.beside)) for a, b in runs(off)]

@@ -4,11 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, known
 from invdyn_cli.effects.composition import EffectInstance, has_driver, joint_terms, shares
 from invdyn_cli.effects.friction import STICK_TIME, about_reversals
 from invdyn_cli.interfaces import AbstractTorqueEffect, Parameters
+
+TOGETHER = Excitation.together
+"""Part of the time in which either of two joints moves, in which both have to."""
 
 
 class JointTorques(AbstractKind[AbstractTorqueEffect]):
@@ -18,7 +22,7 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
         made = []
         for effect in effects:
             for joint in range(evidence.dofs):
-                if not effect.coupled or has_driver(evidence.robot, joint):
+                if not effect.coupled or (has_driver(evidence.robot, joint) and _together(evidence, joint)):
                     # what the shapes depend on is the same for all pieces: the longest one tells
                     longest = max((s[joint] for s in evidence.states), key=lambda s: len(s.t))
                     made += [self.candidate(evidence, effect, joint, shape) for shape in effect.shapes(longest)]
@@ -52,6 +56,13 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
     ) -> Candidate:
         shape = effect.shape_of(at)
         return self.candidate(evidence, effect, joint, shape) if shape else known(evidence, effect, joint)
+
+
+def _together(evidence: Evidence, joint: int) -> bool:
+    """Whether a joint and the one before it move at the same time for a part of that in which either does: where they
+    move one after the other, friction of a drive that both turn is that of each."""
+    own, before = (evidence.valid[:, j] for j in (joint, evidence.robot.parents[joint]))
+    return bool(np.sum(own & before) > TOGETHER * np.sum(own | before))
 
 
 def reversal_columns(evidence: Evidence, one: EffectInstance) -> list[dict[int, np.ndarray]]:

@@ -175,13 +175,17 @@ class Claim:
         return max(self._ends(self.candidate.effect.late_by) * (1, -1))
 
     @cached_property
-    def mass(self) -> float:
-        """The least mass [kg] of a body that comes and goes, by its interval; infinite for other effects."""
+    def size(self) -> float:
+        """The least that the parameter may be, of either sign and by its interval, that is zero, of a factor one, where
+        there is no effect; infinite where it has none such, or a vector."""
         effect = self.candidate.effect
-        return self._ends("mass" if effect.load and effect.passing else "")[0]
+        alone = len(effect.parameters) == 1 and not effect.yields
+        name = effect.sized_by or (next(iter(effect.parameters)) if alone else "")
+        ends = self._ends(name)
+        return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
 
     def _ends(self, name: str) -> np.ndarray:
-        """(2,) the ends of a parameter's interval; infinite for none."""
+        """(2, …) the ends of a parameter's interval; infinite for none."""
         place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
         if not name or place is None:
             return np.full(2, np.inf)

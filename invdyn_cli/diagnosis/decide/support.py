@@ -90,7 +90,7 @@ REFUSALS = (
         ),
     ),
     Refusal(
-        "mass of a body that comes and goes", lambda x: x.mass, np.nextafter(0, 1), lambda _: "its mass may be zero"
+        "least size by its interval", lambda x: x.size, np.nextafter(0, 1), lambda _: "its 95 % interval contains zero"
     ),
     Refusal(
         "chance that its exact formula gains", lambda x: np.inf if x.inquiry.wear else x.exact[0], 1 - naming.DOUBT
