@@ -33,6 +33,10 @@ COMMANDED, MEASURED, OTHER, FILLERS, UNITS = (frozenset(words.split()) for words
 LAST_UNITS = {"s": "t", "sec": "t", "secs": "t", "seconds": "t", "a": "current"}
 """Units only at the end of the name of that quantity: elsewhere they may mean anything."""
 
+OF_SLIDES = {"q": (("m",), ("mm",)), "qd": (("m", "s"), ("mm", "s")), "tau": (("n",),)}
+OF_SLIDES["qdd"] = tuple((*unit, "2") for unit in OF_SLIDES["qd"])
+"""Units of a joint that slides, at the end of the name of that quantity behind a joint's."""
+
 FORCES = frozenset({"force", "kraft", "fuerza", "forza"})
 """A force of a joint with a name is the torque of a slide; forces with a number or an axis are those of a sensor."""
 
@@ -119,6 +123,12 @@ def _unit(words: list[str], quantity: str) -> tuple[str, set[int]]:
             if word in ("deg", "rad") and after[:1] == ["s"]:
                 return f"{word}/s", {i, i + 1}
             return canonical(word) or "", {i}
+    for unit in OF_SLIDES.get(quantity, ()):
+        start = len(words) - len(unit)
+        if start > 1 and tuple(words[start:]) == unit:
+            return canonical("/".join(unit[:2]) + "".join(f"^{x}" for x in unit[2:])) or "", set(
+                range(start, len(words))
+            )
     return "", set()
 
 
