@@ -80,3 +80,16 @@ def test_torques_without_gravity_stay(log, arm):
     free = changed(bad, tau=raw.tau - nominal_torque(arm, Motion(raw.q, 0 * raw.q, 0 * raw.q))[0])
     for one in (free, replace(free, compensated=("gravity",))):
         assert not seen(doctor.examine(one, arm), "power_off")
+
+
+def test_a_torque_on_a_joint_that_gravity_does_not_load_is_power(log, arm):
+    """Friction of a gear holds the loaded joints without torque, and another drive pushes: that is no stop."""
+    bad = resting(log, arm, power=False)
+    raw = bad.trajectories[0]
+    load = np.abs(nominal_torque(arm, Motion(raw.q, 0 * raw.q, 0 * raw.q))[0]).max(axis=0)
+    free = int(np.argmin(load))
+    rests = (raw.t > STOP) & (raw.t < STOP + REST)
+    tau = raw.tau.copy()
+    tau[rests, free] += 0.5 * np.quantile(np.abs(tau[:, free]), 0.99)
+    assert load[free] < 0.1 * load.max()
+    assert not seen(doctor.examine(changed(bad, tau=tau), arm), "power_off")

@@ -69,6 +69,11 @@ NAMES = {
     "q_D": ("q", "D", False, ""),
     "Q_D": ("q", "", True, ""),
     "Desired_q_1": ("q", "1", True, ""),
+    "joint_3_pos_mm": ("q", "3", False, "mm"),
+    "lift_vel_m_s": ("qd", "lift", False, "m/s"),
+    "joint_3_acc_mm_s2": ("qdd", "3", False, "mm/s^2"),
+    "joint_3_torque_N": ("tau", "3", False, "N"),
+    "tau_n": ("tau", "n", False, ""),
 }
 
 

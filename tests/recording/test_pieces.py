@@ -107,6 +107,15 @@ def test_of_joints_that_move_one_after_the_other_all_are_learned():
     assert [p.role for p in recording_of(log_of(raw(*moved(60.0)))).pieces] == ["train", "test"]
 
 
+def test_of_joints_that_move_one_after_the_other_all_are_judged():
+    """The first of the joints has come to rest for good before the last three tenths of the time: at least a twentieth
+    of its way, and of every other's, is held out all the same."""
+    pieces = recording_of(log_of(raw(*in_turn(30.0)))).pieces
+    ways = [np.sum([np.abs(np.diff(p.q)).sum(axis=1) for p in pieces if p.role in roles], axis=0)
+            for roles in (("test",), ("train", "test"))]  # fmt: skip
+    assert np.all(ways[0] > 0.05 * ways[1])
+
+
 def test_pieces_of_a_trajectory_are_in_the_order_of_time():
     """Also where what judges was chosen before what learns, and where joints move one after the other."""
     windows = {"train": [("run", 12.0, np.inf)], "test": [("run", -np.inf, 12.0)]}
@@ -160,6 +169,22 @@ def test_an_encoder_s_noise_is_no_less_than_its_step_makes():
     one = raw(t, m, torque=0.02)
     recording = recording_of(log_of(replace(one, q=step * np.round(m.q[at] / step))))
     assert np.all(recording.position_noise > 0.99 * step / np.sqrt(12))
+
+
+def test_noise_of_positions_is_that_of_motion():
+    """A joint that rests for two thirds of the time, sampled up to 0.5 ms beside its stamps: in motion that makes noise
+    of its speed times the standard deviation of the stamps, of which at least half is seen, and ten times less at
+    rest."""
+    t, _ = moved(20.0, rate=250.0)
+    rests = (t % 9.0) < 6.0
+    late = np.where(rests, 0.0, np.cumsum(~rests)) / 250.0  # time of the motion, which goes on from where it stopped
+    late = np.maximum.accumulate(late)
+    off = np.random.default_rng(0).uniform(-5e-4, 5e-4, len(t)) * ~rests
+    at = motion(arm(), late + off, 0)
+    log = log_of(replace(raw(t, at, torque=0.02), q=at.q + 1e-7 * np.random.default_rng(1).normal(size=at.q.shape)))
+    speed = np.sqrt(np.mean(at.qd[~rests] ** 2, axis=0))
+    noise = recording_of(log).position_noise
+    assert np.all(noise > 0.5 * speed * 1e-3 / np.sqrt(12)) and np.all(noise > 1e-6)
 
 
 def test_the_cut_off_falls_with_the_noise_of_positions():

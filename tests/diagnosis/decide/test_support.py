@@ -69,14 +69,36 @@ def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
     assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
 
 
-@pytest.mark.parametrize(("mass", "refused"), [(-0.12, True), (0.3, False), (np.inf, False)])
-def test_a_body_that_comes_and_goes_has_a_mass(mass, refused):
-    """A true effect is claimed unless it is a body for a time whose mass may be zero."""
+@pytest.mark.parametrize(("ends", "refused"), [((-0.1, 3.0), True), ((1.0, 3.0), False), ((-3.0, -1.0), False)])
+def test_a_claim_has_a_size(ends, refused, monkeypatch):
+    """A true effect is claimed unless its interval contains zero."""
     one = of_coulomb(rubbed(20.0))
-    assert one.mass == np.inf  # friction is no body
-    one.__dict__["mass"] = mass  # cached: made up here
+    monkeypatch.setattr(claim.Claim, "_ends", lambda _, name: np.array(ends) if name else np.full(2, np.inf))
     row = support.refusal(one)
-    assert (row is not None and "mass" in row.why(one)) == refused and (row is None) == (not refused)
+    assert (row is not None and "zero" in row.why(one)) == refused and (row is None) == (not refused)
+
+
+@pytest.mark.parametrize(
+    ("name", "ends", "least"),
+    [
+        ("base_tilt", (-0.003, 0.004), 0.003 - 0.006),
+        ("payload_change", (0.2, 0.4), 0.2),
+        ("torque_gain_error", (0.9, 0.95), 0.05),
+        ("torque_gain_error", (0.98, 1.05), -0.02),
+        ("stribeck_friction", None, np.inf),
+        ("backlash", None, np.inf),
+        ("external_contact", ((-1.0, -1.0, 2.0), (1.0, 1.0, 4.0)), np.inf),
+    ],
+)
+def test_least_sizes(name, ends, least, monkeypatch):
+    """A size is counted from where there is no effect: a factor from one, anything else from zero. Effects without one
+    such number have none that is least."""
+    one = of_coulomb(rubbed(20.0))
+    own = replace(one.candidate, effect=EFFECTS[name])
+    one = replace(one, hypothesis=tuple(own if c is one.candidate else c for c in one.hypothesis))
+    told = np.full(2, np.inf) if ends is None else np.array(ends, float)
+    monkeypatch.setattr(claim.Claim, "_ends", lambda _, asked: told if asked else np.full(2, np.inf))
+    assert one.size == pytest.approx(least)
 
 
 @pytest.mark.parametrize(("own", "refused"), [(-20.0, True), (-5.0, False), (1.0, False)])
