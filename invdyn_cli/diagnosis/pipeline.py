@@ -92,6 +92,8 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     if fitted is not None:
         return asked(*wear.beside(columns, yielding.believable(columns, case.gear, fitted))), columns
     add_loaded(case.evidence)
+    if case.compares:
+        case.evidence.candidates = since.candidates(case.evidence, columns)
     inquiry = asked(case.evidence)
     if case.compares:
         return inquiry, replace(columns, evidence=inquiry.evidence)  # which knows that channels changed since

@@ -23,6 +23,7 @@ from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, pl
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.maths import standard
+from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Finding, Gain
 
 LOGS = ("reference", "now")
@@ -32,6 +33,33 @@ FITTED = ("offset", "coulomb", "viscous")
 SURE = 2.3
 """95 % intervals by which two sizes differ for sure: that is 99.9 % with eight stretches of time (Student's t with 7
 degrees of freedom), and an arm of seven joints has 21 pairs of sizes."""
+
+
+def candidates(evidence: Evidence, columns: Columns) -> list[Candidate]:
+    """The evidence's, those of a drive's gain only as far as each log tells by itself that it gives what links and
+    rotor need by another factor: friction that has changed looks like a gain where it is most of the torque."""
+    left, every = evidence.residual((), np.zeros(0)), np.ones(len(evidence.role), bool)
+    needed = evidence.tau - _without_links(columns, left, columns.fit(left, every).theta)
+    friction = columns.own[[columns.terms.index(term) for term in FITTED]]
+    reference = evidence.role == ROLES.index("reference")
+
+    def same(joint: int) -> bool:
+        """Whether both logs have the same factor, as far as they tell."""
+        table = np.vstack([needed[:, joint], friction[:, joint]]).T
+        logs = (evidence.valid[:, joint] & rows for rows in (reference, ~reference))
+        (before, one), (now, other) = (_factor(table, evidence.tau[:, joint], rows) for rows in logs)
+        return not abs(now - before) > SURE * np.hypot(one, other)
+
+    return [c for c in evidence.candidates if not c.effect.factor or c.joint is None or not same(c.joint)]
+
+
+def _factor(table: np.ndarray, tau: np.ndarray, rows: np.ndarray) -> tuple[float, float]:
+    """The first coefficient by least squares of columns (R, m) on some rows (R,), and half of its 95 % interval."""
+    parts = stretches(rows)
+    every, *others = (
+        np.linalg.lstsq(table[x], tau[x], rcond=1e-10)[0][0] for x in (rows, *(rows & ~part for part in parts))
+    )
+    return float(every), float(reach([np.array(others)], np.zeros(1)))
 
 
 def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str, dict[str, Any]]]:
