@@ -417,7 +417,9 @@ class Diagnosis:
         baselines: the same of what a user would try first: "friction", a line of offset, Coulomb and viscous friction
             (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
         standard: the standard terms beside the claims, {joint: {"coulomb": {"effect", "value", "unit",
-            "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}.
+            "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}; "perhaps": effects
+            that have it as a special case and may be claimed as well; beside a reference also what each log has by
+            itself, "reference" and "now": (value, lower, upper), and whether they "differ".
         unclaimed: effects in the written model that are not claimed, and there take the place of "in_place_of".
         tests: of what the claims and the standard terms leave, joint by joint.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.

@@ -143,7 +143,7 @@ def decided(
     tests = residual_tests(evidence, rest, effects.values(), more.acting)
     floor = repeats.floor_of_repeats(evidence.recording)
     claimed = () if case.compares else made.findings  # a change is no term
-    named = {(f.effect, f.joint) for f in claimed if f.status == "named"}
+    named = {(f.effect, f.joint): f.alternatives for f in claimed if f.status in wording.CLAIMS and f.window is None}
     diagnosis = Diagnosis(
         verdict=wording.verdict(
             made, learned, structured_joints, structured(tests, robot.joints), floor, _scores(evidence, rest)

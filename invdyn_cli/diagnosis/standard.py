@@ -202,14 +202,14 @@ class Beside:
 def told(
     evidence: Evidence,
     made: Beside,
-    claimed: Collection[tuple[str, str | None]],
+    claimed: Mapping[tuple[str, str | None], Sequence[Sequence[str]]],
     more: Mapping[str, Mapping[str, Mapping[str, Any]]],
 ) -> dict[str, Any]:
     """The standard terms of every joint in the written model, as diagnosis.json has them; empty where the findings
     say all of it.
 
     Args:
-        claimed: (effect, joint) of what was named.
+        claimed: alternatives of what was claimed, by (effect, joint).
         more: what else is told of a joint's term, if anything.
     """
     if not made.asked:
@@ -224,8 +224,11 @@ def told(
             value, low, high = made.intervals[place].get(name, (made.acting[place].parameters[name],) * 3)
             unit = unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j])
             ends = [float(low), float(high)]
-            named = (effect, joint) in claimed
-            row[term] = {"effect": effect, "value": float(value), "unit": unit, "interval95": ends, "claimed": named}
+            others = claimed.get((effect, joint), ())
+            row[term] = {"effect": effect, "value": float(value), "unit": unit, "interval95": ends}
+            row[term]["claimed"] = (effect, joint) in claimed and not others
+            if others and all(len(x) == 1 and effect in EFFECTS[x[0]].contains for x in others):
+                row[term]["perhaps"] = [name for (name,) in others]
             row[term] |= more.get(joint, {}).get(term, {})
         out[joint] = row
     share, chosen = made.share

@@ -18,6 +18,7 @@ from invdyn_cli.report.wording import (
     estimates,
     gaining,
     joints_of,
+    perhaps,
     place,
     standard_rows,
     units_of,
@@ -69,7 +70,9 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     rows, heads = standard_rows(diagnosis)
     if not heads:
         return None
-    said = f"Standard terms of every arm; bold: also named as a cause. Links: {_links(diagnosis)}."
+    said = (
+        f"Standard terms of every arm; bold: also claimed as a cause{perhaps(diagnosis)}. Links: {_links(diagnosis)}."
+    )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)
     units = {name: dict.fromkeys(terms[name]["unit"] for terms in rows.values() if name in terms) for name in heads}
@@ -81,7 +84,9 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
         for name in heads:
             x = terms.get(name)
             unit = f" {x['unit']}" if x and len(units[name]) > 1 else ""
-            told.append(Text(significant(x["value"]) + unit, "bold" if x["claimed"] else "") if x else Text("-"))
+            open_one = "perhaps" in x if x else False
+            style = "bold" if x and (x["claimed"] or open_one) else ""
+            told.append(Text(significant(x["value"]) + "*" * open_one + unit, style) if x else Text("-"))
         table.add_row(Text(joint), *told)
     return table
 

@@ -38,8 +38,8 @@ def standard_section(diagnosis: Diagnosis) -> str:
         about = "left as the URDF has them, because held-out data are predicted better so."
     note = (
         "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
-        "named as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which are "
-        + about
+        "claimed as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which "
+        "are " + about
     )
     if diagnosis.details.get("torque_side") == "link":
         note += " The torque was measured behind the gear: its friction is that of bearings, seals and cables, or the "
@@ -63,7 +63,10 @@ def _each_log(diagnosis: Diagnosis) -> str:
 def _term(term: Mapping[str, Any], number: int | None) -> str:
     """A term's value; of one that is claimed a link to its evidence."""
     value = escape(quantity_text(Quantity(term["value"], term["unit"], term["interval95"])))
-    return f'<a href="#finding-{number}"><b>{value}</b></a>' if term["claimed"] and number else value
+    if not number or not (term["claimed"] or "perhaps" in term):
+        return value
+    others = f"<small>or {escape(' or '.join(map(words, term['perhaps'])))}</small>" if "perhaps" in term else ""
+    return f'<a href="#finding-{number}"><b>{value}</b></a>{others}'
 
 
 def unclaimed_section(diagnosis: Diagnosis) -> str:

@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.passing import UNKNOWN
-from invdyn_cli.diagnosis.decide.wording import in_table
+from invdyn_cli.diagnosis.decide.wording import CLAIMS, in_table
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import CHANNELS
 from invdyn_cli.report.quantities import quantity_text, unit_text
@@ -23,9 +23,6 @@ NO_BREAK = "\N{NO-BREAK SPACE}"
 
 SHOWN_RIVALS = 2
 """Largest number of alternatives in a headline (one more if it is the last); the list has all."""
-
-CLAIMS = ("named", "ambiguous")
-"""Statuses of findings that claim an effect; the others say what the log cannot show."""
 
 VERDICT_WORDS = {
     "explained": "explained",
@@ -175,6 +172,13 @@ def each_log(diagnosis: Diagnosis) -> list[tuple[bool, tuple[str, ...]]]:
                 )
             )
     return made
+
+
+def perhaps(diagnosis: Diagnosis) -> str:
+    """'; *: or Stribeck friction' of the marks in the table of standard terms; nothing where there are none."""
+    found = (x.get("perhaps", ()) for terms in standard_rows(diagnosis)[0].values() for x in terms.values())
+    names = dict.fromkeys(name for own in found for name in own)
+    return f"; *: or {' or '.join(map(words, names))}" if names else ""
 
 
 EACH_LOG = ("joint", "term", "in the reference", "now", "change")

@@ -136,9 +136,10 @@ def test_friction_that_fell_since_a_reference(robot, rubbing):
 
 
 def test_all_joints_that_warmed_up_since_a_reference(robot):
-    """Friction of all joints falls by shares drawn at random, 15 to 25 %, with another motion than in the reference, and
-    both logs have bristles at every reversal: every size is within a tenth, and nothing else has changed. The table
-    tells both logs' own sizes within 5 %; of two logs of the same arm nothing differs in it."""
+    """Friction of all joints falls by shares drawn at random, 15 to 25 %, with another motion than in the reference;
+    both logs have bristles at every reversal. Nothing else has changed. The table tells both logs' own sizes within 7 %,
+    a part of it bristles that look viscous, and changes of a fifth thus come within 15 % of themselves, whose errors
+    are partly those of both; of two logs of the same arm nothing differs in it."""
     draw = np.random.default_rng(9)
     sizes = {joint: (float(draw.uniform(0.2, 0.6)), float(draw.uniform(0.2, 0.6))) for joint in robot.joints}
     warm = {joint: draw.uniform(0.75, 0.85, 2) for joint in robot.joints}
@@ -148,7 +149,7 @@ def test_all_joints_that_warmed_up_since_a_reference(robot):
             one
             for joint, (coulomb, damping) in sizes.items()
             for one in (
-                Hidden("presliding_hysteresis", joint, {"coulomb": factors[joint][0] * coulomb, "stiffness": 1000.0}),
+                Hidden("presliding_hysteresis", joint, {"coulomb": factors[joint][0] * coulomb, "stiffness": 4000.0}),
                 Hidden("viscous_friction", joint, {"damping": factors[joint][1] * damping}),
             )
         ]
@@ -163,12 +164,12 @@ def test_all_joints_that_warmed_up_since_a_reference(robot):
         for joint in robot.joints
         for k, name in enumerate(("coulomb_friction", "viscous_friction"))
     }
-    assert found == pytest.approx(expected, rel=0.1)
+    assert found == pytest.approx(expected, rel=0.15)
     for joint in robot.joints:
         for k, term in enumerate(("coulomb", "viscous")):
             row = diagnosis.standard[joint][term]
-            assert row["reference"][0] == pytest.approx(sizes[joint][k], rel=0.05) and row["differ"]
-            assert row["now"][0] == pytest.approx(warm[joint][k] * sizes[joint][k], rel=0.05)
+            assert row["reference"][0] == pytest.approx(sizes[joint][k], rel=0.07) and row["differ"]
+            assert row["now"][0] == pytest.approx(warm[joint][k] * sizes[joint][k], rel=0.07)
     rows = [x for joint in robot.joints for x in diagnose(same, robot, reference=before).standard[joint].values()]
     assert not any(x.get("differ") for x in rows)
 

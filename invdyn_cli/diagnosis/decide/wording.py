@@ -16,6 +16,9 @@ share of the nominal model's error, in N m."""
 MOST_SAID = 4
 """Largest number of effects in the summary's first sentence."""
 
+CLAIMS = ("named", "ambiguous")
+"""Statuses of findings that claim an effect; the others say what the log cannot show."""
+
 SINCE = "since_reference"
 """Among a diagnosis's details, where only changes since a reference were looked for: errors of a model of both logs,
 without the changes and with them."""
@@ -49,7 +52,7 @@ def verdict(
         structured_joints: whether (n,) it is no noise.
         structured: RMS torque (n,) of what residual tests find in it.
     """
-    if not any(f.status in ("named", "ambiguous") for f in made.findings):
+    if not any(f.status in CLAIMS for f in made.findings):
         return "nothing_found"
     before = np.sqrt(np.mean(made.before**2, axis=0))
     after = np.array([x["rmse"] for x in extended.values()])
@@ -72,7 +75,7 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
 
 
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
-    claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous")]
+    claims = [f for f in diagnosis.findings if f.status in CLAIMS]
     apart = set(diagnosis.details.get("torque_in_A", ()))  # joints of which no error is known in N m
     before, after = (
         np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
@@ -124,10 +127,11 @@ def _grouped(findings: Sequence[Finding], titles: Mapping[str, str]) -> list[str
 
 
 def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """The claims in the table of standard terms: named terms of the standard model."""
+    """The claims in the table of standard terms: those of the standard model, named or with alternatives that have
+    them as a special case."""
     rows = ((joint, terms) for joint, terms in diagnosis.standard.items() if joint != "inertials")
-    there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"]}
-    lasting = (x for x in diagnosis.findings if x.status == "named" and x.window is None)
+    there = {(x["effect"], joint) for joint, terms in rows for x in terms.values() if x["claimed"] or "perhaps" in x}
+    lasting = (x for x in diagnosis.findings if x.status in CLAIMS and x.window is None)
     return tuple(x for x in lasting if (x.effect, x.joint) in there)
 
 
