@@ -227,8 +227,9 @@ def told(
             others = claimed.get((effect, joint), ())
             row[term] = {"effect": effect, "value": float(value), "unit": unit, "interval95": ends}
             row[term]["claimed"] = (effect, joint) in claimed and not others
-            if others and all(len(x) == 1 and effect in EFFECTS[x[0]].contains for x in others):
-                row[term]["perhaps"] = [name for (name,) in others]
+            general = [x[0] for x in others if len(x) == 1 and x[0] in EFFECTS and effect in EFFECTS[x[0]].contains]
+            if others and len(general) == len(others):
+                row[term]["perhaps"] = general
             row[term] |= more.get(joint, {}).get(term, {})
         out[joint] = row
     share, chosen = made.share
