@@ -246,15 +246,16 @@ def prepare(
         raise LogError(f"no stretch of the log has more than {4 * ANSWER} samples without a gap")
     farthest = [max((raw.q[:, j] for raw in log.trajectories), key=np.ptp) for j in range(len(log.joints))]
     position_noise = np.maximum(  # a joint that rests shows less noise than a step of its encoder makes
-        _moving_noise([q for _, _, _, q, _ in cut]), np.array([lattice(q) for q in farthest]) / np.sqrt(12)
+        _noise([np.diff(q, 4, axis=1) for _, _, _, q, _ in cut]), np.array([lattice(q) for q in farthest]) / np.sqrt(12)
     )
+    in_motion = np.maximum(position_noise, _moving_noise([q for _, _, _, q, _ in cut]))
     torque_noise = _noise([_unanswered(q, tau) for _, _, _, q, tau in cut])
     step = max(1, round(1 / (period * options.rate)))
     rate = 1 / (period * step)
     strongest = np.sqrt(np.mean(np.concatenate([tau for *_, tau in cut], axis=1) ** 2, axis=1))
     cutoffs = [
         _cutoff(*numbers, period, rate, options)
-        for numbers in zip(position_noise, torque_noise, strongest, inertia, strict=True)
+        for numbers in zip(in_motion, torque_noise, strongest, inertia, strict=True)
     ]
     widest = tuple(cutoffs)
     if highest is not None:
@@ -339,13 +340,12 @@ def _noise(fourth: list[np.ndarray]) -> np.ndarray:
 
 
 def _moving_noise(positions: list[np.ndarray]) -> np.ndarray:
-    """Standard deviation (n,) of white noise on positions (n, T): the larger one of that of all samples and that of
-    each joint's faster ones, where stamps that are a little off make it, too."""
+    """Standard deviation (n,) of white noise on the positions (n, T) of each joint where it moves faster than usual:
+    stamps that are a little off make it there, and speed times as much."""
     fourth = np.concatenate([np.diff(q, 4, axis=1) for q in positions], axis=1)
     ways = np.concatenate([q[:, 4:] - q[:, :-4] for q in positions], axis=1)
     fast = np.abs(ways) >= np.sqrt(np.mean(ways**2, axis=1, keepdims=True))
-    own = [_noise([x[None, where]])[0] for x, where in zip(fourth, fast, strict=True)]
-    return np.maximum(_noise([fourth]), own)
+    return np.array([_noise([x[None, where]])[0] for x, where in zip(fourth, fast, strict=True)])
 
 
 def _unanswered(q: np.ndarray, tau: np.ndarray) -> np.ndarray:

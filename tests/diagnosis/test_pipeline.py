@@ -137,9 +137,9 @@ def test_friction_that_fell_since_a_reference(robot, rubbing):
 
 def test_all_joints_that_warmed_up_since_a_reference(robot):
     """Friction of all joints falls by shares drawn at random, 15 to 25 %, with another motion than in the reference;
-    both logs have bristles at every reversal. Nothing else has changed. The table tells both logs' own sizes within 7 %,
-    a part of it bristles that look viscous, and changes of a fifth thus come within 15 % of themselves, whose errors
-    are partly those of both; of two logs of the same arm nothing differs in it."""
+    both logs have bristles at every reversal. Nothing else has changed. The table tells both logs' own sizes within
+    7 %, because bristles look viscous in part, and changes of a fifth, whose errors partly cancel, within 15 % of
+    themselves; of two logs of the same arm nothing differs in it."""
     draw = np.random.default_rng(9)
     sizes = {joint: (float(draw.uniform(0.2, 0.6)), float(draw.uniform(0.2, 0.6))) for joint in robot.joints}
     warm = {joint: draw.uniform(0.75, 0.85, 2) for joint in robot.joints}

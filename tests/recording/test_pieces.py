@@ -171,20 +171,25 @@ def test_an_encoder_s_noise_is_no_less_than_its_step_makes():
     assert np.all(recording.position_noise > 0.99 * step / np.sqrt(12))
 
 
-def test_noise_of_positions_is_that_of_motion():
-    """A joint that rests for two thirds of the time, sampled up to 0.5 ms beside its stamps: in motion that makes noise
-    of its speed times the standard deviation of the stamps, of which at least half is seen, and ten times less at
-    rest."""
+def test_the_cut_off_falls_where_stamps_are_off_in_motion():
+    """A joint that rests for two thirds of the time has no noise meanwhile; sampled up to 0.5 ms beside its stamps it
+    has noise of its speed times that in motion, which white noise of that size on a joint that always moves makes, too:
+    the cut-offs are those of one by 1.5 (half to twice the noise, to the power of 2.5)."""
     t, _ = moved(20.0, rate=250.0)
     rests = (t % 9.0) < 6.0
-    late = np.where(rests, 0.0, np.cumsum(~rests)) / 250.0  # time of the motion, which goes on from where it stopped
-    late = np.maximum.accumulate(late)
-    off = np.random.default_rng(0).uniform(-5e-4, 5e-4, len(t)) * ~rests
-    at = motion(arm(), late + off, 0)
-    log = log_of(replace(raw(t, at, torque=0.02), q=at.q + 1e-7 * np.random.default_rng(1).normal(size=at.q.shape)))
+    place = np.maximum.accumulate(np.where(rests, 0.0, np.cumsum(~rests) / 250.0))  # goes on from where it stopped
+    draw = np.random.default_rng(0)
+    off = draw.uniform(-5e-4, 5e-4, len(t)) * ~rests
+    at = motion(arm(), place + off, 0)
     speed = np.sqrt(np.mean(at.qd[~rests] ** 2, axis=0))
-    noise = recording_of(log).position_noise
-    assert np.all(noise > 0.5 * speed * 1e-3 / np.sqrt(12)) and np.all(noise > 1e-6)
+    white = motion(arm(), t, 0)
+    noisy = white.q + speed * 1e-3 / np.sqrt(12) * draw.normal(size=white.q.shape)
+    cutoffs = [
+        recording_of(log_of(replace(raw(t, m, torque=0.02), q=q))).filter.cutoffs
+        for m, q in ((at, at.q), (white, noisy), (white, white.q))
+    ]
+    assert max(cutoffs[0]) < min(cutoffs[2]) / 2
+    np.testing.assert_allclose(np.log(np.divide(*cutoffs[:2])), 0, atol=np.log(1.5))
 
 
 def test_the_cut_off_falls_with_the_noise_of_positions():
