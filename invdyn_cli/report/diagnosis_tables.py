@@ -111,7 +111,7 @@ def each_log_table(diagnosis: Diagnosis) -> Table | Text | None:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
     table.caption = Text("Offset and friction that differ, fitted to each log by itself; ± 95 %.", "dim")
     for head in EACH_LOG:
-        table.add_column(head, overflow="fold", justify="right" if head == EACH_LOG[-1] else "left")
+        table.add_column(head, overflow="fold", justify="left" if head in EACH_LOG[:2] else "right")
     for cells in differing:
         table.add_row(*map(Text, cells))
     return table

@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.passing import UNKNOWN
-from invdyn_cli.diagnosis.decide.wording import CLAIMS, in_table
+from invdyn_cli.diagnosis.decide.wording import CLAIMS, PREDICTABLE, in_table
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import CHANNELS
 from invdyn_cli.report.quantities import quantity_text, unit_text
@@ -106,10 +106,13 @@ def gaining(joint: str, finding: Finding) -> str:
 
 
 def verdict_words(diagnosis: Diagnosis) -> str:
-    """The verdict; an explained log on which residual tests still fail is explained except for small effects."""
+    """The verdict; an explained log on which residual tests still fail is explained except for small effects, and a log
+    whose residual a learner predicts has something that has no name."""
     said = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
-    left = diagnosis.verdict == "explained" and not all(x.passed for x in diagnosis.tests)
-    return f"{said}, except for small effects" if left else said
+    if diagnosis.verdict == "explained" and not all(x.passed for x in diagnosis.tests):
+        return f"{said}, except for small effects"
+    unknown = diagnosis.verdict == "nothing_found" and any(x > PREDICTABLE for x in diagnosis.unexplained.values())
+    return f"{said} that has a name" if unknown else said
 
 
 def place(finding: Finding) -> str:

@@ -9,6 +9,7 @@ from rich.console import Console
 from invdyn_cli.diagnosis.decide.wording import in_table, summary
 from invdyn_cli.effects.catalogue import EFFECTS as CATALOGUE
 from invdyn_cli.report.diagnosis_tables import (
+    each_log_table,
     error_table,
     finding_table,
     standard_table,
@@ -16,7 +17,7 @@ from invdyn_cli.report.diagnosis_tables import (
     unseen_line,
     verdict_line,
 )
-from invdyn_cli.report.model_sections import unclaimed_section
+from invdyn_cli.report.model_sections import standard_section, unclaimed_section
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text, unit_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import cause, claims, estimates, headline_of, joints_of, place, rivals_of, when
@@ -172,6 +173,8 @@ def test_verdicts():
         text = printed(verdict_line(diagnosis), finding_table(diagnosis), error_table(diagnosis))
         assert text.startswith(("Nothing found. ", "Log unusable. ")) and "none" in text
     assert printed(verdict_line(replace(log_unusable(), summary=""))).strip() == "Log unusable."
+    left = replace(nothing_found(), unexplained={"joint1": 0.4})
+    assert printed(verdict_line(left)).startswith("Nothing found that has a name. ")
 
 
 @pytest.mark.parametrize(
@@ -223,6 +226,54 @@ def test_best_gain_passes_over_nan():
     some = Gain(1.0, 0.5, 0.0, 0.0, (0.4, 0.6))
     gains = {JOINTS[0]: replace(some, rmse_before=math.nan), JOINTS[1]: some, JOINTS[2]: replace(some, rmse_after=0.9)}
     assert best_gain(gains) == JOINTS[1] and best_gain({}) is None
+
+
+def test_friction_that_may_fall_with_speed_is_a_term_with_a_star():
+    """Beside an alternative that has it as a special case a standard term stays in the table by joint, marked on the
+    terminal and the page; beside another it is a cause."""
+    diagnosis = make_diagnosis()
+    (friction,) = in_table(diagnosis)
+    open_one = replace(friction, status="ambiguous", alternatives=(("stribeck_friction",),))
+    others = tuple(open_one if x is friction else x for x in diagnosis.findings)
+    row = diagnosis.standard[friction.joint]
+    marked = row["coulomb"] | {"claimed": False, "perhaps": ["stribeck_friction"]}
+    standard = diagnosis.standard | {friction.joint: row | {"coulomb": marked}}
+    starred = replace(diagnosis, findings=others, standard=standard)
+    assert in_table(starred) == (open_one,)
+    text = " ".join(printed(standard_table(starred)).split())
+    assert "1.50*" in text and "*: or Stribeck friction." in text
+    assert "or Stribeck friction</small>" in standard_section(starred)
+    assert "*" not in printed(standard_table(diagnosis))
+    assert "Coulomb friction" in printed(finding_table(replace(starred, standard={})))
+
+
+def compared(changes):
+    """The diagnosis with Coulomb friction of each log: 1.5 N m in the reference, and as much more now."""
+    diagnosis = make_diagnosis()
+    rows = {
+        joint: row
+        | {
+            "coulomb": row["coulomb"]
+            | {"reference": (1.5, 1.4, 1.6), "now": (1.5 + x, 1.4 + x, 1.6 + x), "differ": abs(x) > 0.3}
+        }
+        for (joint, row), x in zip(((j, diagnosis.standard[j]) for j in JOINTS), changes, strict=True)
+    }
+    return replace(diagnosis, standard=diagnosis.standard | rows)
+
+
+def test_what_each_log_of_a_comparison_has():
+    """On the terminal a row for each size that differs, with its change; a line where none does; on the page all, those
+    that differ bold. Without a reference neither."""
+    diagnosis = compared([-0.6, 0.1, 0.0][: len(JOINTS)] + [0.0] * (len(JOINTS) - 3))
+    text = printed(each_log_table(diagnosis), width=80)
+    (row,) = (line for line in text.splitlines() if "joint1" in line)
+    assert "1.50 ± 0.10" in row and "0.90 ± 0.10" in row and row.rstrip().endswith("\N{MINUS SIGN}40 %")
+    assert "joint2" not in text and max(map(len, text.splitlines())) <= 80
+    page = standard_section(diagnosis)
+    assert f"1 of {len(JOINTS)} differ" in page and "<b>\N{MINUS SIGN}40 %</b>" in page and "+7 %" in page
+    same = printed(each_log_table(compared([0.1] * len(JOINTS))))
+    assert "no offset and no friction differs" in " ".join(same.split())
+    assert each_log_table(make_diagnosis()) is None and "in the reference" not in standard_section(make_diagnosis())
 
 
 def test_the_summary_names_every_cause_that_is_a_row():
