@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.passing import UNKNOWN
-from invdyn_cli.diagnosis.decide.wording import in_table
+from invdyn_cli.diagnosis.decide.wording import SINCE, in_table
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
@@ -127,7 +127,7 @@ def page(
     sections = [
         ("What is wrong with the log", "" if usable else _checks(diagnosis) + _next_step()),
         ("What to do next", _to_do(diagnosis, record_next) if usable else ""),
-        ("Causes", _causes(diagnosis)),
+        ("Changes" if SINCE in diagnosis.details else "Causes", _causes(diagnosis)),
         ("Standard terms", standard_section(diagnosis)),
         ("Also in the extended model", unclaimed_section(diagnosis)),
         ("Torques over time", over_time),
@@ -154,7 +154,8 @@ def _notes(notes: Sequence[str]) -> str:
 def _title(diagnosis: Diagnosis, robot_name: str) -> str:
     if diagnosis.verdict == "log_unusable":
         return f"The log of {robot_name} cannot be diagnosed"
-    return f"What the simulation of {robot_name} gets wrong"
+    compares = SINCE in diagnosis.details
+    return f"What has changed on {robot_name}" if compares else f"What the simulation of {robot_name} gets wrong"
 
 
 def _verdict(diagnosis: Diagnosis) -> str:

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.report.diagnosis_figures import draw_all
 from invdyn_cli.report.diagnosis_page import page, write_report
@@ -232,6 +233,18 @@ class Broken(Executor):
         future = Future()
         future.set_exception(BrokenExecutor())
         return future
+
+
+def test_a_comparison_says_what_has_changed():
+    """Beside a reference the page is of changes, not of errors of a simulation."""
+    diagnosis = make_diagnosis()
+    errors = [diagnosis.baseline, diagnosis.extended]
+    texts = [page(x, "arm", []) for x in (replace(diagnosis, details={SINCE: errors}), diagnosis)]
+    assert ["What has changed on arm" in text and ">Changes</h2>" in text for text in texts] == [True, False]
+    assert ["What the simulation of arm gets wrong" in text and ">Causes</h2>" in text for text in texts] == [
+        False,
+        True,
+    ]
 
 
 def test_another_process_draws_the_same(tmp_path):
