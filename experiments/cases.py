@@ -67,11 +67,12 @@ def draw_scene(draw: np.random.Generator, joints: int | None = None) -> Scene:
         tilted = list(draw.uniform([-1.5, -1.5, 0], [1.5, 1.5, 0])) if draw.random() < 1 / 3 else None
         robot = random_robot(draw, joints or int(draw.integers(3, 8)), tilted)
     kind = draw.choice(3, p=[0.6, 0.25, 0.15])
+    way = draw.spawn(1)[0].choice(3, p=[0.5, 0.25, 0.25])  # of sweeps: all joints at once, in turn, joint by joint
     speed = draw.uniform(0.3, 0.6)
     reference = (
         Multisine(speed=speed, amplitude=draw.uniform(0.5, 0.8)),
         PickPlace(speed=speed, amplitude=draw.uniform(0.5, 0.8)),
-        ConstantSpeed(speed=speed, together=True),
+        ConstantSpeed(speed=speed, together=way == 0, by_joint=way == 2),
     )[kind]
     duration, seed = float(round(draw.uniform(20, 60))), int(draw.integers(1 << 30))
     return scene_of(robot, reference, duration, seed)

@@ -188,6 +188,7 @@ class ConstantSpeed(AbstractReference):
         speed: share of the joint's velocity limit that stands for 1.
         amplitude: share of half the joint's range that it sweeps to either side, at most.
         together: all joints at once, each with another order of speeds; else one after the other, the others at rest.
+        by_joint: one after the other, each through all speeds before the next one begins; else speed after speed.
         blend: [s] of a reversal, at most; short sweeps have shorter ones.
     """
 
@@ -195,6 +196,7 @@ class ConstantSpeed(AbstractReference):
     speed: float = 0.5
     amplitude: float = 0.6
     together: bool = False
+    by_joint: bool = False
     blend: float = 0.3
 
     def __post_init__(self) -> None:
@@ -213,8 +215,9 @@ class ConstantSpeed(AbstractReference):
         qdd = np.zeros((len(t), n))
         each = duration / slots
         for slot in range(slots):
-            for i in range(n) if self.together else (slot % n,):
-                turn = (slot + i) % len(self.speeds) if self.together else slot // n
+            turn, joint = divmod(slot, n) if not self.by_joint else divmod(slot, len(self.speeds))[::-1]
+            for i in range(n) if self.together else (joint,):
+                turn = (slot + i) % len(self.speeds) if self.together else turn
                 v = self.speeds[turn] * self.speed * fastest[i]
                 sign = draw.choice((-1.0, 1.0))
                 x1, x2 = self._sweep(t - slot * each, each, v, self.amplitude * half[i])

@@ -64,6 +64,18 @@ def test_constant_speeds_are_constant(arms):
     assert np.abs(steady[:, None] - speeds).min(1).max() < 1e-9
 
 
+def test_joints_sweep_in_turn_or_joint_by_joint(arms):
+    """Speed after speed every joint comes as often as there are speeds, joint by joint once; the way is the same."""
+    turns = {}
+    for by_joint in (False, True):
+        x = ConstantSpeed(speeds=(0.2, 0.5, 1.0), by_joint=by_joint).motion(arms[0], 60.0, 200.0, seed=0)
+        moves = np.abs(x.qd) > 1e-6
+        at = np.argmax(moves[moves.any(axis=1)], axis=1)
+        turns[by_joint] = at[np.r_[True, np.diff(at) != 0]]
+    n = arms[0].dofs
+    assert turns[False].tolist() == 3 * list(range(n)) and turns[True].tolist() == list(range(n))
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
