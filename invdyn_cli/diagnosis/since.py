@@ -114,7 +114,9 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     sure.sort(key=lambda x: x[1].rmse_after - x[1].rmse_before)
     hypothesis, torques = tuple(x.candidate for x, _ in sure), [x.size * x.torque for x, _ in sure]
     told = [_finding(inquiry, hypothesis, x, gain, claims) for x, gain in sure]
-    rest = replace(made, findings=made.findings[len(claims) :], terms=())
+    tried = tuple(f"{x.candidate.effect.title} on {evidence.robot.joints[x.joint]} was tried".lower() for x, _ in sure)
+    notes = tuple(x for x in made.notes if not x.lower().startswith(tried))  # the search had refused it
+    rest = replace(made, findings=made.findings[len(claims) :], terms=(), notes=notes)
     return replace(
         joined(rest, told, torques),
         hypothesis=hypothesis,

@@ -126,9 +126,8 @@ def _unit(words: list[str], quantity: str) -> tuple[str, set[int]]:
     for unit in OF_SLIDES.get(quantity, ()):
         start = len(words) - len(unit)
         if start > 1 and tuple(words[start:]) == unit:
-            return canonical("/".join(unit[:2]) + "".join(f"^{x}" for x in unit[2:])) or "", set(
-                range(start, len(words))
-            )
+            written = "/".join(unit[:2]) + "^2" * (len(unit) > 2)
+            return canonical(written) or "", set(range(start, len(words)))
     return "", set()
 
 

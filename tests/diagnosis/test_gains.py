@@ -116,3 +116,11 @@ def test_sizes_go_over_into_amperes():
     assert unknown.quantity(Quantity(0.004, "rad", [0.003, 0.005])) == Quantity(0.004, "rad", [0.003, 0.005])
     told = known.quantity(Quantity(1.0, "N m", [0.96, 1.04]))
     assert told.unit == "N m" and told.interval95 == pytest.approx([0.95, 1.05])
+
+
+def test_what_each_log_has_goes_over_into_amperes():
+    """The row of a standard term is in one unit, what each log of a comparison has by itself among it."""
+    row = {"value": 2.0, "unit": "N m", "interval95": [1.0, 3.0], "now": (4.0, 3.0, 5.0), "differ": True}
+    told = gains.Scale(20.0, 0.0).row(row)
+    assert (told["unit"], told["value"], told["differ"]) == ("A", 0.1, True)
+    assert told["now"] == pytest.approx((0.2, 0.15, 0.25)) and "reference" not in told
