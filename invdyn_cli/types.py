@@ -416,17 +416,15 @@ class Diagnosis:
         baseline, extended: held-out {joint: {"rmse", "nmse"}} of the nominal and the extended model.
         baselines: the same of what a user would try first: "friction", a line of offset, Coulomb and viscous friction
             (and rotor inertia, where torque is taken before the gear) per joint; "standard", the standard model.
-        standard: the standard terms beside the claims, {joint: {"coulomb": {"effect", "value", "unit",
-            "interval95", "claimed"}, …}, "inertials": {"worth": {joint: N m}, "share", "chosen"}}; "perhaps": effects
-            that have it as a special case and may be claimed as well; beside a reference also what each log has by
-            itself, "reference" and "now": (value, lower, upper), and whether they "differ".
+        standard: terms beside the claims, {joint: {"coulomb": {"effect", "value", "unit", "interval95", "claimed"}, …},
+            "inertials": {"worth": {joint: N m}, "share", "chosen"}}; "perhaps": others that have it as a special case;
+            of a comparison's logs "reference", "now": (value, lower, upper), and if they "differ".
         unclaimed: effects in the written model that are not claimed, and there take the place of "in_place_of".
         tests: of what the claims and the standard terms leave, joint by joint.
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.
         summary: the verdict in two sentences.
-        model, fit: the extended model and its parameters, None where the log is unusable.
-        signals: for the pictures, None where the log is unusable.
+        model, fit, signals: the extended model, its parameters, and data of the pictures; None where the log is unusable.
         replay: the simulated arm beside the measured motion (`simulation.replay.Replay`), None where there is none.
         notes: what the user should know: what was corrected, declared, left out.
         details: filter, rates, tries and other numbers worth keeping.
