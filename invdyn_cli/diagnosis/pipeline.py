@@ -190,7 +190,7 @@ def decided(
             "hypotheses_tried": inquiry.judge.tried,
             "beyond_noise": [j for j, x in zip(robot.joints, structured_joints, strict=True) if x],
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
-            **({wording.SINCE: [_scores(evidence, x) for x in (made.before, rest)]} if case.compares else {}),
+            **({wording.SINCE: [_scores(evidence, x) for x in (made.before, made.residual)]} if case.compares else {}),
         },
     )
     diagnosis = diagnosis if case.gained is None else gains.beside(diagnosis, case.gained)

@@ -105,7 +105,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         has = "has" if len(said) == 1 else "have"
         first = f"Since the reference, {_listed(said)} {has} changed. With that, the held-out RMS error of a model of "
         first += "both logs"
-    first += f" falls from {before:.3g} to {after:.3g} N m over {over}."
+    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     doubt = " What comes and goes may be of an effect that is not in the catalogue."
