@@ -10,9 +10,9 @@ from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose, pipeline
-from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.case import Options, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
-from invdyn_cli.diagnosis.search import judge
+from invdyn_cli.diagnosis.search import judge, naming
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import LogError
 from invdyn_cli.functions import checking
@@ -183,6 +183,41 @@ def test_joints_that_move_one_after_the_other_share_no_gear(robot):
     assert {(f.effect, f.joint) for f in claims(diagnosis)} == {("coulomb_friction", joint) for joint in robot.joints}
     hidden_ones = {f.joint for f in diagnosis.findings if f.effect == "coupled_friction" and f.status == "not_excited"}
     assert hidden_ones == {"axis2", "axis3"}
+
+
+GANTRY = """<robot name="gantry"><link name="base"/>
+<link name="x"><inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="y"><inertial><mass value="6"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="along" type="prismatic"><parent link="base"/><child link="x"/><axis xyz="1 0 0"/>
+<limit lower="-0.8" upper="0.8" velocity="1.0" effort="900"/></joint>
+<joint name="across" type="prismatic"><parent link="x"/><child link="y"/><axis xyz="0 1 0"/>
+<limit lower="-0.5" upper="0.5" velocity="1.0" effort="900"/></joint></robot>"""
+
+
+def test_the_rotor_of_a_slide_is_no_weak_drive(tmp_path):
+    """A slide pushes one mass: a rotor, drawn at random, makes the same force as a drive that gives a part of what is
+    logged, and every drive has one. Friction is then told as it is, within 3 %; the gain is the alternative, and if a
+    search comes to it, the rotor takes its place."""
+    (tmp_path / "gantry.urdf").write_text(GANTRY)
+    gantry = load_urdf(tmp_path / "gantry.urdf")
+    rotor, coulomb = np.random.default_rng(14).uniform([6.0, 10.0], [12.0, 20.0])
+    hidden = [
+        Hidden("rotor_inertia", "along", {"armature": float(rotor)}),
+        Hidden("coulomb_friction", "along", {"coulomb": float(coulomb)}),
+    ]
+    log = recorded(gantry, hidden, (0.3,), seed=15)
+    inquiry, _ = pipeline.searched(prepared(log, gantry, None, None, Options(), EFFECTS))
+    rest = tuple(c for c in inquiry.hypothesis if c.effect.name != "rotor_inertia")
+    gains = [c for c in inquiry.pool if c.key == ("torque_gain_error", 0)]
+    gain = min(gains, key=lambda c: inquiry.judge.loss((*inquiry.always, *rest, c)))
+    simpler = naming.simplified(inquiry.judge, inquiry.always, (*rest, gain), inquiry.pool)
+    assert {c.key for c in simpler} == {c.key for c in rest} | {("rotor_inertia", 0)}
+    diagnosis = diagnose(log, gantry)
+    found = {f.effect: f for f in claims(diagnosis) if f.joint == "along"}
+    assert "torque_gain_error" not in found and ("torque_gain_error",) in found["rotor_inertia"].alternatives
+    row = diagnosis.standard["along"]
+    sizes = [row[term]["value"] for term in ("armature", "coulomb")]
+    np.testing.assert_allclose(sizes, [rotor, coulomb], rtol=0.03)
 
 
 @pytest.mark.parametrize("beside", ["load_dependent_friction", "viscous_friction"])

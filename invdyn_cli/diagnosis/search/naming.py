@@ -71,8 +71,8 @@ def simplified(
     usual: Hypothesis = (),
 ) -> Hypothesis:
     """The hypothesis with the special case in the place of every effect that the data do not ask for in full, and the
-    simpler effect in the place of a link's inertials that do no better. Special cases among `usual` are there without
-    being part of it, if they are not among `always`."""
+    simpler effect in the place of a link's inertials, or a standard term in that of a gain, that do no better. Special
+    cases among `usual` are there without being part of it, if they are not among `always`."""
     simpler = _simplified(judge, always, hypothesis, [*pool, *(u for u in usual if u not in always)])
     return tuple(c for c in simpler if c not in usual)
 
@@ -94,6 +94,10 @@ def _simplified(
             for rival in rivals(judge, always, hypothesis, i, pool):
                 if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
                     return _simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
+        if general.effect.factor and general.when is None:  # of a constant mass the rotor that every drive has
+            for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
+                if one.effect.group == "standard" and one.effect.is_local and one.joint == general.joint:
+                    return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
     return hypothesis
 
 
