@@ -38,10 +38,9 @@ degrees of freedom), and an arm of seven joints has 21 pairs of sizes."""
 def candidates(evidence: Evidence, columns: Columns) -> list[Candidate]:
     """The evidence's, those of a drive's gain only as far as each log tells by itself that it gives what links and
     rotor need by another factor: friction that has changed looks like a gain where it is most of the torque."""
-    left, every = evidence.residual((), np.zeros(0)), np.ones(len(evidence.role), bool)
-    needed = evidence.tau - _without_links(columns, left, columns.fit(left, every).theta)
-    friction = columns.own[[columns.terms.index(term) for term in FITTED]]
-    reference = evidence.role == ROLES.index("reference")
+    nominal, reference = evidence.residual((), np.zeros(0)), evidence.role == ROLES.index("reference")
+    theta = columns.fit(nominal, np.ones_like(reference)).theta
+    needed, friction = evidence.tau - _without_links(columns, nominal, theta), _own(columns)
 
     def same(joint: int) -> bool:
         """Whether both logs have the same factor, as far as they tell."""
@@ -68,17 +67,18 @@ def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str
     columns, n, reference = more.columns, evidence.dofs, evidence.reference_rows
     if reference is None or not more.asked:
         return {}
-    left = _without_links(columns, made.whole, more.found.theta)
-    values, halves = _fitted(columns, left, (reference, ~reference))
+    values, halves = _fitted(columns, _without_links(columns, made.whole, more.found.theta), (reference, ~reference))
     both = more.found.theta[10 * n :].reshape(-1, n)
-    out: dict[str, dict[str, dict[str, Any]]] = {joint: {} for joint in evidence.robot.joints}
-    for t, term, j, joint in _places(evidence):
+    for t, term, j, _ in _places(evidence):
         place = place_of(more.acting, term, j)
         if place is not None:
             values[1, t, j] += more.acting[place].parameters[TERMS[term][1]] - both[columns.terms.index(term), j]
+    differ = _differ(values, halves)
+    out: dict[str, dict[str, dict[str, Any]]] = {joint: {} for joint in evidence.robot.joints}
+    for t, term, j, joint in _places(evidence):
         own = zip(LOGS, values[:, t, j].tolist(), halves[:, t, j].tolist(), strict=True)
         told = {log: (value, value - half, value + half) for log, value, half in own}
-        out[joint][term] = {**told, "differ": bool(_differ(values, halves)[t, j])}
+        out[joint][term] = {**told, "differ": bool(differ[t, j])}
     return out
 
 
@@ -91,7 +91,7 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     if reference is None or any(x.effect not in plain for x in claims) or any(c.joint is None for c in others):
         return made
     theta = columns.fit(made.whole, np.ones_like(reference)).theta
-    nominal, kept = evidence.residual((), np.zeros(0)), [columns.terms.index(term) for term in FITTED]
+    nominal, friction = evidence.residual((), np.zeros(0)), _own(columns)
     links = _without_links(columns, nominal, theta)
     values, halves = _fitted(columns, links, (reference, ~reference))
     learned, _ = _fitted(columns, links, (reference, ~reference & ~judged(evidence)))
@@ -102,11 +102,11 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     for t, term, j, _ in _places(evidence):
         candidate = pool.get((TERMS[term][0], j))
         if differ[t, j] and candidate is not None:
-            own = np.outer(columns.own[kept[t], j] * ~reference, np.eye(evidence.dofs)[j])
+            own = np.outer(friction[t, j] * ~reference, np.eye(evidence.dofs)[j])
             before, after = ((x[1] - x[0])[t, j] for x in (learned, values))
             half = np.hypot(*halves[:, t, j])
             changes.append(_Change(candidate, j, TERMS[term][1], float(before), float(after), float(half), own))
-    now = links - np.einsum("tj,tjr->rj", learned[1], columns.own[kept])
+    now = links - np.einsum("tj,tjr->rj", learned[1], friction)
     gains = [gain_of(evidence, x.joint, now + x.learned * x.torque, now) for x in changes]
     sure = [(x, gain) for x, gain in zip(changes, gains, strict=True) if gain and gain.interval95[0] > 0]
     if {x.candidate.key for x, _ in sure} <= {a.key for a in made.acting}:
@@ -176,6 +176,11 @@ def _places(evidence: Evidence) -> Iterator[tuple[int, str, int, str]]:
     for t, term in enumerate(FITTED):
         for j, joint in enumerate(evidence.robot.joints):
             yield t, term, j, joint
+
+
+def _own(columns: Columns) -> np.ndarray:
+    """(terms, n, R) the columns of FITTED."""
+    return columns.own[[columns.terms.index(term) for term in FITTED]]
 
 
 def _without_links(columns: Columns, left: np.ndarray, theta: np.ndarray) -> np.ndarray:

@@ -119,8 +119,8 @@ def test_a_reference_leaves_what_has_changed(loaded, robot, rubbing):
 
 
 def test_friction_that_fell_since_a_reference(robot, rubbing):
-    """A joint that has lost a part of its viscous friction, drawn at random, has a negative change within 5 %; the
-    model that is written has what is left. Without a reference a negative friction is refused, as before."""
+    """A joint that has lost a part of its viscous friction, drawn at random, has a negative change within 5 %, and
+    the written model has the friction that is left. Without a reference negative friction is refused."""
     left = DAMPING * float(np.random.default_rng(7).uniform(0.4, 0.8))
     fewer = [replace(x, parameters={"damping": left}) if x.joint == "axis2" else x for x in rubbing]
     later = recorded(robot, fewer, duration=14.0, seed=3)
