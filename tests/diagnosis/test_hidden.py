@@ -66,7 +66,7 @@ def played(
     reference: AbstractReference | None = None,
 ) -> Case:
     """A log of a drawn three-joint arm with what `hide` puts into it; as `experiments.cases.draw_case`, but short."""
-    for attempt in range(20):  # an arm that loses control is no log
+    for attempt in range(100):  # an arm that loses control is no log, and a weak drive loses it in most draws
         draw = np.random.default_rng([seed, attempt, zlib.crc32(label.encode())])
         scene = replace(draw_scene(draw, 3), duration=SECONDS)
         scene = scene if reference is None else replace(scene, reference=reference)
