@@ -117,7 +117,7 @@ def prepared(
         return _unusable(examination, () if options.correct else (AS_RECORDED,))
     notes = doctor.done(examination)
     corrected = (*log.history, *notes)
-    notes = (*doctor.doubts(examination), *(notes if options.correct else (AS_RECORDED,)))
+    notes, split = (*doctor.doubts(examination), *(notes if options.correct else (AS_RECORDED,))), windows is not None
     notes = notes if gained is None else (gained.note(), *notes)
     if log.torque_unit == "A" and log.drive_gain is not None and gained is None:
         gains = ", ".join(f"{x:.3g}" for x in np.ravel(log.drive_gain))
@@ -174,7 +174,7 @@ def prepared(
         gear=gear,
         most=3 * robot.dofs if options.most is None else options.most,
         lead=lead,
-        split=windows is not None,
+        split=split,
         gained=gained,
         notes=(*notes, *recording.notes),
         corrected=corrected,

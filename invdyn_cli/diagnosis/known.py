@@ -149,10 +149,9 @@ def timed(evidence: Evidence, facts: Sequence[EffectInstance]) -> tuple[Candidat
     return tuple(made)
 
 
-def compared(
-    evidence: Evidence, pool: Sequence[Candidate], reference: int
-) -> tuple[tuple[Candidate, ...], list[Candidate]]:
-    """Effects that both logs may show alike, and the candidates with columns that vanish on the reference's rows."""
+def compare(evidence: Evidence, pool: Sequence[Candidate], reference: int) -> None:
+    """Give the evidence effects that both logs may show alike; the columns of the candidates, and of those that are yet
+    to come, then vanish on the reference's rows."""
     always = []
     for c in pool:
         if is_common(c):
@@ -167,4 +166,4 @@ def compared(
             for i in (*fixed, *free):
                 evidence.tables[j][rows, i] = 0.0
     evidence.reference_rows = rows
-    return tuple(always), list(pool)
+    evidence.given = (*evidence.given, *always)

@@ -28,12 +28,6 @@ from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Diagnosis, Finding, Robot, Signals
 
-ONLY_LASTING = (
-    "Beside a reference only lasting changes are looked for. Diagnose this log without data.reference for effects that "
-    "come and go."
-)
-
-
 def diagnose(
     log: Log,
     robot: Robot,
@@ -177,7 +171,6 @@ def decided(
             *made.notes,
             *lateness.note_of(made.findings, effects),
             *repeats.note_of(evidence.recording),
-            *((ONLY_LASTING,) if case.compares and any(x > wording.PREDICTABLE for x in shares.values()) else ()),
             *why,
         ),
         details={

@@ -118,6 +118,21 @@ def test_a_reference_leaves_what_has_changed(loaded, robot, rubbing):
     assert diagnosis.summary.startswith("Since the reference, payload (or an alternative) has changed.")
 
 
+def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
+    """Beside an earlier log with the same friction, a drive that was weaker for some seconds, drawn at random, is found
+    with its factor within 2 % and its window within the 0.3 s in which a joint turns back."""
+    draw = np.random.default_rng(11)
+    gain, start, end = draw.uniform(0.6, 0.85), draw.uniform(3, 5), draw.uniform(9, 11)
+    weak = Hidden("torque_gain_change", "axis2", {"gain": gain, "window": [start, end]})
+    log = recorded(robot, [*rubbing, weak], duration=14.0, seed=1)
+    diagnosis = diagnose(log, robot, reference=recorded(robot, rubbing, duration=14.0, seed=2))
+    (found,) = claims(diagnosis)
+    assert (found.effect, found.joint, found.status) == ("torque_gain_change", "axis2", "named")
+    assert found.parameters["gain"].value == pytest.approx(gain, rel=0.02)
+    assert found.window == pytest.approx((start, end), abs=0.3)
+    assert diagnosis.summary.startswith("For a time in this log, and not in the reference: torque gain change on axis2.")
+
+
 def test_friction_that_fell_since_a_reference(robot, rubbing):
     """A joint that has lost a part of its viscous friction, drawn at random, has a negative change within 5 %, and
     the written model has the friction that is left. Without a reference negative friction is refused."""

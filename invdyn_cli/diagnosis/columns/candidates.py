@@ -89,7 +89,11 @@ def passing_columns(
     recording = evidence.recording
     shares = [weight(when, recording.stretch(piece)) for piece in recording.pieces]
     parts = _passing(evidence, effect, joint)
-    return filtered(recording, [x * share for x, share in zip(parts, shares, strict=True)])
+    columns = filtered(recording, [x * share for x, share in zip(parts, shares, strict=True)])
+    if effect.factor and joint is not None and evidence.shown is not None:
+        there = [share * np.ones_like(piece.t) for piece, share in zip(recording.pieces, shares, strict=True)]
+        columns[:, joint] += filtered(recording, there, joint) * evidence.shown[:, joint]
+    return columns
 
 
 def passing_torque(evidence: Evidence, acting: EffectInstance, factors: np.ndarray) -> list[np.ndarray]:

@@ -93,6 +93,8 @@ class Evidence:
         base: of every piece what the nominal torque (n, T) has more than that of `robot`, if that has other links.
         given: part of every hypothesis, and no finding.
         loaded: effects whose candidates depend on the torque that a joint transmits, made or not.
+        reference_rows: (R,) those of a reference, on which the columns of changes vanish, where there is one.
+        shown: (R, n) what the reference shows beside the nominal model.
     """
 
     robot: Robot
@@ -111,6 +113,7 @@ class Evidence:
     base: list[np.ndarray] | None = None
     given: tuple[Candidate, ...] = ()
     loaded: tuple[AbstractEffect, ...] = ()
+    shown: np.ndarray | None = None
 
     def residual(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) residual of the logged torque minus the nominal one, for candidates with these coefficients."""

@@ -90,7 +90,8 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
             first = "No change since the reference has a name: the held-out RMS error of one model of both logs"
         return f"{first} is {before:.3g} N m over {over}. {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
-    shown = [f for f in claims if not any(f is x for x in usual)]
+    new = [f for f in claims if compares and f.window is not None]
+    shown = [f for f in claims if not any(f is x for x in (*usual, *new))]
     said = _grouped(shown, titles)
     said = said if len(said) <= MOST_SAID + 1 else [*said[:MOST_SAID], f"{len(said) - MOST_SAID} other effects"]
     if usual:
@@ -100,11 +101,14 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         terms = few if len(few) <= FEW else [several]
         said = [*terms, *said] if lowers(usual) > lowers(shown) else [*said, *terms]
     more = f" and {len(diagnosis.unclaimed)} more that are not claimed" if diagnosis.unclaimed else ""
-    first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error"
-    if compares:
+    if not compares:
+        first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error"
+    else:
         has = "has" if len(said) == 1 else "have"
-        first = f"Since the reference, {_listed(said)} {has} changed. With that, the held-out RMS error of a model of "
-        first += "both logs"
+        changed = [f"Since the reference, {_listed(said)} {has} changed."] if said else []
+        if new:
+            changed.append(f"For a time in this log, and not in the reference: {_listed(_grouped(new, titles))}.")
+        first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
     first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} N m over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."

@@ -61,7 +61,7 @@ TURN = 3
 """Every so many blocks one judges."""
 
 
-Windows = Mapping[TimeWindow, Sequence[Candidate]]
+Windows = dict[TimeWindow, Sequence[Candidate]]
 """Windows of time, with every effect that may come and go in each."""
 
 

@@ -105,7 +105,7 @@ def inquire(
             rotor of every joint; none of these is looked for.
         start: trials of what lasts, from which the search starts as well as from nothing.
     """
-    everywhere = [] if compares else events.places(evidence, effects, side)
+    everywhere = [] if compares else events.places(evidence, effects, side)  # first what both logs show
     gears = [c for c in evidence.candidates if c.effect.yields]
 
     def looked(
@@ -129,7 +129,13 @@ def inquire(
             residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))
         lasting = [c for c in inquiry.hypothesis if c.when is None]
         beside = (*inquiry.beside(lasting), *lasting)
-        return events.proposed(inquiry.evidence, everywhere, residuals, inquiry.noise, [*held, *refined], beside)
+        places, noise = everywhere or events.places(inquiry.evidence, effects, side), inquiry.noise
+        made = events.proposed(inquiry.evidence, places, residuals, noise, [*held, *refined], beside)
+        if compares:  # what lasts may have taken the place of what comes and goes
+            common, seen = inquiry.always, [*held, *refined, *made]
+            left = [inquiry.evidence.residual(common, inquiry.judge.quick(common)[1])]
+            made |= events.proposed(inquiry.evidence, places, left, noise, seen, common, events.LARGE)
+        return made
 
     inquiry: Inquiry | None = None
     held: Windows = {}
@@ -145,7 +151,8 @@ def inquire(
         else:
             inquiry, found = None, {}
     for turn in range(1 + events.ROUNDS - bool(held)):
-        starts = [*([inquiry.hypothesis] if inquiry else []), *([] if turn else [start, ()] if start else [()])]
+        starts = [*([inquiry.hypothesis] if inquiry else []), *([start] if start and not turn else [])]
+        starts += [()] if compares or not turn else []
         again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
         if turn and inquiry and kept.keys() == held.keys():
             inquiry = again  # no window more, but what lasts is known better
@@ -183,12 +190,12 @@ def _searched(
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = _measured(evidence, effects, new, choosing, wear)
     pool = list(evidence.candidates)
-    always = (*evidence.given, *known.allowed_for(pool, allowed))
+    declared = known.allowed_for(pool, allowed)
     pool = [c for c in pool if not known.is_allowed(c, allowed)]
-    if compares:
-        common, pool = known.compared(evidence, pool, ROLES.index("reference"))
-        always += common
-        _scale_what_both_show(evidence, always, pool, measured.weights)
+    if compares and evidence.reference_rows is None:
+        known.compare(evidence, pool, ROLES.index("reference"))
+        _scale_what_both_show(evidence, (*evidence.given, *declared), pool, measured.weights)
+    always = (*evidence.given, *declared)
     usual: Hypothesis = ()
     if wear:
         usual = terms_of(pool, wear)
@@ -210,13 +217,13 @@ def _scale_what_both_show(
     evidence: Evidence, always: Hypothesis, pool: Sequence[Candidate], weights: np.ndarray
 ) -> None:
     """Add to the columns of gains what the reference shows beside the nominal model, friction above all: a gain that
-    came since scales that, too."""
+    came since scales that, too; one in a window of time is to do so as well."""
     before = evidence.reference_rows
     assert before is not None
     shown, scale = Slopes.free(evidence, always), np.sqrt(weights) * (before[:, None] & evidence.valid)
     own = shown.weighed(scale)
     theta = solved(own.normal(), own.moment(evidence.residual((), np.zeros(0)) * scale), precision_of(always))
-    torque = shown.torque(theta)
+    evidence.shown = torque = shown.torque(theta)
     for c in pool:
         if c.effect.factor and c.joint is not None:
             (column,) = c.columns[c.joint][1]
