@@ -7,7 +7,6 @@ INSTALLED := $(VENV)/.installed
 DOCS := .docs-venv
 SOURCES := $(shell find invdyn_cli hydra_plugins conf experiments -type f -not -name '*.pyc') pyproject.toml README.md LICENSE
 
-# The longest first, so that two at a time end together.
 PUBLISHED = adaptation batch_simulated dbm seven_joints filters
 
 # Every experiment is a target, with _ or -: make taken-up seed=3. What stands on make's command line goes to it as it is.
@@ -50,11 +49,11 @@ format: $(INSTALLED)  ## put imports and lines in order
 	$(BIN)/ruff check --quiet --fix
 	$(BIN)/ruff format
 
-tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables; two experiments at a time
-	$(ONE_THREAD) $(MAKE) --jobs=2 --output-sync=target $(PUBLISHED)
+tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables; two runs at a time
+	for name in $(PUBLISHED); do $(ONE_THREAD) $(BIN)/invdyn experiment $$name workers=2 || exit; done
 
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
-	$(BIN)/invdyn figures
+	$(ONE_THREAD) $(BIN)/invdyn figures workers=2
 
 grand: $(INSTALLED)  ## every model on the same rows of simulated and real robots: error, time, size; what to choose
 	$(ONE_THREAD) $(BIN)/invdyn experiment grand_comparison workers=2 $(said)

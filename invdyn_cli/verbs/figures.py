@@ -47,7 +47,7 @@ def task(config: DictConfig) -> None:
     sets: Grid | None = None
     for name in config.shown:
         try:
-            done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust)
+            done = published.run_all(name, own, real_data, fresh=config.fresh, trust=trust, workers=config.workers)
         except LogError as error:
             spec = read(name)
             console.warn(f"{name} is left out: {error}")

@@ -61,7 +61,7 @@ def _finished(
     """Number and job, its rows or what it raised, and whether it was run now, in the order in which jobs finish."""
     plan = enumerate(experiment.plan(rows))
     waiting: dict[Future, tuple[int, tuple]] = {}
-    with _executor(workers) as executor:
+    with executor(workers) as executor:
         while True:
             while len(waiting) < workers and (following := next(plan, None)):
                 kept = None if fresh else _kept(folder, experiment, following[1], code)
@@ -103,7 +103,7 @@ class _Here(Executor):
 
 
 @contextmanager
-def _executor(workers: int) -> Iterator[Executor]:
+def executor(workers: int) -> Iterator[Executor]:
     """A pool of processes if there are several workers; Ctrl-C and errors end them."""
     if workers == 1:
         use_compilation_cache()

@@ -2,12 +2,13 @@
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import hydra
-from omegaconf import open_dict
+from omegaconf import DictConfig, open_dict
 
 from invdyn_cli import store, untrusted
 from invdyn_cli.data.recorded import RealLog
@@ -16,6 +17,7 @@ from invdyn_cli.maths import metrics
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid, Job
 from invdyn_cli.types import RunRecord
+from invdyn_cli.verbs import jobs as processes
 from invdyn_cli.verbs import listing, run, screen, sweep
 
 
@@ -41,15 +43,19 @@ class Published:
                 yield labels, store.load_run(folder / store.RUN, self.trust)
 
 
-def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False, trust: Sequence[str] = ()) -> Published:
-    """Run what is not complete (all of it, if `fresh`), a folder per job in `folder`/`name`.
+def run_all(
+    name: str, folder: Path, real_data: Path, *, fresh: bool = False, trust: Sequence[str] = (), workers: int = 1
+) -> Published:
+    """Run what is not complete (all of it, if `fresh`), a folder per job in `folder`/`name`, in so many processes.
 
     `trust` names modules whose models may be read back.
 
     Raises:
         LogError: if there is a log that the experiment needs and `real_data` does not hold.
-        UsageError: if there is no such experiment.
+        UsageError: if there is no such experiment, or no worker.
     """
+    if type(workers) is not int or workers < 1:
+        raise UsageError(f"workers={workers}; allowed: 1 and more")
     spec = listing.read(name)
     if "_target_" in spec:
         raise UsageError(f"experiment={name} is no sweep of runs", advice=f"invdyn experiment {name}")
@@ -60,12 +66,15 @@ def run_all(name: str, folder: Path, real_data: Path, *, fresh: bool = False, tr
             f"experiment {name} needs {listed(map(str, missing))}", advice="INVDYN_REAL_DATA=FOLDER of those"
         )
     folders = [folder / name / _slug(labels) for labels, _ in jobs]
-    done: list[Job] = []
-    with screen.stages() as stage:
-        report = stage(f"runs of {name}")
+    with screen.stages() as stage, processes.executor(workers) as pool:
+        report, running = stage(f"runs of {name}"), set[Future]()
         for i, ((labels, overrides), own) in enumerate(zip(jobs, folders, strict=True)):
-            report(i / len(jobs), " ".join(labels.values()))
-            done.append((labels, _metrics_of(overrides, own, fresh=fresh)))
+            running = _ended(running, workers - 1)
+            report((i - len(running)) / len(jobs), " ".join(labels.values()))
+            running |= _started(pool, overrides, own, fresh=fresh)
+        _ended(running, 0)
+    metrics_of = (untrusted.read_json(own / store.METRICS, RunFileError) for own in folders)
+    done = [(labels, own) for (labels, _), own in zip(jobs, metrics_of, strict=True)]
     verdicts = comparison.judge(spec["statements"], done) if spec.get("statements") else None
     return Published(name, spec, tuple(done), tuple(folders), _grid(spec, done, real_data), verdicts, tuple(trust))
 
@@ -84,15 +93,28 @@ def expand(spec: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], list[str]]
             )
 
 
-def _metrics_of(overrides: Sequence[str], folder: Path, *, fresh: bool) -> dict[str, Any]:
-    """metrics.json of the job, run now unless its folder holds it complete."""
+def _ended(running: set[Future], most: int) -> set[Future]:
+    """What still runs when there are no more than so many jobs; raises what one of the others raised."""
+    while len(running) > most:
+        over, running = wait(running, return_when=FIRST_COMPLETED)
+        for one in over:
+            one.result()
+    return running
+
+
+def _started(pool: Executor, overrides: Sequence[str], folder: Path, *, fresh: bool) -> set[Future]:
+    """The job, begun unless its folder holds it complete."""
     composed = hydra.compose("run", list(overrides), return_hydra_config=True)
     view = composed.hydra
     with open_dict(composed):
         del composed["hydra"]
-    if fresh or not sweep.is_complete(composed, folder):
-        run.execute(composed, folder, view=view)
-    return untrusted.read_json(folder / store.METRICS, RunFileError)
+    if not fresh and sweep.is_complete(composed, folder):
+        return set()
+    return {pool.submit(_run, composed, folder, view)}
+
+
+def _run(config: DictConfig, folder: Path, view: Any) -> None:
+    run.execute(config, folder, view=view)
 
 
 def _grid(spec: Mapping[str, Any], done: Sequence[Job], real_data: Path) -> Grid:

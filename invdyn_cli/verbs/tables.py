@@ -36,6 +36,7 @@ def task(config: DictConfig) -> None:
         Path(config.real_data).resolve(),
         fresh=config.fresh,
         trust=trusted(config),
+        workers=config.workers,
     )
     path = write(done, Path(config.folder))
     console = Screen(width=None if sys.stdout.isatty() else WIDTH)

@@ -37,7 +37,8 @@ def test_a_sweep_is_spelled_out():
 
 
 def test_runs_are_kept_and_the_table_written(tmp_path, command):
-    """The table has a row per job with the numbers of its metrics.json; run again, no job runs anew."""
+    """The table has a row per job with the numbers of its metrics.json; run again, no job runs anew; two processes find
+    the same, and say in one line what keeps a job from running."""
     (tmp_path / "experiments").mkdir()
     spec = {
         "title": "Small",
@@ -52,11 +53,18 @@ def test_runs_are_kept_and_the_table_written(tmp_path, command):
     assert done.code == 0, done.err
     runs = sorted((tmp_path / "outputs/tables/small").glob("*/metrics.json"))
     text = (tmp_path / "outputs/tables/small.md").read_text()
-    found = json.loads(runs[0].read_text())["test"]["nmse"]["mean"]
-    assert len(runs) == 2 and f"{found:.2e}" in text and "| holds |" in text
+    found = [json.loads(run.read_text())["test"] for run in runs]
+    assert len(runs) == 2 and f"{found[0]['nmse']['mean']:.2e}" in text and "| holds |" in text
     before = [run.stat().st_mtime_ns for run in runs]
     assert command("tables", "experiment=small").code == 0
     assert [run.stat().st_mtime_ns for run in runs] == before
+    assert command("tables", "experiment=small", "fresh=true", "workers=2").code == 0
+    assert [json.loads(run.read_text())["test"] for run in runs] == found
+    assert all(run.stat().st_mtime_ns > old for run, old in zip(runs, before, strict=True))
+    spec["jobs"][0]["overrides"] = ["model=pest", "seed=-1"]
+    (tmp_path / "experiments" / "small.yaml").write_text(yaml.safe_dump(spec))
+    refused = command("tables", "experiment=small", "fresh=true", "workers=2")
+    assert refused.code == 2 and "seed=-1; allowed" in refused.err[-1]
 
 
 @pytest.mark.parametrize(
@@ -64,6 +72,7 @@ def test_runs_are_kept_and_the_table_written(tmp_path, command):
     [
         (["experiment=batch_simulatd"], "did you mean 'batch_simulated'?"),
         (["experiment=real_logs", "real_data=nowhere"], "INVDYN_REAL_DATA"),
+        (["workers=0"], "workers=0; allowed: 1 and more"),
     ],
 )
 def test_wrong_use_is_one_line(command, arguments, said):
