@@ -28,6 +28,7 @@ from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Diagnosis, Finding, Robot, Signals
 
+
 def diagnose(
     log: Log,
     robot: Robot,

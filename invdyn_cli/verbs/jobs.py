@@ -61,14 +61,14 @@ def _finished(
     """Number and job, its rows or what it raised, and whether it was run now, in the order in which jobs finish."""
     plan = enumerate(experiment.plan(rows))
     waiting: dict[Future, tuple[int, tuple]] = {}
-    with executor(workers) as executor:
+    with executor(workers) as pool:
         while True:
             while len(waiting) < workers and (following := next(plan, None)):
                 kept = None if fresh else _kept(folder, experiment, following[1], code)
                 if kept is not None:
                     yield following, kept, False
                 else:
-                    waiting[executor.submit(_rows, experiment, folder, following[1])] = following
+                    waiting[pool.submit(_rows, experiment, folder, following[1])] = following
             if not waiting:
                 return
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
