@@ -11,7 +11,7 @@ from typing import ClassVar
 import jax
 
 from invdyn_cli import experiment
-from invdyn_cli.abstract_experiment import AbstractExperiment
+from invdyn_cli.abstract_experiment import WAIT, AbstractExperiment
 from invdyn_cli.adaptation.batch import Batch
 from invdyn_cli.data.sim import SineTasks
 from invdyn_cli.interfaces import AbstractModel
@@ -76,6 +76,7 @@ class OpenChoices(AbstractExperiment):
         for choice in itertools.product(self.amplitudes, self.filters, self.jitters):
             for model in ("PEST", "DBM"):
                 yield (*choice, model, 0)
+        yield WAIT
         for choice in best(rows)[: self.nets]:
             yield (*choice, "NN", self.seed)
 

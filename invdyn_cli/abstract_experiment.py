@@ -7,6 +7,9 @@ from typing import Any, ClassVar
 
 from invdyn_cli.errors import UsageError, closest, listed
 
+WAIT = ()
+"""In a plan: what follows depends on the rows of all jobs before."""
+
 
 class AbstractExperiment(abc.ABC):
     """A plan of jobs, the rows that each job gives, and the table of all rows.
@@ -26,7 +29,8 @@ class AbstractExperiment(abc.ABC):
         """The jobs in their order: plain values, all that the rows of a job depend on.
 
         Args:
-            rows: of the jobs that have finished; it grows while the jobs are taken one by one.
+            rows: of the jobs that have finished; it grows while the jobs are taken one by one. After WAIT it has those
+                of all jobs before.
 
         Raises:
             UsageError: for an option that is not allowed, before the first job.

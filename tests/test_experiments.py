@@ -189,6 +189,24 @@ def test_processes_change_nothing_but_time(own, tmp_path):
     assert "sum 30 of [0, 1, 2, 3, 4]" in done.out and sorted(calls(tmp_path)) == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.parametrize("workers", usually([2], [1, 2]))
+def test_a_plan_waits_for_the_rows_before(own, tmp_path, workers):
+    """What follows WAIT knows the rows of all jobs before, however long one of several processes takes for them."""
+    code = tmp_path / "experiments" / "squares.py"
+    text = code.read_text().replace("import AbstractExperiment", "import WAIT, AbstractExperiment")
+    plan = "yield from [(k, self.broken, self.seconds * k) for k in range(self.numbers)]"
+    text = text.replace(
+        "return [(k, self.broken, self.seconds) for k in range(self.numbers)]",
+        f"""{plan}
+        yield WAIT
+        yield (int(sum(x.square for x in rows)), self.broken, 0.0)""",
+    )
+    code.write_text(text)
+    done = own("numbers=3", f"workers={workers}", "seconds=0.2")
+    assert done.code == 0, done.err
+    assert "sum 30 of [0, 1, 2, 5]" in done.out and calls(tmp_path)[-1] == 5
+
+
 def test_a_job_that_fails_leaves_the_others(own):
     """The failure is told, the other rows are in the table, the exit code is 2."""
     done = own("broken=1")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli import interruption
-from invdyn_cli.abstract_experiment import AbstractExperiment
+from invdyn_cli.abstract_experiment import WAIT, AbstractExperiment
 from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.errors import InvdynError, RunFileError, UsageError
 from invdyn_cli.files import write_file
@@ -37,7 +37,7 @@ def run_all(
     Returns:
         The rows in the order of the plan, and how many jobs failed; what failed is told on stderr.
     """
-    total = sum(1 for _ in experiment.plan(()))
+    total = sum(job != WAIT for job in experiment.plan(()))
     code, rows, failed = _code(experiment), [], 0
     numbered: dict[int, list[Any]] = {}
     with closing(_finished(experiment, folder, rows, workers, code, fresh)) as finished:
@@ -59,11 +59,15 @@ def _finished(
     experiment: AbstractExperiment, folder: Path, rows: Sequence[Any], workers: int, code: str, fresh: bool
 ) -> Generator[tuple[tuple[int, tuple], list[Any] | BaseException, bool], None, None]:
     """Number and job, its rows or what it raised, and whether it was run now, in the order in which jobs finish."""
-    plan = enumerate(experiment.plan(rows))
+    plan, held = enumerate(experiment.plan(rows)), False
     waiting: dict[Future, tuple[int, tuple]] = {}
     with executor(workers) as pool:
         while True:
-            while len(waiting) < workers and (following := next(plan, None)):
+            held = held and bool(waiting)
+            while len(waiting) < workers and not held and (following := next(plan, None)):
+                if following[1] == WAIT:
+                    held = bool(waiting)
+                    continue
                 kept = None if fresh else _kept(folder, experiment, following[1], code)
                 if kept is not None:
                     yield following, kept, False
