@@ -158,7 +158,7 @@ def _plan(value: Any, trust: Sequence[str]) -> Any:
     planned = {name: _plan(v, trust) for name, v in value["fields"].items()}
     for name, given in planned.items():
         if name not in own:
-            raise RunFileError(f"{kind.__name__} has no {shortened(name)!r}; allowed: {listed(own)}")
+            raise RunFileError(f"{kind.__name__} has no option {shortened(name)!r}; allowed: {listed(own)}")
         if not suits(given, hints[name], _is_a):
             got = given.kind.__name__ if isinstance(given, _Planned) else shortened(given)
             raise RunFileError(f"{kind.__name__}: {name}={got}; allowed: {in_words(hints[name])}")

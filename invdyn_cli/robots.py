@@ -238,7 +238,8 @@ def _arm(model: pin.Model, tags: Mapping[str, ET.Element]) -> list[int]:
             free = free.difference(*fingers)
     if not free:
         raise RobotError(
-            "all moving joints look like a gripper's", advice=f"robot.joints= of {listed(model.names[1:])}"
+            "no joint of an arm is left: all that move look like a gripper's",
+            advice=f"robot.joints= of {listed(model.names[1:])}",
         )
     if any(len(_children(model, free, i)) > 1 for i in {0} | free):
         tips = [model.names[i] for i in sorted(free) if not _children(model, free, i)]

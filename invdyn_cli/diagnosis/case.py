@@ -234,7 +234,7 @@ def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
     reference, examination = doctor.correct(reference, robot, change=options.correct)
     if not examination.usable:
         failed = [c.seen for c in examination.checks if c.severity == "fail"]
-        raise LogError(f"the reference cannot be used: {listed(failed)}", advice="another data.reference")
+        raise LogError(f"the reference log fails its checks: {listed(failed)}", advice="another data.reference")
     reference, log = in_newton_metres(reference), in_newton_metres(log)
     if windows is None:
         share = options.conditioning.train_share

@@ -68,11 +68,10 @@ def read(
             parts = effect.sum_of or (name,)
             allowed += [(part, None if joint is None else robot.joints.index(joint)) for part in parts]
             continue
-        if effect.load:
-            given.setdefault("inertia", [0.0] * 6)
-        wrong = set(given) ^ set(effect.parameters)
-        if wrong:
+        wanted, optional = set(effect.parameters), {"inertia"} if effect.load else set()
+        if set(given) - wanted or wanted - optional - set(given):
             raise UsageError(f"diagnosis.known: {name} has parameters {listed(effect.parameters)}; got {listed(given)}")
+        given |= {x: [0.0] * COUNTS[x] for x in optional - set(given)}
         if joint is None and not whole:
             raise UsageError(f"diagnosis.known: {name} needs a joint; allowed: {listed(robot.joints)}")
         parameters = {k: _numbers(name, k, v) for k, v in given.items()}

@@ -139,7 +139,7 @@ def _channel(value: Any, name: str, where: str) -> Channel:
     said = {key: _list(x) for key, x in tree.items() if x is not None}
     signs = tuple(_number(x, f"{label}.sign") for x in said.get("sign", []))
     if set(signs) - {1.0, -1.0}:
-        raise UsageError(f"{label}.sign={list(signs)}; allowed: 1 or -1, one for all joints or one for each")
+        raise UsageError(f"{label}.sign={list(signs)}; allowed: 1 or -1, a single value or one per joint")
     names = tuple(_text(x, f"{label}.columns") for x in said.get("columns", []))
     return Channel(
         columns=(NONE,) if [x.lower() for x in names] == [NONE] else names,

@@ -100,7 +100,7 @@ def read_tables(path: Path, limit: float, topic: str = "") -> tuple[Table, ...]:
         return rosbag.read(path, limit, topic)
     if path.is_file() and kind in READERS:
         return READERS[kind](path, limit)
-    raise LogError(f"{path} has a format that is not read; allowed: {KINDS}")
+    raise LogError(f"{path} has an unknown format; allowed: {KINDS}")
 
 
 def import_one(path: str | Path, columns: Columns = None, limit: float = hdf5.LIMIT) -> Imported:

@@ -67,7 +67,7 @@ def _opened(path: Path, ros1: bool) -> Iterator[Any]:
         raise
     except Exception as error:  # the library, sqlite and the decompressors raise nearly anything on a damaged bag
         told = "a message is cut off" if isinstance(error, ros_messages.Damaged) else f"{type(error).__name__}: {error}"
-        raise LogError(f"{path} is no bag that can be read: {told}", advice="a new copy of it") from error
+        raise LogError(f"the bag {path} cannot be read: {told}", advice="a new copy of it") from error
 
 
 def _refuse_compressed(path: Path) -> None:

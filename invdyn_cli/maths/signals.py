@@ -56,7 +56,7 @@ def settling(rate: float, cutoff: float, order: int = 4) -> int:
     if not 0 < cutoff < rate / 2:
         raise ValueError(f"cut-off {cutoff:g} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
     if order < 1:
-        raise ValueError(f"order {order}; allowed: 1 and more")
+        raise ValueError(f"filter order {order}; allowed: 1 and more")
     zpk: Any = scipy.signal.butter(order, cutoff, fs=rate, output="zpk")
     slowest = np.max(np.abs(zpk[1]), initial=1e-9)
     return int(np.ceil(np.log(0.01) / np.log(slowest)))

@@ -142,7 +142,9 @@ def refuse_clock(duration: float, rate: float, substeps: int) -> None:
     if not (np.isfinite(rate) and rate > 0 and np.isfinite(duration) and duration * rate >= 2):
         raise UsageError(f"duration={duration} s at rate={rate} Hz; allowed: both above 0, two samples or more")
     if duration * rate > MOST_SAMPLES:
-        raise UsageError(f"{duration} s at {rate} Hz are {duration * rate:.3g} samples; allowed: {MOST_SAMPLES:.0e}")
+        raise UsageError(
+            f"{duration} s at {rate} Hz are {duration * rate:.3g} samples; allowed: up to {MOST_SAMPLES:.0e}"
+        )
     if not (isinstance(substeps, int) and 1 <= substeps <= MOST_SUBSTEPS):
         raise UsageError(f"substeps={substeps}; allowed: a whole number from 1 to {MOST_SUBSTEPS}")
 

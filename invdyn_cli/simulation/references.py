@@ -204,7 +204,7 @@ class ConstantSpeed(AbstractReference):
         object.__setattr__(self, "speeds", tuple(self.speeds))
         if not self.speeds or not all(0 < x <= 1 for x in self.speeds) or self.blend <= 0:
             got = f"constant_speed with speeds={list(self.speeds)}, blend={self.blend}"
-            raise UsageError(f"{got}; allowed: speeds above 0 up to 1, blend above 0")
+            raise UsageError(f"{got}; allowed: speeds (shares of the top speed) above 0 up to 1, blend above 0")
 
     def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
         draw = np.random.default_rng(seed)

@@ -41,7 +41,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> ControlRecord:
     )
     kind = target_of(config.data)
     if isinstance(kind, type) and not issubclass(kind, AbstractTaskSource):
-        raise UsageError(f"data makes a {config.data._target_}; allowed: data=pick_place, the arm with a task to do")
+        raise UsageError(f"{config.data._target_} has no task for the arm; allowed: data=pick_place")
     source = make_object(config, "data", AbstractTaskSource)
     model = make_object(config, "model", AbstractModel)
     adaptation = make_object(config, "adaptation", AbstractAdapter)

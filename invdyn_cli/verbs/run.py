@@ -192,7 +192,10 @@ def refuse_formats(option: str, formats: Any) -> None:
 def make_log_source(config: DictConfig) -> AbstractSource:
     """The data source of the config; UsageError for one that has no log."""
     if not isinstance(config.data, DictConfig) or "_target_" not in config.data:
-        raise UsageError(f"data={config.data}; allowed: a choice of the group", advice="data=real_log data.path=…")
+        raise UsageError(
+            f"data={config.data}; allowed: a choice of the group, see invdyn run --help",
+            advice="data=real_log data.path=…",
+        )
     source = instantiate(config.data)
     if isinstance(source, AbstractSource) and source.has_log:
         return source
