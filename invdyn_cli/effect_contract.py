@@ -54,6 +54,8 @@ class AbstractEffect(abc.ABC):
     """Values of parameters that a description may leave out."""
     passing: ClassVar[bool] = False
     """Whether it acts in a time window only; the window is then estimated with it."""
+    for_a_time: ClassVar[str] = ""
+    """The effect that it is called where it acts in a time window only."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Sets of effects that can, in theory, explain the same logs."""
     contains: ClassVar[tuple[str, ...]] = ()

@@ -135,6 +135,7 @@ class TorqueGainError(AbstractChannelEffect):
     reference = "Gautier and Briot, ASME JDSMC 2014"
     parameters = {"gain": Parameter("-", 0.4, 2.5)}
     factor = "gain"
+    for_a_time = "torque_gain_change"
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
     advice = "a known payload: it distinguishes a wrong gain from wrong masses"
     panels = ("nominal_torque",)

@@ -33,6 +33,7 @@ class Payload(AbstractBodyEffect):
     equation = "a body of this mass at com in the frame of the last moving joint"
     reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
     parameters = {"mass": Parameter("kg"), "com": Parameter("m"), "inertia": Parameter("kg m²")}
+    for_a_time = "payload_change"
     confounders = (("link_inertia_error",), ("torque_gain_error",))
     advice = "the same trajectory without the load, or the mass of the tool from a scale"
     panels = ("joints",)

@@ -135,6 +135,24 @@ def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
     )
 
 
+@pytest.mark.parametrize("weak_at_rest", [True, False])
+def test_a_drive_that_was_weak_while_its_joint_moved(robot, weak_at_rest):
+    """Joints that sweep one after the other: a drive that is weak from a second before its joint moves has, while that
+    rests, the torque of a sound one, so that it may have become weak. Of one that always is, this is not said."""
+    sweeps = ConstantSpeed(speeds=(0.3, 0.6), by_joint=True)
+    plain = record(robot, [sweeps], noise=Noise(position=1e-6, torque=0.02), duration=30.0, seed=3)
+    moves = np.abs(np.diff(plain.trajectories[0].q[:, 1])) > 1e-5
+    start = 0.0 if weak_at_rest else plain.trajectories[0].t[np.argmax(moves)] - 1.0
+    assert weak_at_rest or start > 3
+    gain = float(np.random.default_rng(5).uniform(0.6, 0.85))
+    weak = Hidden("torque_gain_error", "axis2", {"gain": gain})
+    weak = weak if weak_at_rest else Hidden("torque_gain_change", "axis2", {"gain": gain, "window": [start, 30.0]})
+    log = record(robot, [sweeps], [weak], noise=Noise(position=1e-6, torque=0.02), duration=30.0, seed=3)
+    (found,) = claims(diagnose(log, robot))
+    possible = {found.effect, *(name for one in found.alternatives for name in one)}
+    assert "torque_gain_error" in possible and ("torque_gain_change" in possible) is not weak_at_rest
+
+
 def test_friction_that_fell_since_a_reference(robot, rubbing):
     """A joint that has lost a part of its viscous friction, drawn at random, has a negative change within 5 %, and
     the written model has the friction that is left. Without a reference negative friction is refused."""

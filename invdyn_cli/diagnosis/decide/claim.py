@@ -31,6 +31,10 @@ gear's play they have one impact or two, and a model of the load that was not fi
 SLOWEST = 0.1
 """Share of a joint's moving rows, the slowest, that hold the errors of the friction's formula around standstill."""
 
+AWAY, QUIET, LOUD = 1.0, 3.0, 10.0
+"""[s] for which a joint that rests must have the torque that it would have without an effect, for this to have been
+away: what is then left is at most QUIET times the noise, and the effect would make LOUD times."""
+
 DEVIATIONS = 3.0
 """How many standard deviations, between blocks, a gain may be larger than it seems."""
 
@@ -168,6 +172,18 @@ class Claim:
         term = term_of(self.inquiry, self.hypothesis, self.place) ** 2 * self.inquiry.noise.weights
         at_rest = ~evidence.valid
         return bool(not self.inquiry.wear and at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
+
+    @cached_property
+    def was_away(self) -> bool:
+        """Whether it was not there while a joint rested that would have felt it: a drive that was weak only while its
+        joint moved, which the rows that count do not tell from one that always is."""
+        evidence, noise = self.inquiry.evidence, self.inquiry.noise.deviation
+        term, filter = term_of(self.inquiry, self.hypothesis, self.place), evidence.recording.filter
+        felt = ~evidence.valid & (np.abs(term) > LOUD * noise)
+        alone = felt & (np.abs(self.after + term) < QUIET * noise)
+        moments = np.where(felt.any(axis=1), np.all(alone | ~felt, axis=1), False)
+        runs = np.split(moments, 1 + np.flatnonzero(np.diff(moments) | (np.diff(evidence.piece) > 0)))
+        return any(run[0] and len(run) > AWAY * filter.rate / filter.keep for run in runs)
 
     @cached_property
     def delay(self) -> float:

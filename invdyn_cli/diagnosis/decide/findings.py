@@ -187,6 +187,9 @@ def _doubted(
     finding = replace(finding, alternatives=(*finding.alternatives, *((name,) for name in others)))
     finding = bodies.told(finding, acting, evidence.robot, sized.wanted[i])
     more = []
+    if claimed.was_away:
+        alike = (acting.effect, *(r.candidate.effect for r in claimed.rivals if r.equal))
+        more += [(e.for_a_time,) for e in alike if e.for_a_time in effects]
     if acting.effect is not candidate.effect and bodies.may_be_payload(sized.wanted[i]):
         more.append((candidate.effect.name,))
     no_body = i in sized.costs and sized.costs[i] > NO_BODY * claimed.evidence
