@@ -19,13 +19,13 @@ from invdyn_cli.models.gru import Gru
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Dataset, Splits
 
-HIDDEN = ((50,), (100,), (200,), (50, 50), (100, 100), (200, 200), (100, 100, 100))
+HIDDEN = ((50,), (100,), (200,), (50, 50), (100, 100), (50, 50, 50))
 RATES = (0.0003, 0.001, 0.003, 0.01)
 BATCHES, EPOCHS = (32, 128), (30, 100)
 MEMORIES = (16, 32, 64)
 LEFT_OUT = "sine_0.4_Hz"
 """The training task that judges in the search: between others, as the test tasks of interpolation are."""
-EVERY = 3
+EVERY = 5
 """Every so many-th sample is learned from in the search: neighbours at 500 Hz are nearly alike."""
 TABLE_ONE, FOUND = "Table I", "found"
 SPLITS = ("interpolation", "extrapolation")
