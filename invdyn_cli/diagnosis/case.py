@@ -117,12 +117,13 @@ def prepared(
         return _unusable(examination, () if options.correct else (AS_RECORDED,))
     notes = doctor.done(examination)
     corrected = (*log.history, *notes)
-    notes, split = (*doctor.doubts(examination), *(notes if options.correct else (AS_RECORDED,))), windows is not None
+    notes = (*doctor.doubts(examination), *(notes if options.correct else (AS_RECORDED,)))
     notes = notes if gained is None else (gained.note(), *notes)
     if log.torque_unit == "A" and log.drive_gain is not None and gained is None:
         gains = ", ".join(f"{x:.3g}" for x in np.ravel(log.drive_gain))
         notes += (f"Torques are the log's currents times its drive gains: {gains} N m/A.",)
     progress(0.1, "checked")
+    split = windows is not None
     if reference is not None:
         log, windows, more = _beside(log, reference, robot, windows, options)
         notes += more

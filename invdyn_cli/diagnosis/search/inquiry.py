@@ -129,12 +129,12 @@ def inquire(
             residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))
         lasting = [c for c in inquiry.hypothesis if c.when is None]
         beside = (*inquiry.beside(lasting), *lasting)
-        places, noise = everywhere or events.places(inquiry.evidence, effects, side), inquiry.noise
-        made = events.proposed(inquiry.evidence, places, residuals, noise, [*held, *refined], beside)
+        places, measured = everywhere or events.places(inquiry.evidence, effects, side), inquiry.noise
+        made = events.proposed(inquiry.evidence, places, residuals, measured, [*held, *refined], beside)
         if compares:  # what lasts may have taken the place of what comes and goes
             common, seen = inquiry.always, [*held, *refined, *made]
             left = [inquiry.evidence.residual(common, inquiry.judge.quick(common)[1])]
-            made |= events.proposed(inquiry.evidence, places, left, noise, seen, common, events.LARGE)
+            made |= events.proposed(inquiry.evidence, places, left, measured, seen, common, events.LARGE)
         return made
 
     inquiry: Inquiry | None = None
