@@ -23,7 +23,8 @@ from invdyn_cli.adaptation.rls import Rls
 from invdyn_cli.data.pick_place import PickPlace
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel
 from invdyn_cli.log import RawTrajectory
-from invdyn_cli.maths.signals import butterworth
+from invdyn_cli.maths.metrics import nmse
+from invdyn_cli.maths.signals import at_rest, butterworth
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.models.local_gp import LocalGp
 from invdyn_cli.models.lwpr import Lwpr
@@ -69,8 +70,8 @@ CASES: Mapping[str, tuple[AbstractAdapter, AbstractModel, str]] = {
 
 @dataclass(frozen=True)
 class Timed:
-    """A way to adapt, the time of each tick [ms], and the NMSE (mean over joints) of the torque that was predicted for
-    a sample before it was learned from."""
+    """A way to adapt, the time of each tick [ms], and the NMSE (mean over joints) of what was predicted for each
+    sample before learning from it."""
 
     name: str
     ticks: tuple[float, ...]
@@ -135,9 +136,9 @@ def played(
             times[k - WARM] = time.perf_counter() - started
             said[k - WARM] = state["said"]
     low = butterworth(RATE, CUTOFF)
-    rest = scipy.signal.sosfilt_zi(low)[:, :, None] * raw.tau[0]
+    rest = at_rest(RATE, CUTOFF)[:, :, None] * raw.tau[0]
     tau = scipy.signal.sosfilt(low, raw.tau[rows - 1], axis=0, zi=rest)[0][WARM:]
-    return times, float(np.mean(np.mean((tau - said) ** 2, axis=0) / np.var(tau, axis=0)))
+    return times, float(np.mean(nmse(tau, said)))
 
 
 def draw(rows: Sequence[Timed]) -> Figure:

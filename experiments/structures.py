@@ -97,7 +97,7 @@ class Structures(AbstractExperiment):
         return [Tried(where, who, (), 0.0, 0, batch, epochs, number, _nmse(model, fit, splits.tests["test"]))]
 
     def line(self, row: Tried) -> str:
-        """What was learned, and its error."""
+        """The nets, and their error."""
         what = row.who or (f"GRU {row.memory}" if row.memory else f"{list(row.hidden)} batch {row.batch}")
         return f"{row.where}, {what}, rate {row.rate:g}, {row.epochs} epochs: NMSE {row.mean:.3g}"
 

@@ -61,8 +61,6 @@ def _experiment(name: str, argv: Sequence[str]) -> int:
     options = _options(name, spec, argv)
     shared = Shared.__dataclass_fields__
     common = instantiate(_node(f"{__name__}.Shared", {x: options[x] for x in shared}))
-    if common.workers < 1:
-        raise UsageError(f"workers={common.workers}; allowed: 1 and more")
     listing.admit(listing.places())
     experiment = instantiate(_node(spec["_target_"], {x: y for x, y in options.items() if x not in shared}))
     if not isinstance(experiment, AbstractExperiment):

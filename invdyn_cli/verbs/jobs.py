@@ -108,7 +108,9 @@ class _Here(Executor):
 
 @contextmanager
 def executor(workers: int) -> Iterator[Executor]:
-    """A pool of processes if there are several workers; Ctrl-C and errors end them."""
+    """A pool of processes if there are several workers; Ctrl-C and errors end them. UsageError where there is none."""
+    if type(workers) is not int or workers < 1:
+        raise UsageError(f"workers={workers}; allowed: 1 and more")
     if workers == 1:
         use_compilation_cache()
         yield _Here()

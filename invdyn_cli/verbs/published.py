@@ -54,8 +54,6 @@ def run_all(
         LogError: if there is a log that the experiment needs and `real_data` does not hold.
         UsageError: if there is no such experiment, or no worker.
     """
-    if type(workers) is not int or workers < 1:
-        raise UsageError(f"workers={workers}; allowed: 1 and more")
     spec = listing.read(name)
     if "_target_" in spec:
         raise UsageError(f"experiment={name} is no sweep of runs", advice=f"invdyn experiment {name}")

@@ -181,7 +181,7 @@ class Claim:
         term, filter = term_of(self.inquiry, self.hypothesis, self.place), evidence.recording.filter
         felt = ~evidence.valid & (np.abs(term) > LOUD * noise)
         alone = felt & (np.abs(self.after + term) < QUIET * noise)
-        moments = np.where(felt.any(axis=1), np.all(alone | ~felt, axis=1), False)
+        moments = felt.any(axis=1) & np.all(alone | ~felt, axis=1)
         runs = np.split(moments, 1 + np.flatnonzero(np.diff(moments) | (np.diff(evidence.piece) > 0)))
         return any(run[0] and len(run) > AWAY * filter.rate / filter.keep for run in runs)
 
