@@ -24,7 +24,7 @@ TESTED = OMP_NUM_THREADS=1 XLA_FLAGS="$$(XLA_FLAGS="$(QUICK)" $(BIN)/python -c '
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test benchmarks lint format tables figures grand real experiment bench-gpu fuzz docs wheel clean $(ALIASES)
+.PHONY: help venv run test lint tables figures grand real experiment fuzz docs wheel clean $(ALIASES)
 
 help:  ## what there is to make
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -34,29 +34,20 @@ venv: $(INSTALLED)  ## the environment: .venv with the package (editable) and wh
 run: $(INSTALLED)  ## one experiment: nets on noisy simulated data, into outputs/runs
 	$(BIN)/invdyn run model=ffnn data=sim_noisy
 
-test: $(INSTALLED)  ## everything that must hold: all tests; one of them is lint
-	$(TESTED) $(BIN)/python -m pytest -n 2 --dist worksteal
+test: $(INSTALLED)  ## all tests, one of them is lint; marked=benchmark: the same claims on more effects, seeds and sizes
+	$(if $(marked),$(ONE_THREAD),$(TESTED)) $(BIN)/python -m pytest -n 2 --dist worksteal $(if $(marked),-m $(marked))
 
-benchmarks: $(INSTALLED)  ## tests that are no part of `make test`: the same claims on more effects, seeds and sizes
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m benchmark
-
-lint: $(INSTALLED)  ## ruff and pyright
+lint: $(INSTALLED)  ## ruff and pyright; fix=true puts imports and lines in order first
+	$(if $(fix),$(BIN)/ruff check --quiet --fix; $(BIN)/ruff format)
 	$(BIN)/ruff check --quiet
 	$(BIN)/ruff format --check --quiet
 	$(BIN)/pyright
-
-format: $(INSTALLED)  ## put imports and lines in order
-	$(BIN)/ruff check --quiet --fix
-	$(BIN)/ruff format
 
 tables: $(INSTALLED)  ## the paper's shape on simulated data, into outputs/tables; two runs at a time
 	for name in $(PUBLISHED); do $(ONE_THREAD) $(BIN)/invdyn experiment $$name workers=2 || exit; done
 
 figures: $(INSTALLED)  ## the paper's figures, real robots too where their logs are, and outputs/paper/index.html beside the paper
 	$(ONE_THREAD) $(BIN)/invdyn figures workers=2
-
-grand: $(INSTALLED)  ## every model on the same rows of simulated and real robots: error, time, size; what to choose
-	$(ONE_THREAD) $(BIN)/invdyn experiment grand_comparison workers=2 $(said)
 
 real: real_logs ur10e_load  ## the same models on real robots' logs
 
@@ -66,11 +57,8 @@ experiment: $(INSTALLED)  ## NAME=confusion seed=3 logs=2, or make confusion see
 $(ALIASES): $(INSTALLED)
 	$(BIN)/invdyn experiment $@ $(said)
 
-bench-gpu: $(INSTALLED)  ## 24 seeds in one program on the CPU and on the GPU (extra cuda); says so where there is none
-	@if $(BIN)/python -c 'import jax; jax.devices("gpu")' 2>/dev/null; then for device in cpu cuda; do \
-	  echo "$$device:"; JAX_PLATFORMS=$$device $(BIN)/invdyn run -m model=ffnn 'seed=range(24)' \
-	  hydra.sweep.dir=outputs/bench_gpu/$$device; done; \
-	  else echo "bench-gpu: JAX sees no GPU here; allowed: an NVIDIA GPU and pip install 'invdyn[cuda]'"; fi
+grand: $(INSTALLED)
+	$(ONE_THREAD) $(BIN)/invdyn experiment grand_comparison workers=2 $(said)
 
 fuzz: $(INSTALLED)  ## damaged logs, URDFs, runs and options, drawn anew (examples=)
 	$(ONE_THREAD) INVDYN_FUZZ_EXAMPLES=$(or $(examples),2000) $(BIN)/python -m pytest -q -n 2 tests/fuzz

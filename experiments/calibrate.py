@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments import cases, unknown
+from experiments.changed import CHANGES, beyond_change
 from experiments.confusion import claims, judge
 from experiments.told import jobs, name_of, said_of, told
 from experiments.worn import SIZES, Worn, beyond_wear, drawn
@@ -16,7 +17,7 @@ from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.case import Case, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
-from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
+from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -24,17 +25,18 @@ from invdyn_cli.log import Log
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Robot
 
-WHOLE = "none"
-"""The name of the row that is left out when none is."""
+WHOLE, EMPTY = "none", "all"
+"""What is left out of the table when no row is, and when every one is."""
 
-ARMS = ("worn", "perfect", "outside")
-"""Worn arms with one anomaly or none; perfect arms with one; perfect arms with an effect that the catalogue lacks."""
+ARMS = ("worn", "changed", "perfect", "outside")
+"""Worn arms with one anomaly or none; worn arms beside a reference, with one change or none; perfect arms with one
+effect; perfect arms with one that the catalogue lacks."""
 
 
 @dataclass(frozen=True)
 class Worth:
-    """One log without one row of the table: what was said of its anomaly, what else was claimed, and the row's figure
-    of the right candidate that the search found, and of the others. `arm`: one of ARMS."""
+    """One log without some rows of the table: what was said of its anomaly, what else was claimed, and, of one row that
+    is left out, the figure of the right candidate that the search found, and of the others. `arm`: one of ARMS."""
 
     arm: str
     seed: int
@@ -48,13 +50,14 @@ class Worth:
 
 @dataclass(frozen=True)
 class Calibrate(Worn):
-    """Logs of `Worn`, of one effect on a perfect arm and of effects outside the catalogue, each searched once and
-    decided with each row of the table left out."""
+    """Logs of `Worn`, of `Changed`, of one effect on a perfect arm and of effects outside the catalogue, each searched
+    once and decided with each row of the table left out, with none, and with each alone."""
 
     row: ClassVar[type] = Worth
 
     logs: int = 12
     clean: int = 6
+    changed: int = 8
     perfect: int = 12
     outside: int = 8
 
@@ -63,27 +66,28 @@ class Calibrate(Worn):
         names = chosen("only", self.only, SIZES)
         return [
             *(("worn", *job) for job in jobs(self.seed, names, self.logs, self.clean)),
+            *(("changed", *job) for job in jobs(self.seed, CHANGES, self.changed, self.changed // 3)),
             *(("perfect", *job) for job in jobs(self.seed, names, self.perfect, 0)),
             *(("outside", *job) for job in jobs(self.seed, list(unknown.INVENTIONS), self.outside, 0)),
         ]
 
     def run(self, folder: Path, arm: str, seed: int, name: str) -> Iterable[Worth]:
-        """Draw and search one log, and decide without each row."""
-        log, robot, anomaly, false = _log(arm, seed, name)
-        case = prepared(log, robot, None, None, Options(), EFFECTS)
+        """Draw and search one log, and decide by each table."""
+        log, reference, robot, anomaly, false = _log(arm, seed, name)
+        case = prepared(log, robot, None, reference, Options(), EFFECTS)
         if not isinstance(case, Case):
             return
         inquiry, columns = searched(case)
         found = _found(inquiry, anomaly)
         spoken: dict[tuple, tuple[str, tuple[str, ...]]] = {}
-        for number, table in enumerate([REFUSALS, *(_without(k) for k in range(len(REFUSALS)))]):
+        for left_out, table in _tables():
             kept = tuple(c.key for c in supported(inquiry, table)[0])
             if kept not in spoken:
                 diagnosis = decided(case, inquiry, columns, Options(), refusals=table)
                 spoken[kept] = told(anomaly, claims(diagnosis))[0], false(diagnosis)
-            row = WHOLE if number == 0 else REFUSALS[number - 1].name
-            figures = [tuple(REFUSALS[number - 1].figure(x) for x in some) if number else () for some in found]
-            yield Worth(arm, seed, name_of(anomaly), row, *spoken[kept], *figures)
+            one = next((row for row in REFUSALS if row.name == left_out), None)
+            figures = [tuple(one.figure(x) for x in some) if one else () for some in found]
+            yield Worth(arm, seed, name_of(anomaly), left_out, *spoken[kept], *figures)
 
     def line(self, row: Worth) -> str:
         """What was said without a row."""
@@ -92,12 +96,12 @@ class Calibrate(Worn):
     def table(self, rows: Sequence[Worth]) -> str:
         """A row for each of the table's, as Markdown."""
         lines = [
-            "| left out | worn: right | with a false claim | perfect: right | with a false claim "
-            "| outside the catalogue: with a claim | least | figures of right claims: smallest, median "
-            "| of others: median, largest |",
-            "|---|" + "---:|" * 8,
+            "| left out | worn: right | with a false claim | changed: right | with a false claim | perfect: right "
+            "| with a false claim | outside the catalogue: with a claim | least "
+            "| figures of right claims: smallest, median | of others: median, largest |",
+            "|---|" + "---:|" * 10,
         ]
-        least = {WHOLE: ""} | {x.name: f"{x.least:.3g}" if x.least > 1e-9 else "above 0" for x in REFUSALS}
+        least = {x.name: f"{x.least:.3g}" if x.least > 1e-9 else "above 0" for x in REFUSALS}
         for name in dict.fromkeys(x.left_out for x in rows):
             own = [x for x in rows if x.left_out == name]
             counts = [count for arm in ARMS for count in _counts(arm, [x for x in own if x.arm == arm])]
@@ -105,26 +109,29 @@ class Calibrate(Worn):
                 _ends([v for x in own for v in x.right], (0, 50)),
                 _ends([v for x in own for v in x.others], (50, 100)),
             ]
-            cells = [name, *counts, least[name], *ends]
+            cells = [name, *counts, least.get(name, ""), *ends]
             lines.append(f"| {' | '.join(cells)} |")
         return "\n".join(lines)
 
 
-def _log(arm: str, seed: int, name: str) -> tuple[Log, Robot, Hidden | None, Callable[[Diagnosis], tuple[str, ...]]]:
-    """A log, its nominal robot, what is hidden in it that the catalogue has, and what says which claims are
-    false."""
-    if arm == "worn":
+def _log(
+    arm: str, seed: int, name: str
+) -> tuple[Log, Log | None, Robot, Hidden | None, Callable[[Diagnosis], tuple[str, ...]]]:
+    """A log, its reference if it has one, its nominal robot, what is hidden in it that the catalogue has, and what says
+    which claims are false."""
+    if arm in ("worn", "changed"):
         one = drawn(seed, name)
 
         def beside(diagnosis: Diagnosis) -> tuple[str, ...]:
-            return tuple(map(said_of, beyond_wear(told(one.anomaly, claims(diagnosis))[1])))
+            rest = told(one.anomaly, claims(diagnosis))[1]
+            return tuple(map(said_of, beyond_wear(rest) if arm == "worn" else beyond_change(one.anomaly, rest)))
 
-        return one.log, one.scene.robot, one.anomaly, beside
+        return one.log, one.before() if arm == "changed" else None, one.scene.robot, one.anomaly, beside
     if arm == "perfect":
         case = cases.draw_case(seed, [name])
-        return case.log, case.robot, case.hidden[0], lambda diagnosis: judge(case, diagnosis, seed, 0.0).extra
+        return case.log, None, case.robot, case.hidden[0], lambda diagnosis: judge(case, diagnosis, seed, 0.0).extra
     case = unknown.draw(name, seed)[0]
-    return case.log, case.robot, None, lambda diagnosis: tuple(map(said_of, claims(diagnosis)))
+    return case.log, None, case.robot, None, lambda diagnosis: tuple(map(said_of, claims(diagnosis)))
 
 
 def _counts(arm: str, rows: Sequence[Worth]) -> list[str]:
@@ -136,8 +143,14 @@ def _counts(arm: str, rows: Sequence[Worth]) -> list[str]:
     return [*([f"{right} of {len(hidden)}"] if arm != "outside" else []), f"{false} of {len(rows)}"]
 
 
-def _without(place: int) -> tuple:
-    return REFUSALS[:place] + REFUSALS[place + 1 :]
+def _tables() -> Iterable[tuple[str, tuple[Refusal, ...]]]:
+    """What is left out of the table, and the rest: nothing, each row, all rows, all but each."""
+    yield WHOLE, REFUSALS
+    for row in REFUSALS:
+        yield row.name, tuple(x for x in REFUSALS if x is not row)
+    yield EMPTY, ()
+    for row in REFUSALS:
+        yield f"{EMPTY} but {row.name}", (row,)
 
 
 def _found(inquiry: Inquiry, anomaly: Hidden | None) -> tuple[list[Claim], list[Claim]]:

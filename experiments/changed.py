@@ -37,9 +37,10 @@ class Counted:
     seconds: float
 
 
-def _brought(change: Hidden, finding: Finding) -> bool:
-    """Whether a finding is the rotor that a gear with play or a spring brings with it."""
-    return (finding.effect, finding.joint) == ("rotor_inertia", change.joint) and "rotor" in change.parameters
+def beyond_change(change: Hidden | None, rest: Sequence[Finding]) -> list[Finding]:
+    """The findings beside the one of a change that are no rotor that a gear with play or a spring brings with it."""
+    brought = ("rotor_inertia", change.joint) if change is not None and "rotor" in change.parameters else None
+    return [f for f in rest if (f.effect, f.joint) != brought]
 
 
 def count(seed: int, name: str) -> Counted:
@@ -50,8 +51,7 @@ def count(seed: int, name: str) -> Counted:
     seconds = time.perf_counter() - started
     change, found = one.anomaly, claims(diagnosis)
     result, rest = told(change, found)
-    false = [f for f in rest if change is None or not _brought(change, f)]
-    named, beside = (tuple(map(said_of, x)) for x in (found, false))
+    named, beside = (tuple(map(said_of, x)) for x in (found, beyond_change(change, rest)))
     return Counted(seed, one.said, name_of(change), one.times, result, named, beside, diagnosis.verdict, seconds)
 
 

@@ -68,7 +68,7 @@ def script(folder: Path | None = None) -> str:
 
 
 def usually(always: Iterable[Any], values: Iterable[Any]) -> list[Any]:
-    """The values of a test of which `make test` tries some, and `make benchmarks` the others."""
+    """The values of a test of which `make test` tries some, and `make test marked=benchmark` the others."""
     later = pytest.mark.benchmark
     return [x if x in always else pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=later) for x in values]
 

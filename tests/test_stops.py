@@ -1,7 +1,7 @@
 """What stops a command (a kill, Ctrl-C, a full disk, a reader that goes away) leaves no half file and ends in no crash.
 
-A few moments by default, the same each time, of the verbs that differ most; `make benchmarks` stops all of them, and
-INVDYN_STOPS=50 tries so many moments of each, drawn anew.
+A few moments by default, the same each time, of the verbs that differ most; `make test marked=benchmark` stops all of
+them, and INVDYN_STOPS=50 tries so many moments of each, drawn anew.
 """
 
 import csv

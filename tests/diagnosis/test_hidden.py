@@ -1,6 +1,7 @@
 """A cause hidden in a simulated arm is found, named and sized; a cause that the catalogue lacks stays unnamed.
 
-One effect of each kind is hidden in every run of the tests; all the others, and second seeds, by `make benchmarks`.
+One effect of each kind is hidden in every run of the tests; all the others, and second seeds, by
+`make test marked=benchmark`.
 
 Arms, motions, sizes, joints and noise are drawn by `experiments.cases` and played by MuJoCo, verdicts are those of
 `experiments.confusion`. Seeds are taken in order from 0; none is left out.

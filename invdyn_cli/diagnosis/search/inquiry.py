@@ -277,13 +277,15 @@ class _Search:
             seen.append({c.key for c in hypothesis})
             refined = self._refined(hypothesis)
             odd = unlikely(self.evidence, self.model, self.noise, refined) | self._feigned(hypothesis)
+            kin = [c for a in refined.acting if a.key not in widened for c in related(self.evidence, a)]
+            widened |= {a.key for a in refined.acting}
+            odd -= {c.key for c in kin}  # its other kind may be likely
             if odd:
+                self.pool += kin
                 hypothesis = self._without(odd, hypothesis)
                 continue
             trials = tuple(trial_at(self.evidence, a, others_of(refined.acting, a)) for a in refined.acting)
-            more = [*trials, *geared(self.evidence, refined.acting, loads)]
-            more += [c for a in refined.acting if a.key not in widened for c in related(self.evidence, a)]
-            widened |= {a.key for a in refined.acting}
+            more = [*trials, *geared(self.evidence, refined.acting, loads), *kin]
             self.pool += [c for c in more if c not in self.pool]
             self.judge.refresh()
             hypothesis = self._simplified(search(self.judge, self.pool, self.always, trials, self.most))
