@@ -272,27 +272,29 @@ class _Search:
         loads: dict[int, list[np.ndarray]] = {}
         widened: set[tuple] = set()
         for number in range(rounds):
-            self.pool += sharpened(self.judge, self.always, hypothesis, self.pool)
-            self.judge.refresh()
+            self._add(sharpened(self.judge, self.always, hypothesis, self.pool))
             seen.append({c.key for c in hypothesis})
             refined = self._refined(hypothesis)
             odd = unlikely(self.evidence, self.model, self.noise, refined) | self._feigned(hypothesis)
             kin = [c for a in refined.acting if a.key not in widened for c in related(self.evidence, a)]
             widened |= {a.key for a in refined.acting}
+            self._add(kin)
             odd -= {c.key for c in kin}  # its other kind may be likely
             if odd:
-                self.pool += kin
                 hypothesis = self._without(odd, hypothesis)
                 continue
             trials = tuple(trial_at(self.evidence, a, others_of(refined.acting, a)) for a in refined.acting)
-            more = [*trials, *geared(self.evidence, refined.acting, loads), *kin]
-            self.pool += [c for c in more if c not in self.pool]
-            self.judge.refresh()
+            self._add([*trials, *geared(self.evidence, refined.acting, loads)])
             hypothesis = self._simplified(search(self.judge, self.pool, self.always, trials, self.most))
             before, loss = loss, self.judge.loss((*self.always, *hypothesis))
             if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
                 break
         return hypothesis
+
+    def _add(self, trials: Sequence[Candidate]) -> None:
+        """Trials that are new, and their columns to the judge's."""
+        self.pool += [c for c in trials if c not in self.pool]
+        self.judge.refresh()
 
     def finished(self, hypothesis: Hypothesis, rounds: int) -> Inquiry:
         """The inquiry that begins with a hypothesis: settled, refined on the data that chose it and on all, without
