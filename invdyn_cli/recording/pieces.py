@@ -125,8 +125,11 @@ class Filter:
 
     def of(self, joint: int, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """A joint's columns (..., T) in every piece -> (..., rows)."""
-        passed = lowpass_each([np.asarray(x) for x in parts], self.rate, self.cutoffs[joint])
-        return [x[..., self.rows(x.shape[-1])] for x in passed]
+        return [x[..., self.rows(x.shape[-1])] for x in self.slowed(joint, parts)]
+
+    def slowed(self, joint: int, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The same on all samples: (..., T)."""
+        return lowpass_each([np.asarray(x) for x in parts], self.rate, self.cutoffs[joint])
 
     def __call__(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Columns of all joints (..., n, T) in every piece -> (..., n, rows)."""

@@ -9,7 +9,8 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside, known
 from invdyn_cli.effects.composition import EffectInstance, has_driver, joint_terms, shares
 from invdyn_cli.effects.friction import STICK_TIME, about_reversals
-from invdyn_cli.interfaces import AbstractTorqueEffect, Parameters
+from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameters
+from invdyn_cli.types import Array
 
 TOGETHER = Excitation.together
 """Part of the time in which either of two joints moves, in which both have to."""
@@ -34,8 +35,11 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
         """The columns are added to the joint's table; those of a coupled effect also to that of the joint before it,
         with the same coefficients."""
         parts, precision = [], np.zeros(len(effect.basis(evidence.states[0][joint], trial)))
-        for s in evidence.states:
-            columns = list(effect.basis(s[joint], trial))
+        states = [s[joint] for s in evidence.states]
+        if effect.loaded:
+            states = carrying(evidence, states, [s.transmitted for s in states], joint)
+        for s in states:
+            columns = list(effect.basis(s, trial))
             if effect.jumps:
                 columns += about_reversals(effect.jump(columns), evidence.recording.filter.rate)
             parts.append(np.stack(columns))
@@ -56,6 +60,15 @@ class JointTorques(AbstractKind[AbstractTorqueEffect]):
     ) -> Candidate:
         shape = effect.shape_of(at)
         return self.candidate(evidence, effect, joint, shape) if shape else known(evidence, effect, joint)
+
+
+def carrying(
+    evidence: Evidence, states: Sequence[JointState], torques: Sequence[Array], joint: int
+) -> list[JointState]:
+    """A joint's state in every piece with the torque (T,) that its gear transmits, in the joint's band: above it the
+    noise of accelerations, of which an absolute value has a mean, may be larger than the load."""
+    heard = evidence.recording.filter.slowed(joint, [np.asarray(x) for x in torques])
+    return [s._replace(transmitted=x) for s, x in zip(states, heard, strict=True)]
 
 
 def _together(evidence: Evidence, joint: int) -> bool:

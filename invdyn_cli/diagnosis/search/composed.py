@@ -8,6 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import passing_torque
 from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
+from invdyn_cli.diagnosis.columns.joint_torques import carrying
 from invdyn_cli.diagnosis.search.coordinates import coordinates
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.slopes import Slopes
@@ -143,13 +144,23 @@ class Model:
         back = [a for a in own if a.effect.invertible]
         forth = [a for a in own if not a.effect.invertible]
         terms = self._unloaded([a for a in own if not a.effect.loaded], j)
-        under = [a for a in own if a.effect.loaded]
-        for piece, states, body, base, free in zip(pieces, self.evidence.states, moved, self._base, terms, strict=True):
-            loaded = [s._replace(transmitted=x) for s, x in zip(states, body - base, strict=True)] if under else states
-            tau = body[j] + free + sum(joint_terms(under, j, loaded, self.evidence.robot.parents))
-            tau = np.asarray(channel(back, j, tau, self.evidence.recording.stretch(piece)))
+        for one in own:
+            if one.effect.loaded:
+                terms = [x + y for x, y in zip(terms, self._loaded(one, moved, j), strict=True)]
+        for piece, body, term in zip(pieces, moved, terms, strict=True):
+            tau = np.asarray(channel(back, j, body[j] + term, self.evidence.recording.stretch(piece)))
             parts.append(delivered(forth, j, piece.tau[j], self.rate) - tau)
         return parts
+
+    def _loaded(self, one: EffectInstance, moved: Sequence[np.ndarray], j: int) -> list[Array]:
+        """For every piece the torque (T,) on a joint of an effect that depends on what its own joint transmits, which
+        is that of these inverse dynamics."""
+        own, robot = one.joint, self.evidence.robot
+        assert own is not None
+        loads = [body[own] - base[own] for body, base in zip(moved, self._base, strict=True)]
+        states = carrying(self.evidence, [s[own] for s in self.evidence.states], loads, own)
+        there = [[*s[:own], x, *s[own + 1 :]] for s, x in zip(self.evidence.states, states, strict=True)]
+        return [np.asarray(sum(joint_terms([one], j, x, robot.parents))) for x in there]
 
     def _unloaded(self, own: Sequence[EffectInstance], j: int) -> list[Array]:
         """For every piece the torque (T,) on a joint of those torque effects that do not depend on what it transmits;

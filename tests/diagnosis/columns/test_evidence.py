@@ -71,6 +71,27 @@ def test_columns_reproduce_a_term_without_noise(name):
     assert np.abs(evidence.tables[0][:, 0]).max() < 1e-3 * np.abs(y).max()
 
 
+def test_load_beside_coarse_angles():
+    """Friction that grows with the load has its size to 10 %, and so has Coulomb friction beside it, where the steps of
+    encoders, 1.5 mrad, make noise of accelerations that is larger than the load; by its formula little is left, too."""
+    load, step = EFFECTS["load_dependent_friction"], 1.5e-3
+    t, m = moved(seconds=60, rate=250.0)
+    made = inverse_dynamics(arm(), m.q, m.qd, m.qdd)
+    friction = np.zeros_like(m.q)
+    friction[:, 1] = (0.5 + 0.2 * np.abs(made[:, 1])) * np.sign(m.qd[:, 1])
+    trajectory = raw(t, m, lambda *_: friction)
+    trajectory = replace(trajectory, q=step * np.round(trajectory.q / step))
+    names = ["coulomb_friction", load.name]
+    evidence = evidence_of(log_of(trajectory), names, cutoffs=(4.0,))
+    x, y = np.column_stack([column(evidence, name, 1) for name in names]), evidence.tables[1][:, 0]
+    used = evidence.valid[:, 1]
+    sizes = np.linalg.lstsq(x[used], y[used])[0]
+    np.testing.assert_allclose(sizes, [0.5, 0.2], rtol=0.1)
+    acting = [EffectInstance(EFFECTS[names[0]], 1, {"coulomb": 0.5}), EffectInstance(load, 1, {"mu": 0.2})]
+    left = Model(evidence).residual(acting)[used, 1]
+    assert np.std(left) < 0.15 * np.std(y[used])
+
+
 def test_columns_of_what_comes_and_goes():
     """A weight that hangs at the last frame's origin for a time, by Pinocchio, lies in the columns of a contact in that
     window to 1 % (its edges are known to a sample), and less than half of it in those of half the window."""
