@@ -21,7 +21,7 @@ from invdyn_cli.diagnosis.search.judge import (
     strain,
 )
 from invdyn_cli.diagnosis.search.shared_part import precision_of
-from invdyn_cli.diagnosis.search.steps import clash, free_beside
+from invdyn_cli.diagnosis.search.steps import clash, free_beside, split
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
 
@@ -84,21 +84,35 @@ def _simplified(
         for c in pool:
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
                 simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
-                step = judge.verdict(always + simpler).blocks - judge.verdict(always + hypothesis).blocks
+                step = _lost(judge, always, simpler, hypothesis)
                 extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
                 if not asked_for(step, extra) or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
-        if (
-            general.effect.changes_inertials and general.effect.of_joint
-        ):  # ten coefficients do what fewer of another effect do as well
-            for rival in rivals(judge, always, hypothesis, i, pool):
-                if rival.equal and judge.freedom(rival.candidate) < judge.freedom(general) - 1:
-                    return _simplified(judge, always, (*hypothesis[:i], rival.candidate, *hypothesis[i + 1 :]), pool)
+        if general.effect.changes_inertials and general.effect.of_joint:
+            # ten coefficients do what fewer of another effect do as well, or as many of a term that every arm has, or of
+            # such a term on several joints
+            for simpler in split(hypothesis, i, pool):
+                more = sum(map(judge.freedom, simpler)) - sum(map(judge.freedom, hypothesis))
+                if _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more):
+                    return _simplified(judge, always, simpler, pool)
+            for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
+                if judge.freedom(one) < judge.freedom(general) - (one.effect.group != "standard"):
+                    return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
         if general.effect.factor and general.when is None:  # of a constant mass the rotor that every drive has
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
                 if one.effect.group == "standard" and one.effect.is_local and one.joint == general.joint:
                     return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
     return hypothesis
+
+
+def _lost(judge: HypothesisScorer, always: Hypothesis, other: Hypothesis, hypothesis: Hypothesis) -> np.ndarray:
+    """What another hypothesis leaves more in each block (B,)."""
+    return judge.verdict(always + other).blocks - judge.verdict(always + hypothesis).blocks
+
+
+def _as_well(step: np.ndarray, extra: float) -> bool:
+    """Whether what costs `extra`, and leaves `step` (B,) more in each block, does as well."""
+    return bool(step.sum() + extra < LEAST_DIFFERENCE or chance(step, extra) > DOUBT)
 
 
 def asked_for(step: np.ndarray, extra: float) -> bool:
@@ -140,7 +154,7 @@ def rivals(
         excess = float(step.sum() + dearer + simpler)
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
-        equal = excess < LEAST_DIFFERENCE or chance(step, excess - float(step.sum())) > DOUBT
+        equal = _as_well(step, excess - float(step.sum()))
         share = 1 - (float(step.sum()) + dearer) / whole if whole > 0 else 0.0
         equal &= share > LEAST_SHARE or excess < MIN_CLEAR_DIFFERENCE
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
