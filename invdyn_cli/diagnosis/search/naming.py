@@ -89,14 +89,14 @@ def _simplified(
                 if not asked_for(step, extra) or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
         if general.effect.changes_inertials and general.effect.of_joint:
-            # ten coefficients do what fewer of another effect do as well, or as many of a term that every arm has, or of
-            # such a term on several joints
+            # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
             for simpler in split(hypothesis, i, pool):
                 more = sum(map(judge.freedom, simpler)) - sum(map(judge.freedom, hypothesis))
                 if _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more):
                     return _simplified(judge, always, simpler, pool)
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
-                if judge.freedom(one) < judge.freedom(general) - (one.effect.group != "standard"):
+                usual = one.effect.group == "standard" and one.effect.is_local
+                if judge.freedom(one) < judge.freedom(general) + (0.5 if usual else -1):
                     return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
         if general.effect.factor and general.when is None:  # of a constant mass the rotor that every drive has
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
