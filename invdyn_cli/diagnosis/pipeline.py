@@ -10,9 +10,8 @@ from invdyn_cli import compiled
 from invdyn_cli.diagnosis import extension, gains, repeats, since, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
-from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.columns.evidence import Evidence, held_out, judged
 from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, unexplained, wording
-from invdyn_cli.diagnosis.decide.claim import held_out, judged
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire

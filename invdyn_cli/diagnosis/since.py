@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
-from invdyn_cli.diagnosis.decide.claim import judged, left
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged
+from invdyn_cli.diagnosis.decide.claim import left
 from invdyn_cli.diagnosis.decide.findings import Made, facts, joined
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.decide.intervals import reach

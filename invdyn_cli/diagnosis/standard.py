@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered
-from invdyn_cli.diagnosis.decide.claim import held_out, judged
+from invdyn_cli.diagnosis.columns.evidence import Evidence, filtered, held_out, judged
 from invdyn_cli.diagnosis.decide.findings import Made
 from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import reach

@@ -264,6 +264,17 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
     return np.concatenate(each, axis=-1)
 
 
+def judged(evidence: Evidence) -> np.ndarray:
+    """Held-out rows (R,) bool; where there are none, all rows but the reference's."""
+    test = evidence.role == ROLES.index("test")
+    return test if held_out(evidence) else evidence.role != ROLES.index("reference")
+
+
+def held_out(evidence: Evidence) -> bool:
+    """Whether there are held-out rows."""
+    return bool(np.any(evidence.role == ROLES.index("test")))
+
+
 def slow(evidence: Evidence, x: np.ndarray, joint: int, gear: bool = False) -> np.ndarray:
     """(R,) of x (R,) the part of a joint's band where the arm, or a `gear`, moves, piece by piece: the noise of
     differentiated positions is small there. 0 on pieces that are shorter than the filter's memory."""

@@ -1,13 +1,14 @@
 """The figures that decide whether a candidate of a hypothesis may be claimed: what it explains of held-out data, and
 what the other candidates leave without it."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, shared_out, slow, slow_saved, slow_share
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow
+from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
@@ -16,20 +17,16 @@ from invdyn_cli.diagnosis.search.further import acting_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.recording.pieces import ROLES
 
 FELT = 0.1
 """Share of an effect's weighted squares that a joint must have to feel it."""
 
 RARE = 0.1
-"""Of its mean square, what an effect must have on the held-out rows, or at rest, to be judged there."""
+"""Of its mean square, what an effect must have on the held-out rows to be judged there."""
 
 FEW = 2.0
 """Number of blocks that share an effect's squares on the held-out rows evenly, below which these do not judge it: of a
 gear's play they have one impact or two, and a model of the load that was not fitted there has it some ms off."""
-
-SLOWEST = 0.1
-"""Share of a joint's moving rows, the slowest, that hold the errors of the friction's formula around standstill."""
 
 AWAY, QUIET, LOUD = 1.0, 3.0, 10.0
 """[s] for which a joint that rests must have the torque that it would have without an effect, for this to have been
@@ -95,10 +92,13 @@ class Claim:
         return np.inf if joint is None else float(self.inquiry.noise.weights[joint] * self.saved[joint])
 
     @cached_property
-    def gain_with_rest(self) -> float:
-        """Squares saved in a mean row, rows at rest too, in noise variances."""
-        saved = np.mean(self.before[self.rows] ** 2 - self.after[self.rows] ** 2, axis=0)
-        return float(self.inquiry.noise.weights * saved @ self._own)
+    def least_gain(self) -> float:
+        """[N m; N] by how much it lowers the held-out error of a joint at least, by the 95 % interval of the report, on
+        the joint where that is most; infinite where no joint's error is another."""
+        evidence, candidate = self.inquiry.evidence, self.candidate
+        felt = range(evidence.dofs) if candidate.effect.reaches_others else candidate.columns
+        gains = [gain_of(evidence, j, self.before, self.after) for j in felt]
+        return max((one.interval95[0] for one in gains if one is not None), default=np.inf)
 
     @cached_property
     def unknown(self) -> float:
@@ -112,27 +112,10 @@ class Claim:
         """Of what it makes where the arm moves (`slow`), the share that may be saved there, at most: an effect has one
         size at all frequencies. Above, a controller answers to the noise of encoders, and the logged motion has that
         noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
-        return self._one_size(lambda x, j: slow(self.inquiry.evidence, x, j, self.candidate.effect.yields))
-
-    @cached_property
-    def fast_gain(self) -> float:
-        """The same of what it makes beyond the SLOWEST rows: around standstill, the formulas of friction have the
-        largest errors, and what fits these there and nothing elsewhere looks like a ripple (docs/decisions/046)."""
-        evidence = self.inquiry.evidence
-        speed = np.abs(evidence.on_rows("qd"))
-
-        def beyond(x: np.ndarray, j: int) -> np.ndarray:
-            moving = speed[evidence.valid[:, j], j]
-            return x * (speed[:, j] > np.quantile(moving, SLOWEST)) if len(moving) else x
-
-        return self._one_size(beyond)
-
-    def _one_size(self, part: Callable[[np.ndarray, int], np.ndarray]) -> float:
-        """Of the part of a joint's torque (R,) that this candidate makes, the share that may be saved, at most."""
         evidence, joints = self.inquiry.evidence, np.flatnonzero(self._own)
         after, change = (
-            np.stack([part((x * evidence.valid)[:, j], int(j)) for j in joints], axis=1)
-            for x in (self.after, self.before - self.after)
+            np.stack([slow(evidence, x[:, j], int(j), self.candidate.effect.yields) for j in joints], axis=1)
+            for x in (self.after * evidence.valid, (self.before - self.after) * evidence.valid)
         )
         weights = self.inquiry.noise.weights[joints]
         saved, made = (2 * after + change) * change @ weights, change**2 @ weights
@@ -157,21 +140,6 @@ class Claim:
         judge, always = self.inquiry.judge, self.inquiry.always
         others = self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]
         return judge.loss((*always, *others)) - judge.loss((*always, *self.hypothesis))
-
-    @cached_property
-    def slow_evidence(self) -> float:
-        """Of its evidence, the share that it saves where the arm moves."""
-        one, weights = self.candidate, self.inquiry.noise.weights
-        saved = slow_saved(self.inquiry.evidence, one.columns, one.effect.yields, self.before, self.after, weights)
-        return self.evidence * slow_share(saved)
-
-    @cached_property
-    def acts_at_rest(self) -> bool:
-        """Whether it is there while joints rest, and not all of them have friction, which bears anything there."""
-        evidence = self.inquiry.evidence
-        term = term_of(self.inquiry, self.hypothesis, self.place) ** 2 * self.inquiry.noise.weights
-        at_rest = ~evidence.valid
-        return bool(not self.inquiry.wear and at_rest.any() and np.mean(term[at_rest]) > RARE * np.mean(term))
 
     @cached_property
     def was_away(self) -> bool:
@@ -208,35 +176,24 @@ class Claim:
         return np.array(intervals(self.inquiry.evidence, self.whole)[place][name][1:], float)
 
     @cached_property
-    def exact(self) -> tuple[float, float]:
-        """The chance that the logged torque is predicted better with the effect than without it, the others staying as
-        they are, and by how much, as a share of what is left on the joints that feel it. Better on held-out rows, and
-        on draws of blocks of all rows by more than the effect costs for having been fitted to them.
-        Columns of a channel effect act on the measured torque, and calm its noise; the formula does not."""
+    def share_of_residual(self) -> float:
+        """By how much its exact formula predicts the logged torque of held-out rows better, the others staying as they
+        are, as a share of what is left on the joints that feel it. Columns of a channel effect act on the measured
+        torque, and calm its noise; the formula does not."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
         others = [a for a in self.whole.acting if a.key != self.key]
         after = self.whole.residual * evidence.valid
         change = (self.inquiry.model.without(self.whole, others) - self.whole.residual) * evidence.valid
         rows = _judging(evidence, change**2 @ weights)
         saved = ((2 * after + change) * change) @ weights
-        every = evidence.role != ROLES.index("reference")
-        per_block = np.bincount(evidence.block[every], saved[every])[np.unique(evidence.block[every])]
-        doubt = naming.chance(per_block, -self.inquiry.judge.price((self.candidate,)))
-        total = float(saved[rows].sum())
         of_joint = np.sum(change[rows] ** 2, axis=0) * weights
         felt = of_joint > FELT * of_joint.sum()
         remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
-        return (1 - doubt) * (total > 0), total / max(remains, 1e-300)
+        return float(saved[rows].sum()) / max(remains, 1e-300)
 
     @property
     def _own(self) -> np.ndarray:
         return np.array([j in self.candidate.columns for j in range(self.inquiry.evidence.dofs)])
-
-
-def judged(evidence: Evidence) -> np.ndarray:
-    """Held-out rows (R,) bool; where there are none, all rows but the reference's."""
-    test = evidence.role == ROLES.index("test")
-    return test if held_out(evidence) else evidence.role != ROLES.index("reference")
 
 
 def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
@@ -246,11 +203,6 @@ def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
     blocks = np.bincount(evidence.block[rows], squares[rows])
     often = blocks.sum() ** 2 >= FEW * np.sum(blocks**2)
     return rows if often and np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
-
-
-def held_out(evidence: Evidence) -> bool:
-    """Whether there are held-out rows."""
-    return bool(np.any(evidence.role == ROLES.index("test")))
 
 
 def refitted(inquiry: Inquiry, acting: Sequence[EffectInstance], rows: np.ndarray) -> Refined:

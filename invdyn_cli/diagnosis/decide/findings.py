@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
-from invdyn_cli.diagnosis.decide.claim import exactly, held_out, left, refitted
+from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
 from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen

@@ -4,8 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.decide.claim import judged
+from invdyn_cli.diagnosis.columns.evidence import Evidence, judged
 from invdyn_cli.types import Finding, Gain
 
 DRAWS = 1000
