@@ -4,8 +4,9 @@ A rival is equally good if the held-out loss with it in the effect's place is wi
 The noise is that of the difference, block by block, so that errors which both share do not count (Vuong 1989).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import wilcoxon
@@ -21,7 +22,7 @@ from invdyn_cli.diagnosis.search.judge import (
     strain,
 )
 from invdyn_cli.diagnosis.search.shared_part import precision_of
-from invdyn_cli.diagnosis.search.steps import clash, free_beside, split
+from invdyn_cli.diagnosis.search.steps import clash, free_beside
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import Parameters
 
@@ -90,7 +91,7 @@ def _simplified(
                     return _simplified(judge, always, simpler, pool)
         if general.effect.changes_inertials and general.effect.of_joint:
             # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
-            for simpler in split(hypothesis, i, pool):
+            for simpler in _split(hypothesis, i, pool):
                 more = sum(map(judge.freedom, simpler)) - sum(map(judge.freedom, hypothesis))
                 if _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more):
                     return _simplified(judge, always, simpler, pool)
@@ -103,6 +104,16 @@ def _simplified(
                 if one.effect.group == "standard" and one.effect.is_local and one.joint == general.joint:
                     return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
     return hypothesis
+
+
+def _split(hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> Iterator[Hypothesis]:
+    """A hypothesis with what every arm has on each of the joints, as the inertia of rotors, in the place of a link's
+    inertials, which have room for that of several: on two of them, and on all."""
+    out, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
+    if out.effect.changes_inertials and out.effect.of_joint:
+        near = [c for c in free_beside(others, pool) if c.joint in out.columns and c.effect.group == "standard"]
+        like = [c for c in near if c.effect.is_local and "acceleration" in c.effect.shows]
+        yield from ((*others, *some) for some in (*combinations(like, 2), like) if len(some) > 1)
 
 
 def _lost(judge: HypothesisScorer, always: Hypothesis, other: Hypothesis, hypothesis: Hypothesis) -> np.ndarray:

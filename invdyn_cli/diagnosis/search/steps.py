@@ -28,7 +28,7 @@ def search(
     hypothesis, loss = start, judge.loss(always + start)
     for _ in range(6 * most):
         better = _best(judge, always, _additions(hypothesis, pool), loss) if len(hypothesis) < most else None
-        for moves in (_drops, _swaps, _merges, _splits):
+        for moves in (_drops, _swaps, _merges):
             better = better or _best(judge, always, moves(hypothesis, pool), loss)
         if better is None:
             return hypothesis
@@ -102,22 +102,6 @@ def _merges(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]
         fitting = free_beside(others, whole)
         if fitting:
             yield others, fitting
-
-
-def _splits(hypothesis: Hypothesis, pool: Sequence[Candidate]) -> Iterator[Move]:
-    """Standard terms in the place of a link's inertials."""
-    for i in range(len(hypothesis)):
-        yield from ((one, []) for one in split(hypothesis, i, pool))
-
-
-def split(hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> Iterator[Hypothesis]:
-    """A hypothesis with what every arm has on each of the joints, as the inertia of rotors, in the place of a link's
-    inertials, which have room for that of several: on two of them, and on all."""
-    out, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
-    if out.effect.changes_inertials and out.effect.of_joint:
-        near = [c for c in free_beside(others, pool) if c.joint in out.columns and c.effect.group == "standard"]
-        like = [c for c in near if c.effect.is_local and "acceleration" in c.effect.shows]
-        yield from ((*others, *some) for some in (*combinations(like, 2), like) if len(some) > 1)
 
 
 def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate], instead: bool = False) -> list[Candidate]:
