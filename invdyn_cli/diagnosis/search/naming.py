@@ -96,12 +96,11 @@ def _simplified(
                 if _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more):
                     return _simplified(judge, always, simpler, pool)
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
-                usual = one.effect.group == "standard" and one.effect.is_local
-                if judge.freedom(one) < judge.freedom(general) + (0.5 if usual else -1):
+                if judge.freedom(one) < judge.freedom(general) + (0.5 if _is_usual(one) else -1):
                     return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
         if general.effect.factor and general.when is None:  # of a constant mass the rotor that every drive has
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
-                if one.effect.group == "standard" and one.effect.is_local and one.joint == general.joint:
+                if _is_usual(one) and one.joint == general.joint:
                     return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
     return hypothesis
 
@@ -109,11 +108,15 @@ def _simplified(
 def _split(hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> Iterator[Hypothesis]:
     """A hypothesis with what every arm has on each of the joints, as the inertia of rotors, in the place of a link's
     inertials, which have room for that of several: on two of them, and on all."""
-    out, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
-    if out.effect.changes_inertials and out.effect.of_joint:
-        near = [c for c in free_beside(others, pool) if c.joint in out.columns and c.effect.group == "standard"]
-        like = [c for c in near if c.effect.is_local and "acceleration" in c.effect.shows]
-        yield from ((*others, *some) for some in (*combinations(like, 2), like) if len(some) > 1)
+    link, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
+    usual = [c for c in free_beside(others, pool) if c.joint in link.columns and _is_usual(c)]
+    rotors = [c for c in usual if "acceleration" in c.effect.shows]
+    return ((*others, *some) for some in (*combinations(rotors, 2), rotors) if len(some) > 1)
+
+
+def _is_usual(c: Candidate) -> bool:
+    """Whether it is a term that every arm has on a joint."""
+    return c.effect.group == "standard" and c.effect.is_local
 
 
 def _lost(judge: HypothesisScorer, always: Hypothesis, other: Hypothesis, hypothesis: Hypothesis) -> np.ndarray:
