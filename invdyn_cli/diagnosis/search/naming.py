@@ -93,7 +93,8 @@ def _simplified(
             # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
             for simpler in _split(hypothesis, i, pool):
                 more = sum(map(judge.freedom, simpler)) - sum(map(judge.freedom, hypothesis))
-                if _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more):
+                as_well = _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more)
+                if as_well and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
                     return _simplified(judge, always, simpler, pool)
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
                 if judge.freedom(one) < judge.freedom(general) + (0.5 if _is_usual(one) else -1):
