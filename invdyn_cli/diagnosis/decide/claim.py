@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow, slow_saved, slow_share
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
@@ -140,6 +140,13 @@ class Claim:
         judge, always = self.inquiry.judge, self.inquiry.always
         others = self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]
         return judge.loss((*always, *others)) - judge.loss((*always, *self.hypothesis))
+
+    @cached_property
+    def slow_evidence(self) -> float:
+        """Of its evidence, the share that it saves where the arm moves."""
+        one, weights = self.candidate, self.inquiry.noise.weights
+        saved = slow_saved(self.inquiry.evidence, one.columns, one.effect.yields, self.before, self.after, weights)
+        return self.evidence * slow_share(saved)
 
     @cached_property
     def was_away(self) -> bool:

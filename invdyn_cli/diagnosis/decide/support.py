@@ -10,6 +10,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
+from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 
 OUTWEIGHED = 1.0
@@ -71,6 +72,11 @@ REFUSALS = (
         lambda x: x.slow_gain,
         ONE_SIZE,
         lambda _: "it has another size where the arm moves than at higher frequencies, where encoders make noise",
+    ),
+    Refusal(
+        "evidence beside the standard model, where the arm moves",
+        lambda x: x.slow_evidence if x.inquiry.wear else np.inf,
+        EVIDENCE,
     ),
     Refusal(
         "delay over the sampling period",

@@ -5,11 +5,11 @@ from invdyn_cli.diagnosis.columns.evidence import slow_saved, slow_share
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 
 EVIDENCE = 250.0
-"""Noise variances by which such an effect must lower the held-out loss, everything else refitted, counting only the
-share that it saves where the arm moves (docs/decisions/045, 046)."""
+"""Noise variances by which an anomaly on a worn arm must lower the held-out loss, everything else refitted, counting
+only the share that it saves where the arm moves (docs/decisions/045, 046)."""
 
 MOSTLY = 0.5
-"""That share, below which one of less evidence is feigned."""
+"""That share, below which an anomaly of less evidence is feigned."""
 
 
 def feigned(scorer: HypothesisScorer, always: Hypothesis, found: Hypothesis) -> set[tuple]:

@@ -141,3 +141,20 @@ def test_an_effect_has_one_size(true, expected):
     one.__dict__["before"] = before  # cached: what the search left is replaced by what is made up here
     assert one.slow_gain == pytest.approx(expected, abs=0.35)  # three standard deviations of the blocks are added
     assert (one.slow_gain < support.ONE_SIZE) == (true < 1)
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(1.0, 3.0), (1.0, 1.0), (3.0, 1.0)])
+def test_evidence_is_what_is_saved_where_the_arm_moves(slow, fast):
+    """Two waves of these amplitudes are explained, one far below and one far above a quarter of the joint's band. The
+    share of their squares that is slow is the share of the evidence that counts."""
+    one = of_coulomb(rubbed(40.0))
+    evidence = one.inquiry.evidence
+    t, cutoff = evidence.on_rows("t"), evidence.recording.filter.cutoffs[0]
+    made = sum(size * np.sin(2 * np.pi * share * cutoff * t) for size, share in ((slow, 0.05), (fast, 0.8)))
+    after = 0.001 * np.random.default_rng(0).normal(size=evidence.valid.shape)
+    before = after.copy()
+    before[:, 0] += made
+    one = replace(one, after=after)
+    one.__dict__.update(before=before, evidence=1000.0)  # cached: made up here
+    expected = 1000.0 * slow**2 / (slow**2 + fast**2)
+    assert one.slow_evidence == pytest.approx(expected, abs=50.0)  # rests cut the waves, which mixes them a little
