@@ -295,7 +295,7 @@ def test_make_passes_options_on():
     if not shutil.which("make"):
         pytest.skip("make is not installed")
     for target, said in (("confusion", "confusion"), ("taken-up", "taken-up"), ("real-diagnosis", "real-diagnosis")):
-        argv = ["make", "-n", "INSTALLED=", target, "seed=3", "only=a,b"]
+        argv = ["make", "--no-print-directory", "-n", "INSTALLED=", target, "seed=3", "only=a,b"]
         done = subprocess.run(argv, cwd=ROOT, capture_output=True, text=True, check=True)
         (line,) = done.stdout.splitlines()
         assert f"invdyn experiment {said} " in line and {"seed=3", "only=a,b"} == set(line.split()[3:])
