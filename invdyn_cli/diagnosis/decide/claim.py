@@ -94,8 +94,11 @@ class Claim:
     @cached_property
     def least_gain(self) -> float:
         """[N m; N] by how much it lowers the held-out error of a joint at least, by the 95 % interval of the report, on
-        the joint where that is most; infinite where no joint's error is another."""
+        the joint where that is most; infinite where no joint's error is another, and for what comes and goes: draws of
+        blocks of time often miss it."""
         evidence, candidate = self.inquiry.evidence, self.candidate
+        if candidate.when is not None:
+            return np.inf
         felt = range(evidence.dofs) if candidate.effect.reaches_others else candidate.columns
         gains = [gain_of(evidence, j, self.before, self.after) for j in felt]
         return max((one.interval95[0] for one in gains if one is not None), default=np.inf)
