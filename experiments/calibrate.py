@@ -25,8 +25,8 @@ from invdyn_cli.log import Log
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Robot
 
-WHOLE, EMPTY = "none", "all"
-"""What is left out of the table when no row is, and when every one is."""
+NO_ROW, ALL_ROWS = "none", "all"
+"""What is left out of the whole table, and of one without rows."""
 
 ARMS = ("worn", "changed", "perfect", "outside")
 """Worn arms with one anomaly or none; worn arms beside a reference, with one change or none; perfect arms with one
@@ -137,20 +137,21 @@ def _log(
 def _counts(arm: str, rows: Sequence[Worth]) -> list[str]:
     """Logs whose effect was named or rightly ambiguous, but of those outside the catalogue, and logs with a false
     claim."""
-    hidden = [x for x in rows if x.hidden != WHOLE]
+    hidden = [x for x in rows if x.hidden != NO_ROW]
     right = sum(x.result in ("named", "ambiguous") for x in hidden)
     false = sum(bool(x.false) for x in rows)
     return [*([f"{right} of {len(hidden)}"] if arm != "outside" else []), f"{false} of {len(rows)}"]
 
 
 def _tables() -> Iterable[tuple[str, tuple[Refusal, ...]]]:
-    """What is left out of the table, and the rest: nothing, each row, all rows, all but each."""
-    yield WHOLE, REFUSALS
+    """The tables by which a log is decided, and what is left out of them: first the whole one, then all without one
+    row, one without rows, and all with one row."""
+    yield NO_ROW, REFUSALS
     for row in REFUSALS:
         yield row.name, tuple(x for x in REFUSALS if x is not row)
-    yield EMPTY, ()
+    yield ALL_ROWS, ()
     for row in REFUSALS:
-        yield f"{EMPTY} but {row.name}", (row,)
+        yield f"{ALL_ROWS} but {row.name}", (row,)
 
 
 def _found(inquiry: Inquiry, anomaly: Hidden | None) -> tuple[list[Claim], list[Claim]]:

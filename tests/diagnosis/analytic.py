@@ -118,8 +118,13 @@ def judged(term, speed: float = 1.0, torque: float = 0.05):
     slow = motion(arm(), speed * t, 0)
     m = type(slow)(slow.q, speed * slow.qd, speed**2 * slow.qdd)
     evidence = evidence_of(log_of(raw(t, m, on(1, term), torque=torque)), FRICTIONS, cutoffs=(20.0,))
+    return evidence, scorer_of(evidence)
+
+
+def scorer_of(evidence: Evidence) -> HypothesisScorer:
+    """The scorer of the rows that choose, in their noise."""
     rows = evidence.role == 0
     measured = noise.measure(evidence, rows)
     judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
     judge.refresh()
-    return evidence, judge
+    return judge

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow, slow_saved, slow_share
-from invdyn_cli.diagnosis.decide.gain import gain_of
+from invdyn_cli.diagnosis.decide.gain import gains_of
 from invdyn_cli.diagnosis.decide.intervals import intervals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
@@ -17,6 +17,7 @@ from invdyn_cli.diagnosis.search.further import acting_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
 from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.types import Gain
 
 FELT = 0.1
 """Share of an effect's weighted squares that a joint must have to feel it."""
@@ -92,16 +93,18 @@ class Claim:
         return np.inf if joint is None else float(self.inquiry.noise.weights[joint] * self.saved[joint])
 
     @cached_property
+    def gains(self) -> dict[str, Gain]:
+        """What it is worth, as the report shows it."""
+        return gains_of(self.inquiry.evidence, [self.candidate], self.before, self.after)
+
+    @property
     def least_gain(self) -> float:
         """[N m; N] by how much it lowers the held-out error of a joint at least, by the 95 % interval of the report, on
         the joint where that is most; infinite where no joint's error is another, and for what comes and goes: draws of
         blocks of time often miss it."""
-        evidence, candidate = self.inquiry.evidence, self.candidate
-        if candidate.when is not None:
+        if self.candidate.when is not None:
             return np.inf
-        felt = range(evidence.dofs) if candidate.effect.reaches_others else candidate.columns
-        gains = [gain_of(evidence, j, self.before, self.after) for j in felt]
-        return max((one.interval95[0] for one in gains if one is not None), default=np.inf)
+        return max((one.interval95[0] for one in self.gains.values()), default=np.inf)
 
     @cached_property
     def unknown(self) -> float:
@@ -188,8 +191,8 @@ class Claim:
     @cached_property
     def share_of_residual(self) -> float:
         """By how much its exact formula predicts the logged torque of held-out rows better, the others staying as they
-        are, as a share of what is left on the joints that feel it. Columns of a channel effect act on the measured
-        torque, and calm its noise; the formula does not."""
+        are, as a share of what is left on the joints that feel it. The linear columns of a drive's gain or delay also
+        make the noise of the measured torque smaller; the exact formula does not."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
         others = [a for a in self.whole.acting if a.key != self.key]
         after = self.whole.residual * evidence.valid

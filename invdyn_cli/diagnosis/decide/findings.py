@@ -13,7 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
-from invdyn_cli.diagnosis.decide.gain import gain_of, lowers
+from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
@@ -29,7 +29,7 @@ from invdyn_cli.diagnosis.search.realisable import realisable
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.interfaces import AbstractEffect
-from invdyn_cli.types import Examination, Finding, Gain, Robot
+from invdyn_cli.types import Examination, Finding, Robot
 
 NO_BODY = 0.1
 """Share of the evidence for a body that inertials which can be may lose at most: a slightly wrong model loses a percent
@@ -102,7 +102,7 @@ def report(
         one = parts.get(i)
         if one is not None and i != one.places[0]:
             continue
-        finding = _finding(inquiry, x, sized, terms[i], after)
+        finding = _finding(inquiry, x, sized, terms[i])
         if one is not None:
             finding = _summed(inquiry, hypothesis, sized.whole, finding, one, after)
         own = (i,) if one is None else one.places
@@ -147,7 +147,7 @@ def sizes(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> Sized:
     return Sized(whole, wanted, ends, notes, costs)
 
 
-def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndarray, after: np.ndarray) -> Finding:
+def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndarray) -> Finding:
     """A claim as a finding, before any doubt but that of its rivals; its effect adds a `term` (R, n)."""
     evidence, candidate, i, rivals = inquiry.evidence, claimed.candidate, claimed.place, claimed.rivals
     robot, acting = evidence.robot, sized.whole.acting[i]
@@ -159,7 +159,7 @@ def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndar
         status="named",
         alternatives=_alternatives(rivals),
         parameters=quantities(robot, acting.effect, candidate.joint, sized.ends[i]) | tried(robot, acting),
-        gain=_gains(inquiry, claimed.hypothesis, (i,), after),
+        gain=claimed.gains,
         rejected=_rejected(robot, candidate.key, rivals),
         advice=acting.effect.advice,
         evidence=facts(evidence, term) | _equals(robot, rivals),
@@ -216,17 +216,6 @@ def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
     elif len(inquiry.always) > len(inquiry.wear):
         said += ("All errors include the known effects. The extended model does not include them.",)
     return said
-
-
-def _gains(inquiry: Inquiry, hypothesis: Hypothesis, without: Sequence[int], after: np.ndarray) -> dict[str, Gain]:
-    """Held-out error of every joint that gains by these candidates, without and with them, which leaves `after`."""
-    evidence = inquiry.evidence
-    before = claim.without(inquiry, hypothesis, without, after)
-    own = [hypothesis[k] for k in without]
-    local = all(not c.effect.reaches_others for c in own)
-    felt = {j for c in own for j in c.columns} if local else range(evidence.dofs)
-    gains = {name: gain_of(evidence, j, before, after) for j, name in enumerate(evidence.robot.joints) if j in felt}
-    return {name: gain for name, gain in gains.items() if gain is not None}
 
 
 def _special_cases(
@@ -312,6 +301,7 @@ def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: sums.Sum
     that differs by direction."""
     effect, parts = one.effect, [whole.acting[k].effect for k in one.places]
     at = {(number, name): k for k, (number, name, _) in enumerate(whole.labels)}
+    before = claim.without(inquiry, hypothesis, one.places, after)
     names = [next(iter(part.parameters)) for part in parts]
     columns = [at[k, name] for k, name in zip(one.places, names, strict=True)]
     values = sums.sizes_of(effect, [whole.theta[k] for k in columns])
@@ -324,7 +314,7 @@ def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: sums.Sum
         effect=effect.name,
         alternatives=(tuple(effect.sum_of), *finding.alternatives),
         parameters=quantities(inquiry.evidence.robot, effect, hypothesis[one.places[0]].joint, level),
-        gain=_gains(inquiry, hypothesis, one.places, after),
+        gain=gains_of(inquiry.evidence, [hypothesis[k] for k in one.places], before, after),
         advice=effect.advice,
         text=effect.text,
         evidence={

@@ -1,10 +1,10 @@
 """What a cause is worth: the held-out error of a joint without it and with it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Evidence, judged
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged
 from invdyn_cli.types import Finding, Gain
 
 DRAWS = 1000
@@ -28,6 +28,16 @@ def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -
     variance = max(float(np.var(tau)), 1e-300)
     low, high = np.quantile(step, [0.025, 0.975])
     return Gain(rms[0], rms[1], rms[0] ** 2 / variance, rms[1] ** 2 / variance, (float(low), float(high)))
+
+
+def gains_of(
+    evidence: Evidence, candidates: Sequence[Candidate], before: np.ndarray, after: np.ndarray
+) -> dict[str, Gain]:
+    """Held-out error of every joint that these candidates change, from the residuals (R, n) without and with them."""
+    local = all(not c.effect.reaches_others for c in candidates)
+    felt = {j for c in candidates for j in c.columns} if local else range(evidence.dofs)
+    gains = {name: gain_of(evidence, j, before, after) for j, name in enumerate(evidence.robot.joints) if j in felt}
+    return {name: gain for name, gain in gains.items() if gain is not None}
 
 
 def lowers(findings: Iterable[Finding]) -> float:

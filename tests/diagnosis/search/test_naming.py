@@ -12,7 +12,7 @@ from invdyn_cli.diagnosis.search.further import acting_of, related
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.recording.pieces import Filter
-from tests.diagnosis.analytic import FRICTIONS, candidate, evidence_of, judged, log_of, moved, on, raw
+from tests.diagnosis.analytic import FRICTIONS, candidate, evidence_of, judged, log_of, moved, on, raw, scorer_of
 
 
 def stribeck(t, q, qd, qdd):
@@ -155,9 +155,7 @@ def test_rotors_are_no_link(size, start, expected):
 
     names = ["rotor_inertia", "link_inertia_error", "coulomb_friction", "viscous_friction", "torque_offset"]
     evidence = evidence_of(log_of(raw(*moved(), rotors, torque=0.02)), names, cutoffs=(10.0,))
-    measured = noise.measure(evidence, evidence.role == 0)
-    judge = HypothesisScorer(evidence, evidence.role == 0, measured.weights, measured.deviation)
-    judge.refresh()
+    judge = scorer_of(evidence)
     found = search(judge, evidence.candidates, start=(candidate(evidence, "link_inertia_error", start),))
     kept = naming.simplified(judge, (), found, evidence.candidates)
     assert {c.key for c in kept} == expected
