@@ -34,14 +34,16 @@ FELT = 0.1
 
 def worn_links(columns: Columns, weights: np.ndarray, share: float, moved: np.ndarray | None = None) -> Hypothesis:
     """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
-    their parameters, in units of the share, that make FELT noise variances of torque at least, `weights` (n,) being
-    the inverse of a row's. Where the evidence's links are `moved` (10 n,) from the URDF's already, a fixed column takes
-    that back in these directions, so that the prior's mean is the URDF and not a fit to the same rows."""
+    their parameters that make FELT noise variances of torque at least, `weights` (n,) being the inverse of a row's; in
+    units of the USUAL share, so that a precision of one is that (`as_usual`). Where the evidence's links are `moved`
+    (10 n,) from the URDF's already, a fixed column takes that back in these directions, so that the prior's mean is the
+    URDF and not a fit to the same rows."""
     evidence, n = columns.evidence, columns.evidence.dofs
     scale = share * link_scales(evidence.robot).ravel()
     rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]
     normal = np.sum([w * x @ x.T for w, x in zip(weights, rows, strict=True)], axis=0)
     values, vectors = np.linalg.eigh(normal)
+    scale *= USUAL / share
     moves = vectors[:, values > FELT].T * scale
     if not len(moves):
         return ()
@@ -50,7 +52,7 @@ def worn_links(columns: Columns, weights: np.ndarray, share: float, moved: np.nd
         made = moves @ columns.links[:, j]
         fixed = () if moved is None else evidence.append(j, [-(moves @ (moved / scale**2)) @ made])
         where[j] = fixed, evidence.append(j, list(made))
-    return (Candidate(LINK, None, {}, where, np.ones(len(moves))),)
+    return (Candidate(LINK, None, {}, where, np.full(len(moves), (USUAL / share) ** 2)),)
 
 
 def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:

@@ -12,6 +12,7 @@ from experiments.confusion import claims
 from experiments.worn import COUNTS, STANDARD, drawn, spoken
 from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis import diagnose, standard, wear
+from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.inquiry import inquire
@@ -305,3 +306,25 @@ def test_what_is_written_is_no_worse_than_a_line():
         assert found.extended[joint]["rmse"] < 1.02 * found.baselines["friction"][joint]["rmse"]
     assert found.standard["inertials"]["share"] == 0.0
     assert not any(a.effect.name == "link_inertia_error" for a in found.model.acting)
+
+
+@pytest.mark.parametrize(("last_link_off", "mass", "claimed"), [(0.04, 0.0, False), (0.0, 2.0, True)])
+def test_a_payload_must_be_more_than_links_may_be_wrong(last_link_off, mass, claimed):
+    """Whoever believes that links are as good as right takes an error of the last one, of 4 %, for a payload. That is
+    refused: such an error is usual. A true payload is claimed though links might be off."""
+    names = ("payload", "coulomb_friction", "viscous_friction", "torque_offset", "rotor_inertia", "link_inertia_error")
+    robot = arm()
+    off, body = last_link_off * link_scales(robot)[-1], np.array([mass, 0, 0, 0.1 * mass, *np.zeros(6)])
+    other = replace(robot, inertial=robot.inertial + np.vstack([np.zeros((robot.dofs - 1, 10)), off + body]))
+
+    def whole(t, m):
+        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot)]
+        return moves[0] - moves[1]
+
+    evidence = evidence_of(log_of(raw(*moved(40.0), whole, torque=0.02, position=1e-6)), names)
+    least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
+    links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 1e-3)
+    inquiry = inquire(evidence, {x: EFFECTS[x] for x in names}, (), 3, compares=False, wear=links)
+    assert [c.key for c in inquiry.hypothesis] == [("payload", None)]
+    evidence = [x for x in REFUSALS if x.name.startswith("evidence")]
+    assert [bool(supported(inquiry, rows)[0]) for rows in (evidence[:1], evidence)] == [True, claimed]

@@ -143,9 +143,12 @@ class Claim:
     @cached_property
     def evidence(self) -> float:
         """Held-out loss of all else by itself, fitted anew, beyond that of the hypothesis, prices included."""
-        judge, always = self.inquiry.judge, self.inquiry.always
-        others = self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]
-        return judge.loss((*always, *others)) - judge.loss((*always, *self.hypothesis))
+        return self._evidence(self.inquiry.always)
+
+    @cached_property
+    def evidence_beside_usual_links(self) -> float:
+        """The same where links may be as far off as they usually are."""
+        return self._evidence(self.inquiry.usually)
 
     @cached_property
     def slow_evidence(self) -> float:
@@ -180,6 +183,11 @@ class Claim:
         name = effect.sized_by or (next(iter(effect.parameters)) if alone else "")
         ends = self._ends(name)
         return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
+
+    def _evidence(self, always: Hypothesis) -> float:
+        """`evidence` beside what is `always` there."""
+        judge, others = self.inquiry.judge, self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]
+        return judge.loss((*always, *others)) - judge.loss((*always, *self.hypothesis))
 
     def _ends(self, name: str) -> np.ndarray:
         """(2, …) the ends of a parameter's interval; infinite for none."""

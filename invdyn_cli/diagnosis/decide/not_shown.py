@@ -8,11 +8,13 @@ from invdyn_cli.diagnosis.checks.excitation import cannot_show
 from invdyn_cli.diagnosis.search.equations import inverted
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.naming import LEAST_DIFFERENCE
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.joints import UsualJoint
 from invdyn_cli.types import Examination, Finding
 
-LIKE_LINKS = "links that are as wrong as those of this arm make the same torque on this motion"
+LIKE_LINKS = "links that are as wrong as those of this arm, or of URDFs usually, make the same torque on this motion"
 
 
 def unseen(
@@ -57,17 +59,23 @@ def unseen(
 
 def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
     """Errors of a joint's angle that would not be found on a worn arm: of a typical size they make, beside links that
-    may be as wrong as the others are, less evidence than a claim needs."""
-    robot, made = inquiry.evidence.robot, list[Finding]()
-    claimed, every = {(f.effect, f.joint) for f in claims}, (*inquiry.always, *inquiry.hypothesis)
+    may be as wrong as the others are or as they usually are, less evidence than a claim needs."""
+    judge, robot, made = inquiry.judge, inquiry.evidence.robot, list[Finding]()
+    claimed = {(f.effect, f.joint) for f in claims}
+    needed = ((EVIDENCE, inquiry.always), (LEAST_DIFFERENCE, inquiry.usually))
     for c in inquiry.pool if inquiry.wear else ():
         if c.joint is None or not c.effect.bends or c.is_trial or (c.effect.name, robot.joints[c.joint]) in claimed:
             continue
-        together = (*(x for x in every if x.key != c.key), c)
-        precision = np.concatenate([x.precision for x in together])
-        variance = inverted(inquiry.judge.equations(together)[1], precision)[-1, -1]
         typical = c.effect.typical(UsualJoint(robot, c.joint, *[1.0] * 7)) or {}
-        if sum(x**2 for x in typical.values()) < EVIDENCE * variance:
+        size = sum(x**2 for x in typical.values())
+        others = [x for x in inquiry.hypothesis if x.key != c.key]
+        if any(size < least * _variance(judge, (*always, *others, c)) for least, always in needed):
             where = c.effect.name, robot.joints[c.joint]
             made.append(Finding(*where, "not_excited", evidence={"why": LIKE_LINKS}, advice=c.effect.advice))
     return made
+
+
+def _variance(judge: HypothesisScorer, hypothesis: Hypothesis) -> float:
+    """Of the last coefficient of a hypothesis."""
+    precision = np.concatenate([x.precision for x in hypothesis])
+    return float(inverted(judge.equations(hypothesis)[1], precision)[-1, -1])

@@ -79,6 +79,12 @@ REFUSALS = (
         EVIDENCE,
     ),
     Refusal(
+        "evidence beside links as they usually are",
+        lambda x: x.evidence_beside_usual_links if x.inquiry.wear else np.inf,
+        naming.LEAST_DIFFERENCE,
+        lambda _: "links that are as wrong as those of URDFs usually are explain the data as well",
+    ),
+    Refusal(
         "delay over the sampling period",
         lambda x: x.delay / x.inquiry.evidence.recording.period,
         1.0,

@@ -63,6 +63,13 @@ class Inquiry:
         """`always` as it is refined beside these."""
         return _beside(self.always, self.wear, found)
 
+    @property
+    def usually(self) -> Hypothesis:
+        """`always` with links that may be as far off as those of URDFs usually are, or as the search believed where that
+        is more. Its belief was chosen with its hypothesis: beside a payload that is none it is less than what is true."""
+        of_links = [c for c in self.wear if c.joint is None]
+        return tuple(replace(c, precision=np.minimum(c.precision, 1)) if c in of_links else c for c in self.always)
+
     def worn(self, refined: Refined) -> np.ndarray:
         """(R, n) logged torque of the standard model beside these effects, which is not in their residual."""
         wear = _apart(self.wear, refined.acting)

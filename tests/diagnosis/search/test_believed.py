@@ -105,3 +105,4 @@ def test_links_are_not_believed_far_beyond_the_usual(fitted, believed_in):
     (asked,) = wear.worn_links(columns, weights, believed_in)
     made, wanted = (np.linalg.norm(evidence.tables[2][:, list(x.columns[2][1])]) for x in (links, asked))
     assert made == pytest.approx(wanted, rel=1e-9)
+    assert links.precision == pytest.approx(asked.precision)
