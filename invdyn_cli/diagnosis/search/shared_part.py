@@ -13,6 +13,10 @@ from invdyn_cli.diagnosis.search.grams import Grams
 
 Hypothesis = tuple[Candidate, ...]
 
+HELD = 0.01
+"""What a row counts in the fit that is judged by it, beside one for the others: what these do not tell at all, as the
+offset of a joint that moves one way in them, is no fault of a hypothesis; of what they tell, it changes a percent."""
+
 
 @dataclass(frozen=True)
 class Equations:
@@ -30,8 +34,8 @@ class Equations:
         return Equations(*(x.sum(0, keepdims=True) for x in vars(self).values()))
 
     def others(self) -> "Equations":
-        """Of every part, those of all the others; of a single part its own."""
-        return self if len(self.squares) == 1 else Equations(*(x.sum(0) - x for x in vars(self).values()))
+        """Of every part, those of all the others, and its own by HELD; of a single part its own."""
+        return self if len(self.squares) == 1 else Equations(*(_others(x) for x in vars(self).values()))
 
 
 class Shared:
@@ -64,10 +68,10 @@ class Shared:
 
     @cached_property
     def inverses(self) -> np.ndarray:
-        """Of every part, the inverse (F, k, k) of the normal matrix of all the others."""
+        """Of every part, the inverse (F, k, k) of the normal matrix of `Equations.others`."""
         if len(self.normal) == 1:
             return self.inverse
-        return np.stack([inverted(self.normal.sum(0) - one, self.precision) for one in self.normal])
+        return np.stack([inverted(one, self.precision) for one in _others(self.normal)])
 
     def equations(self, own: Hypothesis, whole: bool = False) -> Equations:
         """Those of a hypothesis' own columns, of each fold; of all rows as one if `whole`."""
@@ -209,6 +213,11 @@ def columns_of(hypothesis: Sequence[Candidate], j: int) -> tuple[np.ndarray, np.
             place += range(start, start + len(c.precision))
         start += len(c.precision)
     return np.array(fixed, int), np.array(free, int), np.array(place, int)
+
+
+def _others(parts: np.ndarray) -> np.ndarray:
+    """Of sums (F, …) over the rows of each part, those over the rows of the others, and its own by HELD."""
+    return parts.sum(0) - (1 - HELD) * parts
 
 
 def _signs(fixed: Sequence[int] | np.ndarray) -> np.ndarray:
