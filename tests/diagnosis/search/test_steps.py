@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.columns.candidates import trial_at
-from invdyn_cli.diagnosis.search import noise
+from invdyn_cli.diagnosis.search import noise, shared_part
 from invdyn_cli.diagnosis.search.grams import FOLDS
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer, parameters_of
+from invdyn_cli.diagnosis.search.shared_part import HELD
 from invdyn_cli.diagnosis.search.steps import free_beside, search
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
@@ -65,8 +66,8 @@ HYPOTHESES = {
 
 @pytest.mark.parametrize("name", HYPOTHESES)
 def test_losses_are_those_of_a_direct_least_squares(name, evidence, judge):
-    """Coefficients, the loss on the data that fit, and that of every block held out with its fold, to 1e-5: NumPy's
-    lstsq on the rows themselves, one fit for every fold."""
+    """Coefficients, the loss on the data that fit, and that of every block held out with its fold but for HELD, to
+    1e-5: NumPy's lstsq on the rows themselves, one fit for every fold."""
     hypothesis = tuple(candidate(evidence, *key) for key in HYPOTHESES[name])
     precision = np.concatenate([c.precision for c in hypothesis])
     x, y = direct(evidence, hypothesis, judge.rows)
@@ -78,12 +79,36 @@ def test_losses_are_those_of_a_direct_least_squares(name, evidence, judge):
     verdict = judge.verdict(hypothesis)
     number = np.repeat(np.unique(evidence.block[judge.rows], return_inverse=True)[1], 3)
     for fold in range(FOLDS):
-        held = fitted(x[number % FOLDS != fold], y[number % FOLDS != fold], precision)
+        counts = np.sqrt(np.where(number % FOLDS == fold, HELD, 1.0))
+        held = fitted(counts[:, None] * x, counts * y, precision)
         for b in range(fold, number.max() + 1, FOLDS):
             wanted = np.sum((y[number == b] - x[number == b] @ held) ** 2)
             assert verdict.blocks[b] == pytest.approx(wanted, rel=1e-5)
     assert verdict.loss == pytest.approx(verdict.blocks.sum() + precision @ own**2 + judge.price(hypothesis), rel=1e-5)
     assert judge.loss(hypothesis) == pytest.approx(verdict.loss, rel=1e-9)
+
+
+def test_what_one_block_tells_alone_is_no_fault(monkeypatch):
+    """A joint goes back once, for two seconds: without these an offset is the same as Coulomb friction. The loss of
+    both, which are there, is that of noise; a fit without that block leaves many times as much of it."""
+    t, m = moved(32.0)
+    back = np.exp(-(((t - 17.0) / 0.5) ** 4))
+    qd, q, qdd = m.qd.copy(), m.q.copy(), m.qdd.copy()
+    qd[:, 0] = 0.1 - 0.4 * back
+    q[:, 0], qdd[:, 0] = np.cumsum(qd[:, 0]) * t[1], np.gradient(qd[:, 0], t)
+    term = on(0, lambda t, q, qd, qdd: 1.0 + 2.0 * np.tanh(qd / 0.001))
+    names = ["coulomb_friction", "torque_offset"]
+    evidence = evidence_of(log_of(raw(t, type(m)(q, qd, qdd), term, torque=0.1)), names, cutoffs=(10.0,))
+    rows = np.ones(len(evidence.role), bool)
+    measured = noise.measure(evidence, rows)
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
+    judge.refresh()
+    hypothesis = tuple(candidate(evidence, name, 0) for name in names)
+    assert judge.verdict(hypothesis).blocks.sum() < 1.3 * judge.floor
+    monkeypatch.setattr(shared_part, "HELD", 0.0)
+    whole = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
+    whole.refresh()
+    assert whole.verdict(hypothesis).blocks.sum() > 3 * judge.floor
 
 
 def test_nothing_costs_nothing(evidence, judge):
