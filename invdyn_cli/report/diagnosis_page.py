@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from invdyn_cli.diagnosis.decide.passing import UNKNOWN
+from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import SINCE, in_table
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons

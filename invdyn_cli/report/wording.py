@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from invdyn_cli.diagnosis.decide.passing import UNKNOWN
+from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import CLAIMS, PREDICTABLE, in_table
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.log import CHANNELS

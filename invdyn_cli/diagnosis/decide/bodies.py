@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from invdyn_cli.diagnosis.decide.doubt import or_else
 from invdyn_cli.effects.actuator import RotorInertia, TorqueGainError
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
@@ -83,10 +84,7 @@ def other_robot(claims: list[Finding]) -> tuple[list[Finding], tuple[str, ...]]:
     if len(links) < MANY_LINKS:
         return claims, ()
     said = f"The inertials of {len(links)} links seem wrong: this URDF may describe another robot or another tool."
-    unsure = [
-        replace(f, status="ambiguous", alternatives=(*f.alternatives, (LINK,))) if f in links else f for f in claims
-    ]
-    return unsure, (said,)
+    return [or_else(f, (LINK,)) if f in links else f for f in claims], (said,)
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
+from invdyn_cli.diagnosis.decide.doubt import UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
@@ -194,13 +195,12 @@ def _doubted(
         more.append((candidate.effect.name,))
     no_body = i in sized.costs and sized.costs[i] > NO_BODY * claimed.evidence
     if no_body or _is_vague(finding) or not held_out(evidence):
-        more.append(passing.UNKNOWN)
-    alternatives = (*finding.alternatives, *more)
-    if not alternatives:
+        more.append(UNKNOWN)
+    if not (finding.alternatives or more):
         return finding
-    possible = {name for one in alternatives for name in one if len(one) == 1}
-    rejected = tuple(x for x in finding.rejected if x[0] not in possible)
-    return replace(finding, alternatives=alternatives, status="ambiguous", rejected=rejected)
+    finding = or_else(finding, *more)
+    possible = {name for one in finding.alternatives for name in one if len(one) == 1}
+    return replace(finding, rejected=tuple(x for x in finding.rejected if x[0] not in possible))
 
 
 def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
@@ -342,7 +342,7 @@ def perhaps_stribeck(inquiry: Inquiry, claimed: Hypothesis, found: Finding) -> F
     refused = own.effect.name in StribeckFriction.contains and any(c not in claimed for c in drops)
     if not refused and not naming.blind_to_stribeck(inquiry.judge, others, own, inquiry.pool):
         return found
-    return replace(found, status="ambiguous", alternatives=((StribeckFriction.name,),), advice=StribeckFriction.advice)
+    return or_else(found, (StribeckFriction.name,), advice=StribeckFriction.advice)
 
 
 def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) -> Made:

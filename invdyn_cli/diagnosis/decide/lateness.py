@@ -1,12 +1,11 @@
 """Delays of single joints that are perhaps one delay of all torques."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
-from invdyn_cli.diagnosis.decide import passing
+from invdyn_cli.diagnosis.decide import doubt
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Examination, Finding, Quantity
 
@@ -27,7 +26,7 @@ def taken_back(
         delay = one.parameters.get(effects[one.effect].late_by) if one.status == "named" else None
         value = None if delay is None else delay.value
         if value is not None and any(abs(value - shift) < TAKEN_BACK * abs(shift) for shift in shifts):
-            one = replace(one, status="ambiguous", alternatives=(passing.UNKNOWN,), advice=advice)
+            one = doubt.or_else(one, doubt.UNKNOWN, advice=advice)
         out.append(one)
     return tuple(out)
 

@@ -1,16 +1,13 @@
 """Doubt about what comes and goes: several such effects may be one that the catalogue lacks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
+from invdyn_cli.diagnosis.decide.doubt import UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.gain import lowers
 from invdyn_cli.types import Finding
 
 MOMENT = 0.25
 """[s] Two edges of windows that are no farther apart are of one moment: an edge is known to some tenths of a second."""
-
-UNKNOWN = ("unknown",)
-"""The alternative of a finding that may be of an effect which is not in the catalogue."""
 
 
 def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) -> list[Finding]:
@@ -34,7 +31,7 @@ def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) 
             for other in claims
         )
 
-    return [_unknown(one) if in_doubt(one) else one for one in claims]
+    return [or_else(one, UNKNOWN) if in_doubt(one) else one for one in claims]
 
 
 def perhaps_unknown(findings: Sequence[Finding]) -> bool:
@@ -70,7 +67,3 @@ def _edges(one: Finding, ends: Mapping[str, tuple[float, float]]) -> list[float]
         return []
     first, last = ends[one.trajectory]
     return [x for x in one.window if first + MOMENT < x < last - MOMENT]
-
-
-def _unknown(one: Finding) -> Finding:
-    return replace(one, status="ambiguous", alternatives=tuple(dict.fromkeys((*one.alternatives, UNKNOWN))))

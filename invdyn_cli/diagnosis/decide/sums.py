@@ -4,9 +4,10 @@ Coulomb friction beside a torque offset is friction that differs by direction.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+from invdyn_cli.diagnosis.decide.doubt import or_else
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Finding
@@ -68,4 +69,4 @@ def uneven(effects: Mapping[str, AbstractEffect], found: Sequence[Finding]) -> l
         return tuple((e.name,) for e, x in levels if not e.refuse(x) and min(x.values()) < UNEVEN * max(x.values()))
 
     told = ((f, doubt(f)) for f in found)
-    return [replace(f, status="ambiguous", alternatives=others) if others else f for f, others in told]
+    return [or_else(f, *others) if others else f for f, others in told]

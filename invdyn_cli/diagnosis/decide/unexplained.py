@@ -6,14 +6,13 @@ then shows, and noise does not.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import jax
 import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.decide import passing
+from invdyn_cli.diagnosis.decide import doubt
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.diagnosis.search.naming import structure
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel
@@ -108,7 +107,7 @@ def in_doubt(
         least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
         if one.status == "named" and saved < least * unknown:
             advice = "look for another effect on this joint: most of what the model misses there is still unknown"
-            one = replace(one, status="ambiguous", alternatives=(passing.UNKNOWN,), advice=advice)
+            one = doubt.or_else(one, doubt.UNKNOWN, advice=advice)
         out.append(one)
     return tuple(out)
 

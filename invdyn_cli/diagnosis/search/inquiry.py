@@ -65,8 +65,9 @@ class Inquiry:
 
     @property
     def usually(self) -> Hypothesis:
-        """`always` with links that may be as far off as those of URDFs usually are, or as the search believed where that
-        is more. Its belief was chosen with its hypothesis: beside a payload that is none it is less than what is true."""
+        """`always` with links that may be as far off as those of URDFs usually are, or as the search believed where
+        that is more. Its belief was chosen with its hypothesis: beside a payload that is none it is less than is true.
+        """
         of_links = [c for c in self.wear if c.joint is None]
         return tuple(replace(c, precision=np.minimum(c.precision, 1)) if c in of_links else c for c in self.always)
 

@@ -1,0 +1,14 @@
+"""A finding that may be something else."""
+
+from dataclasses import replace
+
+from invdyn_cli.types import Finding
+
+UNKNOWN = ("unknown",)
+"""The alternative of a finding that may be of an effect which is not in the catalogue."""
+
+
+def or_else(found: Finding, *others: tuple[str, ...], advice: str = "") -> Finding:
+    """The same, ambiguous with these sets of effects beside its own alternatives; `advice` in the place of its own."""
+    alternatives = tuple(dict.fromkeys((*found.alternatives, *others)))
+    return replace(found, status="ambiguous", alternatives=alternatives, advice=advice or found.advice)
