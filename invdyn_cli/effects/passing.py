@@ -35,7 +35,7 @@ class PayloadChange(AbstractBodyEffect):
     passing = True
     of_joint = False
     load = True
-    confounders = (("external_contact",), ("torque_gain_change",))
+    confounders = (("payload",), ("external_contact",), ("torque_gain_change",))
     advice = "several postures with the load held and turned by the wrist: weight and centre of mass move as one body"
     panels = ("joints",)
     shows = ("time",)
@@ -65,7 +65,7 @@ class TorqueGainChange(AbstractChannelEffect):
     parameters = TorqueGainError.parameters
     factor = "gain"
     passing = True
-    confounders = (("payload_change",), ("external_contact",))
+    confounders = (("torque_gain_error",), ("payload_change",), ("external_contact",))
     advice = "the same trajectory before and after the change"
     panels = ("nominal_torque",)
     shows = ("time",)

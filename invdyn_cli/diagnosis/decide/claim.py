@@ -136,9 +136,9 @@ class Claim:
 
     @cached_property
     def beaten(self) -> float:
-        """Held-out loss, beyond its own, of the best effect of an impossible size in its place: what that explains
-        better has no name here."""
-        return min((r.excess for r in self.rivals if r.impossible), default=np.inf)
+        """Held-out loss, beyond its own and by one standard error at most, of the best effect of an impossible size in
+        its place: what that surely explains better has no name here."""
+        return min((r.excess + r.error for r in self.rivals if r.impossible), default=np.inf)
 
     @cached_property
     def evidence(self) -> float:

@@ -60,12 +60,15 @@ def test_rows_that_judge():
         np.testing.assert_array_equal(claim._judging(evidence, squares), expected)
 
 
-@pytest.mark.parametrize(("excess", "refused"), [(-20.0, True), (-5.0, False), (300.0, False)])
-def test_what_an_impossible_effect_explains_better_has_no_name(excess, refused):
+@pytest.mark.parametrize(
+    ("excess", "error", "refused"),
+    [(-20.0, 1.0, True), (-20.0, 15.0, False), (-5.0, 1.0, False), (300.0, 1.0, False)],
+)
+def test_what_an_impossible_effect_explains_better_has_no_name(excess, error, refused):
     """A true friction is claimed, unless an effect of an impossible size in its place lowers the loss by more than ten
-    noise variances; one of a possible size, however good, is another row's matter."""
+    noise variances beside the scatter of blocks; one of a possible size, however good, is another row's matter."""
     one = of_coulomb(rubbed(20.0))
-    other = Rival(one.candidate, excess, 1.0, False, "", {}, impossible=True)
+    other = Rival(one.candidate, excess, error, False, "", {}, impossible=True)
     one.__dict__["rivals"] = [other, replace(other, excess=-500.0, impossible=False)]  # cached: made up here
     row = support.refusal(one)
     assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
