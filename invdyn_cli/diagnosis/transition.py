@@ -38,15 +38,27 @@ def speeds(columns: Columns, residual: np.ndarray, jumping: Sequence[EffectInsta
     now = evidence.recording.transition
     if "coulomb" not in columns.terms:
         return now
-    return tuple(
-        _speed(columns, target[:, j], rows & evidence.valid[:, j], j, [a for a in jumping if a.joint == j], now[j])
-        for j in range(evidence.dofs)
-    )
+
+    def speed(j: int, others: Sequence[float] = ()) -> float:
+        own = [a for a in jumping if a.joint == j]
+        return _speed(columns, target[:, j], rows & evidence.valid[:, j], j, own, now[j], others)
+
+    found = [speed(j) for j in range(evidence.dofs)]
+    slides = evidence.robot.prismatic
+    told = [[v for i, v in enumerate(found) if v > 0 and i != j and slides[i] == slides[j]] for j in range(len(found))]
+    return tuple(speed(j, others) if others else found[j] for j, others in enumerate(told))
 
 
 def _speed(
-    columns: Columns, target: np.ndarray, rows: np.ndarray, joint: int, jumping: Sequence[EffectInstance], now: float
+    columns: Columns,
+    target: np.ndarray,
+    rows: np.ndarray,
+    joint: int,
+    jumping: Sequence[EffectInstance],
+    now: float,
+    others: Sequence[float],
 ) -> float:
+    """A joint's; beside SHARES those of `others` are tried: a slow joint's own shares end below them."""
     usual = float(np.quantile(np.abs(np.concatenate([s[joint].qd for s in columns.evidence.states])), 0.9))
     if rows.sum() < 10 * len(columns.terms) or not usual > 0:
         return now
@@ -56,14 +68,14 @@ def _speed(
     def squares(transition: float) -> float:
         return float(np.sum(left(transition) ** 2))
 
-    best = min((0.0, *(share * usual for share in SHARES)), key=squares)
+    best = min((0.0, *(share * usual for share in SHARES), *others), key=squares)
     after = left(best)
     independent = rows.sum() / autocorrelation_time(np.where(rows, after, 0.0))
     if independent * np.log(np.sum(before**2) / max(np.sum(after**2), 1e-300)) < TOLD:
         return now
     if not best:
         return 0.0
-    near = np.log([best / 2, min(2 * best, SHARES[-1] * usual)])
+    near = np.log([best / 2, min(2 * best, max(SHARES[-1] * usual, best))])
     found = scipy.optimize.minimize_scalar(lambda x: squares(np.exp(x)), bounds=near, options={"xatol": 0.02})
     return float(np.exp(found.x))
 

@@ -39,6 +39,24 @@ def test_friction_that_jumps_does_so(term):
     assert not any(found(on(0, lambda t, q, qd, *_: 2.0 * term(qd))))
 
 
+def test_a_slow_joint_creeps_as_others_do():
+    """A joint that moves a twenty-fifth as far as usual has the transition that a fast one tells, which is a third of its
+    largest speed, to 10 %; friction that jumps still does."""
+    t, m = moved(30.0)
+    share = np.array([1.0, 0.04, 0.04])
+    slow = type(m)(m.q[0] + share * (m.q - m.q[0]), share * m.qd, share * m.qdd)
+    speed = np.abs(slow.qd[:, 1]).max() / 3
+
+    def term(t, m):
+        sides = [np.tanh(m.qd[:, 0] / speed), np.tanh(m.qd[:, 1] / speed), np.tanh(m.qd[:, 2] / 1e-5)]
+        return 2.0 * np.stack(sides, axis=1)
+
+    evidence = evidence_of(log_of(raw(t, slow, term, torque=0.02, position=1e-7)), ("coulomb_friction",))
+    told = transition.speeds(standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
+    np.testing.assert_allclose(told[:2], speed, rtol=0.1)
+    assert told[2] == 0
+
+
 @pytest.fixture(scope="module")
 def crept():
     """The diagnosis of an arm that picks and places with friction of LEVELS, gradual within 8 mrad/s; the simulated arm

@@ -97,6 +97,17 @@ def test_wear_is_asked_for_where_links_are_off(off):
     assert (fitted is None) == (off == 0.0)
 
 
+@pytest.mark.parametrize(("joints", "worn"), [((0,), False), ((0, 1, 2), True)])
+def test_friction_on_most_joints_is_wear_though_links_are_right(joints, worn):
+    """An arm whose URDF was identified has friction, too: where most joints have it, it is part of every hypothesis. On
+    one joint it may be the cause that is looked for."""
+    friction = [on(j, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01)) for j in joints]
+    log = log_of(raw(*moved(20.0), lambda t, m: sum(term(t, m) for term in friction), torque=0.02, position=1e-5))
+    evidence = evidence_of(log, NAMES)
+    fitted = wear.plain(standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
+    assert (fitted is not None) == worn
+
+
 @pytest.mark.benchmark
 def test_joints_that_move_one_after_the_other():
     """Links are 5 % off, every joint has friction, and one has a ripple: that is named alone, and the Coulomb
