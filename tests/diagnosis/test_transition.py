@@ -40,8 +40,8 @@ def test_friction_that_jumps_does_so(term):
 
 
 def test_a_slow_joint_creeps_as_others_do():
-    """A joint that moves a twenty-fifth as far as usual has the transition that a fast one tells, which is a third of its
-    largest speed, to 10 %; friction that jumps still does."""
+    """A joint that moves a twenty-fifth as far as usual has the transition that a fast one tells, which is a third of
+    its largest speed, to 10 %; friction that jumps still does."""
     t, m = moved(30.0)
     share = np.array([1.0, 0.04, 0.04])
     slow = type(m)(m.q[0] + share * (m.q - m.q[0]), share * m.qd, share * m.qdd)

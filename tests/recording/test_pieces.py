@@ -117,8 +117,8 @@ def test_of_joints_that_move_one_after_the_other_all_are_judged():
 
 
 def test_both_directions_of_every_joint_are_learned_from():
-    """A joint goes forth in the first half and back at the end: some of both is in what is learned from, because without
-    one of them an offset cannot be told from friction."""
+    """A joint goes forth in the first half and back at the end: some of both is in what is learned from, because
+    without one of them an offset cannot be told from friction."""
     t, m = moved(60.0)
     q = m.q.copy()
     q[:, 1] = q[0, 1] + 0.8 * np.clip(t / 30.0, 0, 1) - 0.8 * np.clip((t - 45.0) / 15.0, 0, 1)
