@@ -13,7 +13,7 @@ from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time
 
 FLOOR = 5e-4
-"""Share of a joint's RMS torque (or of a fifth of the strongest joint's) below which nothing is known: errors of
+"""Share of a joint's RMS torque (or of a hundredth of the strongest joint's) below which nothing is known: errors of
 interpolation, clocks and rounding."""
 
 MOVES = 0.05
@@ -83,7 +83,7 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
 def _floor(evidence: Evidence, rows: np.ndarray) -> np.ndarray:
     """(n,) torque below which nothing is known on the chosen rows (FLOOR)."""
     strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
-    return FLOOR * np.maximum(strongest, strongest.max() / 5)
+    return FLOOR * np.maximum(strongest, strongest.max() / 100)
 
 
 def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: Noise) -> Noise:

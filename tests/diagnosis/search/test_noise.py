@@ -38,6 +38,14 @@ def test_the_deviation_is_that_of_the_noise(quiet):
     np.testing.assert_allclose(found.deviation, alone.std(axis=0), rtol=0.1)
 
 
+def test_a_weak_joint_is_heard_beside_a_strong_one(quiet):
+    """Where the first joint has 300 times its torque, as the shoulder of an industrial arm has that of a wrist, the noise
+    of the others is what it was: a wrist's delay of 29 ms had been hidden by a share of the shoulder's torque."""
+    evidence, rows, found = quiet
+    strong = replace(evidence, tau=evidence.tau * np.array([300.0, 1.0, 1.0]))
+    np.testing.assert_allclose(noise.measure(strong, rows).deviation[1:], found.deviation[1:], rtol=0.05)
+
+
 def test_effects_are_no_noise(quiet):
     """Friction, an offset and another load change the measured noise by less than 15 %."""
     term = on(1, lambda t, q, qd, qdd: 2.0 * np.sign(qd) + qd + 0.3 + 0.2 * qdd)
