@@ -81,7 +81,7 @@ class Calibrate(Worn):
         found = _found(inquiry, anomaly)
         spoken: dict[tuple, tuple[str, tuple[str, ...]]] = {}
         for left_out, table in _tables():
-            kept = tuple(c.key for c in supported(inquiry, table)[0])
+            kept = tuple(c.key for c in supported(inquiry, table)[1])
             if kept not in spoken:
                 diagnosis = decided(case, inquiry, columns, Options(), refusals=table)
                 spoken[kept] = told(anomaly, claims(diagnosis))[0], false(diagnosis)

@@ -338,4 +338,4 @@ def test_a_payload_must_be_more_than_links_may_be_wrong(last_link_off, mass, cla
     inquiry = inquire(evidence, {x: EFFECTS[x] for x in names}, (), 3, compares=False, wear=links)
     assert [c.key for c in inquiry.hypothesis] == [("payload", None)]
     evidence = [x for x in REFUSALS if x.name.startswith("evidence")]
-    assert [bool(supported(inquiry, rows)[0]) for rows in (evidence[:1], evidence)] == [True, claimed]
+    assert [bool(supported(inquiry, rows)[1]) for rows in (evidence[:1], evidence)] == [True, claimed]

@@ -92,7 +92,7 @@ def report(
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
     rows = inquiry.judge.rows
-    supporting, whole, dropped = supported(inquiry, refusals)
+    inquiry, supporting, whole, dropped = supported(inquiry, refusals)
     hypothesis = tuple(x.candidate for x in supporting)
     chosen, nothing = exactly(inquiry, hypothesis, inquiry.chosen, rows), refitted(inquiry, [], rows)
     after, sized = left(inquiry, hypothesis), sizes(inquiry, whole, unsure)

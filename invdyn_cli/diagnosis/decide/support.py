@@ -58,6 +58,13 @@ def _why_unknown(claim: Claim) -> str:
     return gains if claim.gain > 0 else ""
 
 
+USUAL_LINKS = Refusal(
+    "evidence beside links as they usually are",
+    lambda x: x.evidence_beside_usual_links if x.inquiry.wear else np.inf,
+    naming.LEAST_DIFFERENCE,
+    lambda _: "links that are as wrong as those of URDFs usually are explain the data as well",
+)
+
 REFUSALS = (
     Refusal("gain over what stays unknown", _beside_unknown, 1.0, _why_unknown),
     Refusal("gain on its own joint", lambda x: x.gain_on_its_joint, -naming.LEAST_DIFFERENCE),
@@ -78,12 +85,7 @@ REFUSALS = (
         lambda x: x.slow_evidence if x.inquiry.wear else np.inf,
         EVIDENCE,
     ),
-    Refusal(
-        "evidence beside links as they usually are",
-        lambda x: x.evidence_beside_usual_links if x.inquiry.wear else np.inf,
-        naming.LEAST_DIFFERENCE,
-        lambda _: "links that are as wrong as those of URDFs usually are explain the data as well",
-    ),
+    USUAL_LINKS,
     Refusal(
         "delay over the sampling period",
         lambda x: x.delay / x.inquiry.evidence.recording.period,
@@ -114,10 +116,13 @@ REFUSALS = (
 """What a claim must reach, in this order."""
 
 
-def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple[list[Claim], Refined, tuple[str, ...]]:
+def supported(
+    inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS
+) -> tuple[Inquiry, list[Claim], Refined, tuple[str, ...]]:
     """The claims that no row refuses; their exact parameters on all rows, refined again after each refusal; and a
     sentence on each refused candidate for which held-out data speak. A candidate in whose place another effect does
-    equally well gets no sentence, because it is chance which of them was tried."""
+    equally well gets no sentence, because it is chance which of them was tried. First comes the inquiry that they are
+    of: where USUAL_LINKS refuse one, the others are judged beside such links, too."""
     hypothesis, whole, said = inquiry.hypothesis, inquiry.whole, []
     while True:
         whole, after = exactly(inquiry, hypothesis, whole, np.ones_like(inquiry.judge.rows)), left(inquiry, hypothesis)
@@ -126,6 +131,7 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         if refused:
             worst, row = min(refused, key=lambda x: x[0].evidence if inquiry.wear else x[0].gain)
             place, why = worst.place, row.why(worst)
+            inquiry = inquiry.beside_usual_links() if row is USUAL_LINKS else inquiry
             if why and not any(r.equal for r in worst.rivals):
                 name = _titled(inquiry, worst.candidate)
                 said.append(f"{name[0].upper()}{name[1:]} was tried, but it is not claimed: {why}.")
@@ -138,7 +144,7 @@ def supported(inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS) -> tuple
         hypothesis = hypothesis[:place] + hypothesis[place + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
-    return claims, whole, tuple(said)
+    return inquiry, claims, whole, tuple(said)
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:

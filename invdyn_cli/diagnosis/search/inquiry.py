@@ -71,6 +71,13 @@ class Inquiry:
         of_links = [c for c in self.wear if c.joint is None]
         return tuple(replace(c, precision=np.minimum(c.precision, 1)) if c in of_links else c for c in self.always)
 
+    def beside_usual_links(self) -> "Inquiry":
+        """The same with links as `usually`, for what is left when something is refused because of them."""
+        always, noise = self.usually, self.noise
+        judge = HypothesisScorer(self.evidence, self.judge.rows, noise.weights, noise.deviation, always, True)
+        judge.refresh()
+        return replace(self, always=always, judge=judge, wear=always[len(always) - len(self.wear) :])
+
     def worn(self, refined: Refined) -> np.ndarray:
         """(R, n) logged torque of the standard model beside these effects, which is not in their residual."""
         wear = _apart(self.wear, refined.acting)

@@ -30,7 +30,7 @@ def test_a_delay_that_was_never_refined_is_judged():
     one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, whole, after)
     why = support.refusal(one)
     assert why is not None and why.why(one) == ""
-    kept, _, said = support.supported(replace(inquiry, hypothesis=hypothesis))
+    _, kept, _, said = support.supported(replace(inquiry, hypothesis=hypothesis))
     assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)
 
 
