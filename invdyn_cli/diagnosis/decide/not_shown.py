@@ -9,7 +9,6 @@ from invdyn_cli.diagnosis.search.equations import inverted
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
-from invdyn_cli.diagnosis.search.naming import LEAST_DIFFERENCE
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.joints import UsualJoint
 from invdyn_cli.types import Examination, Finding
@@ -62,13 +61,13 @@ def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
     may be as wrong as the others are or as they usually are, less evidence than a claim needs."""
     judge, robot, made = inquiry.judge, inquiry.evidence.robot, list[Finding]()
     claimed = {(f.effect, f.joint) for f in claims}
-    needed = ((EVIDENCE, inquiry.always), (LEAST_DIFFERENCE, inquiry.usually))
     for c in inquiry.pool if inquiry.wear else ():
         if c.joint is None or not c.effect.bends or c.is_trial or (c.effect.name, robot.joints[c.joint]) in claimed:
             continue
         typical = c.effect.typical(UsualJoint(robot, c.joint, *[1.0] * 7)) or {}
         size = sum(x**2 for x in typical.values())
         others = [x for x in inquiry.hypothesis if x.key != c.key]
+        needed = ((EVIDENCE, inquiry.always), (judge.price((c,)), inquiry.usually))
         if any(size < least * _variance(judge, (*always, *others, c)) for least, always in needed):
             where = c.effect.name, robot.joints[c.joint]
             made.append(Finding(*where, "not_excited", evidence={"why": LIKE_LINKS}, advice=c.effect.advice))

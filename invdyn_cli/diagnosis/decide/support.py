@@ -61,7 +61,7 @@ def _why_unknown(claim: Claim) -> str:
 USUAL_LINKS = Refusal(
     "evidence beside links as they usually are",
     lambda x: x.evidence_beside_usual_links if x.inquiry.wear else np.inf,
-    naming.LEAST_DIFFERENCE,
+    0.0,
     lambda _: "links that are as wrong as those of URDFs usually are explain the data as well",
 )
 

@@ -12,9 +12,9 @@ from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time
 
-FLOOR = 5e-4
-"""Share of a joint's RMS torque (or of a hundredth of the strongest joint's) below which nothing is known: errors of
-interpolation, clocks and rounding."""
+FLOOR, FAINT = 5e-4, 0.02
+"""Share of a joint's RMS torque (or of a fifth of the strongest joint's, up to the share FAINT of its own) below which
+nothing is known: errors of interpolation, clocks and rounding."""
 
 MOVES = 0.05
 """Share of the rows on which a joint must move to be judged: one that is held still shows only its noise."""
@@ -82,8 +82,8 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
 
 def _floor(evidence: Evidence, rows: np.ndarray) -> np.ndarray:
     """(n,) torque below which nothing is known on the chosen rows (FLOOR)."""
-    strongest = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
-    return FLOOR * np.maximum(strongest, strongest.max() / 100)
+    own = np.sqrt(np.mean(evidence.tau[rows] ** 2, axis=0))
+    return np.maximum(FLOOR * own, np.minimum(FLOOR * own.max() / 5, FAINT * own))
 
 
 def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: Noise) -> Noise:
