@@ -47,6 +47,9 @@ ANOMALIES = (
 GRADUAL = 1 / 3
 """Share of the arms whose friction changes its side gradually, as it does on bristles and in most simulations."""
 
+IDENTIFIED = 1 / 4
+"""Share of the arms whose links are as their URDF says, because it was identified."""
+
 LOUD = 3.0
 """Times the noise of a joint's torque, above which an anomaly is to be found. Noise is what the same arm without the
 anomaly leaves over its true model below 20 Hz (an encoder of 14 bit makes torque on a heavy joint), or the torque
@@ -219,7 +222,9 @@ def _scene(draw: np.random.Generator) -> tuple[Scene, list[Hidden]]:
     scene = draw_scene(draw)
     if draw.random() < 0.25:
         scene = scene_of(scene.robot, RandomWalk(), scene.duration, scene.seed)
-    return scene, wear(draw, scene)
+    worn = wear(draw, scene)
+    identified = np.random.default_rng([17, scene.seed]).random() < IDENTIFIED
+    return scene, [x for x in worn if not (identified and x.effect == "link_inertia_error")]
 
 
 def _recorder(
