@@ -26,7 +26,8 @@ WORN = 0.005
 
 PLAINLY, SURE, HEARD = 0.75, 4.0, 0.5
 """Share of the joints that have friction, so many standard deviations above zero, on an arm that is worn for sure; of
-those that move, of whose torque less than that is left, and on which the least that can be claimed would be as sure."""
+those that move, of whose torque less than that is left, and, where links are right, on which the least that can be
+claimed would be as sure."""
 
 FELT = 0.1
 """Noise variances of torque on a whole log, below which a direction of the links' parameters does not show."""
@@ -96,11 +97,12 @@ def of(columns: Columns, inquiry: Inquiry) -> Standard | None:
 def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
     """The standard model of a `residual` (R, n) beside nothing else, if it is plain from it alone that the arm is worn:
     PLAINLY of the joints that would show it have a friction that can be claimed. No single cause makes that, so the arm
-    is not looked at as if it were as its URDF says, though its links may be."""
+    is not looked at as if it were as its URDF says, though its links may be. Links that seem to be off without being
+    asked for may be a load that comes and goes: nothing is plain then."""
     evidence, n = columns.evidence, columns.evidence.dofs
     choosing = evidence.role == ROLES.index("train")
     fitted = columns.fit(residual, choosing)
-    if fitted.gain <= 0:
+    if fitted.gain <= 0 or (fitted.share > WORN and fitted.of_inertial <= 0):
         return None
     of_friction = [t for t, term in enumerate(columns.terms) if term in ("coulomb", "viscous")]
     value, std = (x[10 * n :].reshape(-1, n)[of_friction] for x in (fitted.theta, std_of(fitted)))
@@ -109,7 +111,8 @@ def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
     moves = (evidence.valid & choosing[:, None]).sum(0) > MOVES * choosing.sum()
     moves &= fitted.noise < HEARD * whole
     worn = np.any((value > SURE * std) & (value * made > CLAIMED * whole), axis=0)
-    moves &= worn | np.any(SURE * std * made < CLAIMED * whole, axis=0)
+    if fitted.share <= WORN:
+        moves &= worn | np.any(SURE * std * made < CLAIMED * whole, axis=0)
     return fitted if np.sum(worn & moves) >= max(2, np.ceil(PLAINLY * moves.sum())) else None
 
 

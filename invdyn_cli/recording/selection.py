@@ -154,26 +154,20 @@ def windows(
 
 def divided(raw: RawTrajectory, train_share: float) -> list[tuple[str, float, float]]:
     """(role, start, end) [s] of a trajectory of which nothing was selected, in the order of time: the first share for
-    training, the rest held out. Where a joint would cover less than LEARNED of its distance in training, forwards or
-    backwards (without one of them friction cannot be told from an offset), or less than JUDGED in what is held out,
-    because joints move one after the other, this is done in each of the fewest equal parts for which it is enough, or
-    most."""
+    training, the rest held out. Where a joint would cover less than LEARNED of its distance in training, or less than
+    JUDGED in what is held out, because joints move one after the other, this is done in each of the fewest equal parts
+    for which it is enough, or most."""
     length = raw.t[-1] - raw.t[0]
     t = np.arange(0, length, STEP)
-    steps = np.diff(raw.q[np.searchsorted(raw.t, raw.t[0] + t)], axis=0)
-    both = np.abs(steps)
-    each = np.hstack([np.maximum(steps, 0.0), np.maximum(-steps, 0.0)])
-    least = STILL * both.sum(axis=0).max(initial=0.0)
-
-    def share(distance: np.ndarray, rows: np.ndarray) -> float:
-        """The least share of a distance (steps, …) that is covered in some of its rows."""
-        total = distance.sum(axis=0)
-        return float(np.min((distance[rows].sum(axis=0) / np.maximum(total, 1e-300))[total > least], initial=1.0))
+    distance = np.abs(np.diff(raw.q[np.searchsorted(raw.t, raw.t[0] + t)], axis=0))
+    total = distance.sum(axis=0)
+    moves = total > STILL * total.max(initial=0.0)
 
     def enough(parts: int) -> float:
-        """The least share, in units of what it should be."""
+        """The least share, in units of what it should be, of a joint's distance in either."""
         training = t[1:] % (length / parts) < train_share * length / parts
-        return min(share(each, training) / LEARNED, share(both, ~training) / JUDGED)
+        shares = [distance[x].sum(axis=0)[moves] / total[moves] for x in (training, ~training)]
+        return float(np.min([np.min(x / y, initial=1.0) for x, y in zip(shares, (LEARNED, JUDGED), strict=True)]))
 
     tried = range(1, 1 + max(1, int(length / SHORTEST)))
     parts = next((k for k in tried if enough(k) >= 1), None) or max(tried, key=enough)

@@ -118,18 +118,6 @@ def test_of_joints_that_move_one_after_the_other_all_are_judged():
     assert np.all(ways[0] > 0.05 * ways[1])
 
 
-def test_both_directions_of_every_joint_are_learned_from():
-    """A joint goes forth in the first half and back at the end: some of both is in what is learned from, because
-    without one of them an offset cannot be told from friction."""
-    t, m = moved(60.0)
-    q = m.q.copy()
-    q[:, 1] = q[0, 1] + 0.8 * np.clip(t / 30.0, 0, 1) - 0.8 * np.clip((t - 45.0) / 15.0, 0, 1)
-    one = raw(t, m)
-    learned = [p.q[1] for p in recording_of(log_of(replace(one, q=q))).pieces if p.role == "train"]
-    ways = [sum(np.clip(way * np.diff(x), 0, None).sum() for x in learned) for way in (1, -1)]
-    assert min(ways) > 0.3 * 0.8
-
-
 def test_the_shortest_part_can_be_filtered():
     """What is held out of it is longer than the lowest low-pass needs: held-out pieces of 1.9 s were left out, all of
     them, and nothing could be named for sure."""
