@@ -17,11 +17,10 @@ from invdyn_cli.recording.rows import taken
 
 SETS = ("train", "validation", "test")
 
-LEARNED, JUDGED, STILL, SHORTEST, STEP = 0.4, 0.1, 0.01, 7.5, 0.25
+LEARNED, JUDGED, STILL, SHORTEST, STEP = 0.4, 0.1, 0.01, 6.0, 0.25
 """Shares of a joint's distance that should be in the training and in the held-out data; share of the largest distance
-of all joints, below which a joint rests; the shortest part [s] of a trajectory that is divided, of which what is held
-out can still be filtered at the lowest cut-off (`pieces.needed`); and the time [s] between the positions from which
-distances are computed: noise adds little to them."""
+of all joints, below which a joint rests; the shortest part [s] of a trajectory that is divided; and the time [s]
+between the positions from which distances are computed: noise adds little to them."""
 
 _SECONDS = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*"
 _WINDOWED = re.compile(rf"\s*([^\[\]]+?)\s*\[{_SECONDS}:{_SECONDS}\]\s*")

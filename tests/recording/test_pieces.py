@@ -9,8 +9,6 @@ from scipy.signal import butter, sosfiltfilt
 from invdyn_cli.diagnosis.columns.evidence import filtered
 from invdyn_cli.errors import LogError
 from invdyn_cli.log import RawTrajectory
-from invdyn_cli.recording.pieces import Preparation, needed
-from invdyn_cli.recording.selection import SHORTEST
 from tests.diagnosis.analytic import arm, column, evidence_of, in_turn, log_of, moved, on, raw, recording_of
 from tests.diagnosis.sick import motion
 
@@ -116,14 +114,6 @@ def test_of_joints_that_move_one_after_the_other_all_are_judged():
     ways = [np.sum([np.abs(np.diff(p.q)).sum(axis=1) for p in pieces if p.role in roles], axis=0)
             for roles in (("test",), ("train", "test"))]  # fmt: skip
     assert np.all(ways[0] > 0.05 * ways[1])
-
-
-def test_the_shortest_part_can_be_filtered():
-    """What is held out of it is longer than the lowest low-pass needs: held-out pieces of 1.9 s were left out, all of
-    them, and nothing could be named for sure."""
-    options = Preparation()
-    lowest = min(options.cutoffs)
-    assert (1 - options.train_share) * SHORTEST > needed(options.rate, lowest) / options.rate
 
 
 def test_pieces_of_a_trajectory_are_in_the_order_of_time():
