@@ -36,9 +36,9 @@ FELT = 0.1
 def worn_links(columns: Columns, weights: np.ndarray, share: float, moved: np.ndarray | None = None) -> Hypothesis:
     """All links off by a share of their scales, as one candidate that is part of every hypothesis: the directions of
     their parameters that make FELT noise variances of torque at least, `weights` (n,) being the inverse of a row's; in
-    units of the USUAL share, so that a precision of one is that (`as_usual`). Where the evidence's links are `moved`
-    (10 n,) from the URDF's already, a fixed column takes that back in these directions, so that the prior's mean is the
-    URDF and not a fit to the same rows."""
+    units of the USUAL share, so that a precision of one is that (`Inquiry.always_usual`). Where the evidence's links
+    are `moved` (10 n,) from the URDF's already, a fixed column takes that back in these directions, so that the prior's
+    mean is the URDF and not a fit to the same rows."""
     evidence, n = columns.evidence, columns.evidence.dofs
     scale = share * link_scales(evidence.robot).ravel()
     rows = [np.where(evidence.valid[:, j], columns.links[:, j], 0.0) * scale[:, None] for j in range(n)]
@@ -102,7 +102,8 @@ def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
     evidence, n = columns.evidence, columns.evidence.dofs
     choosing = evidence.role == ROLES.index("train")
     fitted = columns.fit(residual, choosing)
-    if fitted.gain <= 0 or (fitted.share > WORN and fitted.of_inertial <= 0):
+    right = fitted.gain > 0 and fitted.share <= WORN
+    if not right and _asked_for(fitted) is None:
         return None
     of_friction = [t for t, term in enumerate(columns.terms) if term in ("coulomb", "viscous")]
     value, std = (x[10 * n :].reshape(-1, n)[of_friction] for x in (fitted.theta, std_of(fitted)))
@@ -111,7 +112,7 @@ def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
     moves = (evidence.valid & choosing[:, None]).sum(0) > MOVES * choosing.sum()
     moves &= fitted.noise < HEARD * whole
     worn = np.any((value > SURE * std) & (value * made > CLAIMED * whole), axis=0)
-    if fitted.share <= WORN:
+    if right:
         moves &= worn | np.any(SURE * std * made < CLAIMED * whole, axis=0)
     return fitted if np.sum(worn & moves) >= max(2, np.ceil(PLAINLY * moves.sum())) else None
 

@@ -78,11 +78,13 @@ def beside(robot, off, draw, *terms):
     scale = off * link_scales(robot) * draw.uniform(-1, 1, (robot.dofs, 10))
     other = replace(robot, inertial=robot.inertial + scale)
 
-    def whole(t, m):
-        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot)]
-        return sum(term(t, m) for term in terms) + moves[0] - moves[1]
+    return lambda t, m: sum(term(t, m) for term in terms) + beyond(robot, other, m)
 
-    return whole
+
+def beyond(robot, other, m):
+    """(T, n) torque that another robot needs for a motion beyond this one's."""
+    needed, nominal = (rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot))
+    return needed - nominal
 
 
 @pytest.mark.parametrize("off", [0.0, 0.08])
@@ -308,8 +310,7 @@ def test_what_is_written_is_no_worse_than_a_line():
     other = replace(arm(), inertial=arm().inertial * 1.2)
 
     def term(t, m):
-        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, arm())]
-        return (moves[0] - moves[1]) * (t < 28.0)[:, None] + 0.5 * np.tanh(m.qd / 0.01)
+        return beyond(arm(), other, m) * (t < 28.0)[:, None] + 0.5 * np.tanh(m.qd / 0.01)
 
     log = log_of(raw(*moved(40.0), term, torque=0.02, position=1e-5))
     found = diagnose(log, arm(), effects={"coulomb_friction": EFFECTS["coulomb_friction"]})
@@ -327,12 +328,8 @@ def test_a_payload_must_be_more_than_links_may_be_wrong(last_link_off, mass, cla
     robot = arm()
     off, body = last_link_off * link_scales(robot)[-1], np.array([mass, 0, 0, 0.1 * mass, *np.zeros(6)])
     other = replace(robot, inertial=robot.inertial + np.vstack([np.zeros((robot.dofs - 1, 10)), off + body]))
-
-    def whole(t, m):
-        moves = [rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot)]
-        return moves[0] - moves[1]
-
-    evidence = evidence_of(log_of(raw(*moved(40.0), whole, torque=0.02, position=1e-6)), names)
+    log = log_of(raw(*moved(40.0), lambda t, m: beyond(robot, other, m), torque=0.02, position=1e-6))
+    evidence = evidence_of(log, names)
     least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
     links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 1e-3)
     inquiry = inquire(evidence, {x: EFFECTS[x] for x in names}, (), 3, compares=False, wear=links)

@@ -148,7 +148,7 @@ class Claim:
     @cached_property
     def evidence_beside_usual_links(self) -> float:
         """The same where links may be as far off as they usually are."""
-        return self._evidence(self.inquiry.usually)
+        return self._evidence(self.inquiry.always_usual)
 
     @cached_property
     def slow_evidence(self) -> float:

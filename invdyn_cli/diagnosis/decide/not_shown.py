@@ -67,7 +67,7 @@ def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
         typical = c.effect.typical(UsualJoint(robot, c.joint, *[1.0] * 7)) or {}
         size = sum(x**2 for x in typical.values())
         others = [x for x in inquiry.hypothesis if x.key != c.key]
-        needed = ((EVIDENCE, inquiry.always), (judge.price((c,)), inquiry.usually))
+        needed = ((EVIDENCE, inquiry.always), (judge.price((c,)), inquiry.always_usual))
         if any(size < least * _variance(judge, (*always, *others, c)) for least, always in needed):
             where = c.effect.name, robot.joints[c.joint]
             made.append(Finding(*where, "not_excited", evidence={"why": LIKE_LINKS}, advice=c.effect.advice))

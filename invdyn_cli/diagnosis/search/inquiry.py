@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -63,8 +64,8 @@ class Inquiry:
         """`always` as it is refined beside these."""
         return _beside(self.always, self.wear, found)
 
-    @property
-    def usually(self) -> Hypothesis:
+    @cached_property
+    def always_usual(self) -> Hypothesis:
         """`always` with links that may be as far off as those of URDFs usually are, or as the search believed where
         that is more. Its belief was chosen with its hypothesis: beside a payload that is none it is less than is true.
         """
@@ -72,8 +73,8 @@ class Inquiry:
         return tuple(replace(c, precision=np.minimum(c.precision, 1)) if c in of_links else c for c in self.always)
 
     def beside_usual_links(self) -> "Inquiry":
-        """The same with links as `usually`, for what is left when something is refused because of them."""
-        always, noise = self.usually, self.noise
+        """The same inquiry with `always_usual`: where such links refuse one effect, they judge the others, too."""
+        always, noise = self.always_usual, self.noise
         judge = HypothesisScorer(self.evidence, self.judge.rows, noise.weights, noise.deviation, always, True)
         judge.refresh()
         return replace(self, always=always, judge=judge, wear=always[len(always) - len(self.wear) :])
