@@ -5,6 +5,8 @@ import numpy as np
 
 MOST = 400.0
 """Cycles of a turn that are sought."""
+EXACT_EVERY = 64
+"""Cycles from one exponential to the next: a product makes the waves between, ten times as fast."""
 
 
 def grid(q: np.ndarray, most: float = MOST) -> np.ndarray:
@@ -17,15 +19,14 @@ def grid(q: np.ndarray, most: float = MOST) -> np.ndarray:
 def power(
     residual: np.ndarray, q: np.ndarray, cycles: np.ndarray, qd: np.ndarray | float = 0.0, cutoff: float = np.inf
 ) -> np.ndarray:
-    """Squares (C,) of the residual (T,) that a sine over the angle q (T,) explains, for each of the cycles (C,);
-    attenuated as a low-pass at `cutoff` [Hz] does at the speed qd [rad/s]."""
-    out = np.empty(len(cycles))
-    for start in range(0, len(cycles), 64):
-        c = cycles[start : start + 64, None]
-        gain = 1 / (1 + (c * qd / (2 * np.pi * cutoff)) ** 8)
-        wave = gain * np.exp(1j * c * q)
-        own = np.broadcast_to(gain**2, wave.shape).sum(axis=1)
-        out[start : start + 64] = 2 * np.abs(wave @ residual) ** 2 / np.maximum(own, 1e-9)
+    """Squares (C,) of the residual (T,) that a sine over the angle q (T,) explains, for each of the evenly spaced
+    cycles (C,); attenuated as a low-pass at `cutoff` [Hz] does at the speed qd [rad/s]."""
+    out, blocked = np.empty(len(cycles)), (qd / (2 * np.pi * cutoff)) ** 8
+    turn = np.exp(1j * (cycles[1] - cycles[0]) * q) if len(cycles) > 1 else 1.0
+    for k, c in enumerate(cycles):
+        wave = wave * turn if k % EXACT_EVERY else np.exp(1j * c * q)
+        gain = np.broadcast_to(1 / (1 + c**8 * blocked), q.shape)
+        out[k] = 2 * np.abs(wave @ (gain * residual)) ** 2 / max(float(gain @ gain), 1e-9)
     return out
 
 

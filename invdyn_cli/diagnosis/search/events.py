@@ -211,8 +211,7 @@ def _window(
         long &= outside.mean(axis=1) >= EDGE
         if not long.any():
             continue
-        sums = windowed.on(grid)
-        at = np.flatnonzero(long)[np.argmax(windowed.gain((sums[last] - sums[first])[long]))]
+        at = np.flatnonzero(long)[np.argmax(windowed.gains(grid, first[long], last[long]))]
         a, b = _sharpened(windowed, int(a[at]), int(b[at]), time, 2 * step)
         value = float(windowed.gain(windowed.between(a, b)[None])[0]) - PRICE_OF_COEFFICIENT * k
         ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE

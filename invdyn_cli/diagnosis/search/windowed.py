@@ -80,10 +80,17 @@ class Windowed:
         left, and times what lasts."""
         return self._summed(lambda x, others: x @ others, start, end)
 
-    def on(self, grid: np.ndarray) -> np.ndarray:
-        """(P, k, k + 1 + p) sums over the rows before each of `grid` (P,), which grows."""
+    def gains(self, grid: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """(W,) squares that the effect explains in windows from a row of `grid` (P,) to another; the rows grow, and
+        `first` and `last` (W,) say which of them."""
         cells = [self.between(a, b) for a, b in zip([0, *grid[:-1]], grid, strict=True)]
-        return np.cumsum(cells, axis=0)
+        sums, k = np.cumsum(cells, axis=0), len(self.prior)
+        cross = sums[..., k + 1 :].reshape(len(grid) * k, -1)
+        gram = (cross @ cross.T).reshape(len(grid), k, len(grid), k).swapaxes(1, 2)
+        own = sums[..., :k] - gram[range(len(grid)), range(len(grid))]
+        moment = sums[..., k] - (cross @ self.refit).reshape(-1, k)
+        both = gram[last, first] + gram[first, last] - 2 * gram[first, first]
+        return _explained(own[last] - own[first] + both + self.prior, moment[last] - moment[first])
 
     def before(self, first: int, last: int) -> np.ndarray:
         """(last - first + 1, k, k + 1 + p) sums over the rows before each from `first` to `last`."""
@@ -93,8 +100,7 @@ class Windowed:
 
     def gain(self, sums: np.ndarray) -> np.ndarray:
         """(W,) squares that the effect explains in windows with these sums (W, k, k + 1 + p)."""
-        normal, moment = self._equations(sums)
-        return np.einsum("wa,wa->w", moment, np.linalg.solve(normal, moment[..., None])[..., 0])
+        return _explained(*self._equations(sums))
 
     def fitted(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Factors (k,) of the effect's columns in the window of the rows from `a` to `b`, its torque (R, n), and what
@@ -125,3 +131,8 @@ class Windowed:
             made = product(self.lasting.used[rows, j] * x, others)
             out.append(np.concatenate([made[..., :own], made[..., own:] @ self.lasting.root[j]], axis=-1))
         return np.sum(out, axis=0)
+
+
+def _explained(normal: np.ndarray, moment: np.ndarray) -> np.ndarray:
+    """(W,) squares that factors explain, of normal matrices (W, k, k) and moments (W, k)."""
+    return np.einsum("wa,wa->w", moment, np.linalg.solve(normal, moment[..., None])[..., 0])
