@@ -22,7 +22,7 @@ def power(
     """Squares (C,) of the residual (T,) that a sine over the angle q (T,) explains, for each of the evenly spaced
     cycles (C,); attenuated as a low-pass at `cutoff` [Hz] does at the speed qd [rad/s]."""
     out, blocked = np.empty(len(cycles)), (qd / (2 * np.pi * cutoff)) ** 8
-    turn = np.exp(1j * (cycles[1] - cycles[0]) * q) if len(cycles) > 1 else 1.0
+    wave = turn = np.exp(1j * np.diff(cycles[:2]).sum() * q)
     for k, c in enumerate(cycles):
         wave = wave * turn if k % EXACT_EVERY else np.exp(1j * c * q)
         gain = np.broadcast_to(1 / (1 + c**8 * blocked), q.shape)

@@ -71,6 +71,7 @@ def test_columns_are_a_bodys_torques(arm):
         np.testing.assert_allclose(found, gained, atol=1e-9)
 
 
+@pytest.mark.benchmark  # a load is weighed through friction below
 def test_a_load_is_weighed_behind_the_gears(arm):
     """Sensors behind friction see a load at rest: it is believed in when a slow grasp ends, and no longer 200 ms after
     a slow release has ended (the filter's 40 ms included), whatever was left of it in between; its mass is right within

@@ -138,7 +138,7 @@ SPOILED = {
 }
 
 
-USUAL = ("q in degrees", "qd in degrees", "t in ms", "mN m", "all signs", "one sign", "joints swapped")
+USUAL = ("qd in degrees", "t in ms", "mN m", "one sign", "joints swapped")
 """One of each kind of defect and channel; the others differ from one of these by a factor or by which joints."""
 
 

@@ -196,6 +196,7 @@ def test_a_load_on_an_arm_with_friction(seed):
     np.testing.assert_allclose(window, case.hidden[0].parameters["window"], atol=0.05)
 
 
+@pytest.mark.benchmark  # a drive that does so at times is in `make confusion`
 def test_a_drive_that_is_always_at_its_limit():
     """A controller that asks for ever more than the drive gives: the limit, a few percent of what is asked for, is that
     which the motion took."""

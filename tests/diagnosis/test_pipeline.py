@@ -21,6 +21,7 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import ConstantSpeed, Multisine
 from invdyn_cli.simulation.sensors import Noise
+from tests.commands import usually
 from tests.diagnosis.analytic import said
 
 LOAD = {"mass": 0.8, "com": [0.02, -0.01, 0.1]}
@@ -135,7 +136,7 @@ def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
     )
 
 
-@pytest.mark.parametrize("weak_at_rest", [True, False])
+@pytest.mark.parametrize("weak_at_rest", usually([True], [True, False]))
 def test_a_drive_that_was_weak_while_its_joint_moved(robot, weak_at_rest):
     """Joints that sweep one after the other: a drive that is weak from a second before its joint moves has, while that
     rests, the torque of a sound one, so that it may have become weak. Of one that always is, this is not said."""
@@ -170,45 +171,55 @@ def test_friction_that_fell_since_a_reference(robot, rubbing):
         assert EFFECTS[name].refuse({size: -1.0}) and not EFFECTS[name].as_change().refuse({size: -1.0})
 
 
-def test_all_joints_that_warmed_up_since_a_reference(robot):
+def bristly(robot, coulomb, damping):
+    """Bristles and viscous friction of these sizes (n,) on every joint."""
+    return [
+        one
+        for joint, held, rubs in zip(robot.joints, coulomb, damping, strict=True)
+        for one in (
+            Hidden("presliding_hysteresis", joint, {"coulomb": float(held), "stiffness": 4000.0}),
+            Hidden("viscous_friction", joint, {"damping": float(rubs)}),
+        )
+    ]
+
+
+@pytest.fixture(scope="module")
+def cold(robot):
+    """Sizes (2, n) of bristles and viscous friction, drawn at random, and a log of an arm with them."""
+    sizes = np.random.default_rng(9).uniform(0.2, 0.6, (2, robot.dofs))
+    return sizes, recorded(robot, bristly(robot, *sizes), (0.1,), duration=20.0, seed=11)
+
+
+def test_all_joints_that_warmed_up_since_a_reference(robot, cold):
     """Friction of all joints falls by shares drawn at random, 15 to 25 %, with another motion than in the reference;
     both logs have bristles at every reversal. Nothing else has changed. The table tells both logs' own sizes within
     7 %, because bristles look viscous in part, and changes of a fifth, whose errors partly cancel, within 15 % of
-    themselves; of two logs of the same arm nothing differs in it."""
-    draw = np.random.default_rng(9)
-    sizes = {joint: (float(draw.uniform(0.2, 0.6)), float(draw.uniform(0.2, 0.6))) for joint in robot.joints}
-    warm = {joint: draw.uniform(0.75, 0.85, 2) for joint in robot.joints}
-
-    def worn(factors):
-        return [
-            one
-            for joint, (coulomb, damping) in sizes.items()
-            for one in (
-                Hidden("presliding_hysteresis", joint, {"coulomb": factors[joint][0] * coulomb, "stiffness": 4000.0}),
-                Hidden("viscous_friction", joint, {"damping": factors[joint][1] * damping}),
-            )
-        ]
-
-    cold = {joint: (1.0, 1.0) for joint in robot.joints}
-    before, same = (recorded(robot, worn(cold), (base,), duration=20.0, seed=11) for base in (0.1, 0.12))
-    later = recorded(robot, worn(warm), (0.15,), duration=20.0, seed=12)
+    themselves."""
+    sizes, before = cold
+    warm = np.random.default_rng(10).uniform(0.75, 0.85, sizes.shape)
+    later = recorded(robot, bristly(robot, *(warm * sizes)), (0.15,), duration=20.0, seed=12)
     diagnosis = diagnose(later, robot, reference=before)
     found = {(f.effect, f.joint): next(iter(f.parameters.values())).value for f in claims(diagnosis)}
-    expected = {
-        (name, joint): (warm[joint][k] - 1) * sizes[joint][k]
-        for joint in robot.joints
-        for k, name in enumerate(("coulomb_friction", "viscous_friction"))
-    }
-    assert found == pytest.approx(expected, rel=0.15)
-    for joint in robot.joints:
+    names = ("coulomb_friction", "viscous_friction")
+    changes = {(name, j): x for name, row in zip(names, (warm - 1) * sizes, strict=True) for j, x in enumerate(row)}
+    assert found == pytest.approx({(name, robot.joints[j]): x for (name, j), x in changes.items()}, rel=0.15)
+    for j, joint in enumerate(robot.joints):
         for k, term in enumerate(("coulomb", "viscous")):
             row = diagnosis.standard[joint][term]
-            assert row["reference"][0] == pytest.approx(sizes[joint][k], rel=0.07) and row["differ"]
-            assert row["now"][0] == pytest.approx(warm[joint][k] * sizes[joint][k], rel=0.07)
+            assert row["reference"][0] == pytest.approx(sizes[k, j], rel=0.07) and row["differ"]
+            assert row["now"][0] == pytest.approx((warm * sizes)[k, j], rel=0.07)
+
+
+@pytest.mark.benchmark  # half a minute; nothing has changed below, too
+def test_of_two_logs_of_an_arm_with_bristles_nothing_differs(robot, cold):
+    """The table tells no standard term of the same arm as changed, with another motion."""
+    sizes, before = cold
+    same = recorded(robot, bristly(robot, *sizes), (0.12,), duration=20.0, seed=11)
     rows = [x for joint in robot.joints for x in diagnose(same, robot, reference=before).standard[joint].values()]
     assert not any(x.get("differ") for x in rows)
 
 
+@pytest.mark.benchmark  # 36 s of sweeps; joints that share a gear are in test_hidden
 def test_joints_that_move_one_after_the_other_share_no_gear(robot):
     """Friction of two joints that never move at the same time is that of each, though a shared drive would be one
     effect fewer; the log cannot show such a drive."""
@@ -266,6 +277,7 @@ def test_friction_does_not_fall_beside_what_looks_like_it(beside):
     assert not judge.falls_beside_its_like(one, np.array([0.3]), [one, *others])
 
 
+@pytest.mark.benchmark  # the drive that was weak for a time is such a one
 def test_a_drive_that_became_weaker_since_a_reference(robot, rubbing):
     """A drive's gain, drawn at random, scales friction that was there before, too; that is no lighter link with less
     friction, and the gain is told within 1 %."""

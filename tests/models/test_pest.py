@@ -340,6 +340,7 @@ for samples in (20_000, 200_000, 1_000_000):
 """
 
 
+@pytest.mark.benchmark  # half a minute of fits on a million samples
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs the peak memory that Linux counts")
 def test_memory_does_not_grow_with_the_samples():
     """A fit on a million samples takes under 12 MB more than one on 200,000. A copy of one channel, or the residuals,

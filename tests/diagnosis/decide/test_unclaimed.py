@@ -71,6 +71,7 @@ def test_a_refused_spring_stays_in_the_model(robot):
     np.testing.assert_allclose(rmse(without), rmse(with_name), rtol=0.1)
 
 
+@pytest.mark.benchmark  # a refused spring stays, too
 def test_bristles_of_which_coulomb_friction_is_claimed_stay_in_the_model(robot):
     """Where only the special case may be claimed, the written model may still have the general one, in its place: it
     leaves less than half, and Coulomb friction is not beside it."""

@@ -95,7 +95,8 @@ def test_a_ripple_is_found_by_its_cycles(cycles):
     assert trials and abs(trials[0] - cycles) < 0.2 * 2 * np.pi / np.ptp(q)
 
 
-@pytest.mark.parametrize("seed", usually([521002], [521002, 1, 2]))
+@pytest.mark.benchmark  # a whole log; a ripple by its cycles is above
+@pytest.mark.parametrize("seed", [521002, 1, 2])
 def test_a_ripple_that_a_model_of_all_columns_takes_up(seed):
     """Of 22 s of pick and place, some turns of the ripple long, columns of other effects take it up; what standard
     terms leave has its line, at its cycles to a fifth of what the range can resolve."""

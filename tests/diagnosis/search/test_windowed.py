@@ -1,4 +1,4 @@
-"""What an effect explains in a window, with all that lasts fitted anew: beside one least-squares fit for each window."""
+"""What an effect explains in a window, with all that lasts fitted anew, as a least-squares fit of each window does."""
 
 import numpy as np
 import pytest
