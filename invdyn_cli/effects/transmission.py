@@ -9,7 +9,7 @@ import numpy as np
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
 from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.maths import ripple
-from invdyn_cli.types import Array
+from invdyn_cli.types import Array, Robot
 
 PERIODS = 1.5
 """Least number of periods of a ripple within the joint's motion."""
@@ -100,3 +100,6 @@ class JointSpring(AbstractTorqueEffect):
     def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
         stiffness = coefficients[0]
         return {"stiffness": stiffness, "rest": float(-coefficients[1] / (stiffness if stiffness else 1e-300))}
+
+    def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
+        return [parameters["stiffness"], -parameters["stiffness"] * parameters["rest"]]

@@ -108,6 +108,25 @@ def test_nonlinear_parameters_are_refined(name, parameters, start):
         assert told[key] == pytest.approx(value, rel=0.01)
 
 
+@pytest.mark.parametrize(("cycles", "constant"), [(6.5, 0.5), (7.0, 2.0)])
+def test_a_spring_that_is_none(cycles, constant):
+    """A ripple of few periods, tried at wrong cycles, looks like a spring in part. Refined together, the ripple is
+    right within 0.1 %, and of the spring less than 1 % is left beside the constant torque, which it makes alone."""
+
+    def term(t, q, qd, qdd):
+        return constant + 2.4 * np.sin(6 * q - 2.9)
+
+    evidence = evidence_of(
+        log_of(raw(*moved(rate=500.0), on(1, term), torque=0.02)), ["torque_ripple", "joint_spring"], cutoffs=(10.0,)
+    )
+    ripple = {"amplitude": 2.26, "cycles": cycles, "phase": -2.95}
+    start = acting(("torque_ripple", 1, ripple), ("joint_spring", 1, {"stiffness": 6.5, "rest": 0.02}))
+    refined = refine(evidence, Model(evidence), start, np.ones(len(evidence.role), bool), np.full(3, 2500.0))
+    ripple, spring = (a.parameters for a in refined.acting)
+    assert (ripple["cycles"], ripple["amplitude"]) == pytest.approx((6.0, 2.4), rel=1e-3)
+    assert abs(spring["stiffness"]) < 0.065
+
+
 def test_the_residual_of_nothing_is_the_first_column(still):
     """Without effects the exact residual is the logged torque less the nominal one, as the tables have it."""
     residual = Model(still).residual(())
