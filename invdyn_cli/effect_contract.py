@@ -58,6 +58,9 @@ class AbstractEffect(abc.ABC):
     """The effect that it is called where it acts in a time window only."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Sets of effects that can, in theory, explain the same logs."""
+    looks_like: ClassVar[tuple[tuple["AbstractEffect", Parameters], ...]] = ()
+    """Effects, with their nonlinear parameters, that look the same where the joint moves little: they are tried in its
+    place before it is named."""
     contains: ClassVar[tuple[str, ...]] = ()
     """Effects that are special cases of it: the simpler one is named unless the data require more."""
     contains_as_limit: ClassVar[bool] = False

@@ -76,7 +76,8 @@ class JointSpring(AbstractTorqueEffect):
     equation = "stiffness (q − rest)"
     reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
     parameters = {"stiffness": Parameter("N m/rad", 0.0), "rest": Parameter("rad")}
-    confounders = (("link_inertia_error",), ("torque_offset",), ("base_tilt",), ("encoder_offset",))
+    confounders = (("link_inertia_error",), ("torque_offset",), ("base_tilt",), ("encoder_offset",), ("torque_ripple",))
+    looks_like = ((TorqueRipple(), TorqueRipple.scanned[0]),)
     contains = ("torque_offset",)
     advice = "postures over the joint's whole range: gravity torque follows a sine, a spring torque a line"
     panels = ("position",)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow, slow_saved, slow_share
 from invdyn_cli.diagnosis.decide.gain import gains_of
 from invdyn_cli.diagnosis.decide.intervals import intervals
@@ -130,9 +131,11 @@ class Claim:
 
     @cached_property
     def rivals(self) -> list[naming.Rival]:
-        """The best trial of every other effect in its place."""
-        inquiry = self.inquiry
-        return naming.rivals(inquiry.judge, inquiry.always, self.hypothesis, self.place, inquiry.pool)
+        """The best trial of every other effect in its place, those among them that it looks like on a short way."""
+        inquiry, own = self.inquiry, self.candidate
+        like = [kind_of(e).candidate(inquiry.evidence, e, own.joint, at) for e, at in own.effect.looks_like]
+        inquiry.judge.refresh()
+        return naming.rivals(inquiry.judge, inquiry.always, self.hypothesis, self.place, [*inquiry.pool, *like])
 
     @cached_property
     def beaten(self) -> float:

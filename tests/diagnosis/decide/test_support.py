@@ -11,6 +11,7 @@ from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.diagnosis.search.naming import Rival
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
+from invdyn_cli.types import Motion
 from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
 
 
@@ -45,6 +46,21 @@ def of_coulomb(inquiry):
     """The claim of Coulomb friction on the first joint."""
     (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
     return claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.whole, claim.left(inquiry, inquiry.hypothesis))
+
+
+@pytest.mark.parametrize(("share", "alike"), [(0.08, True), (1.0, False)])
+def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
+    """Six times a turn is the longest ripple that gears and motors usually have: in 0.2 rad it is as straight as a
+    spring, in 2 rad it is not."""
+    t, m = moved(20.0)
+    less = Motion(share * m.q, share * m.qd, share * m.qdd)
+    spring = on(1, lambda t, q, qd, qdd: 2.0 * (q - 0.1))
+    evidence = evidence_of(log_of(raw(t, less, spring, torque=0.2, position=1e-5)), ("joint_spring",))
+    inquiry = inquire(evidence, {"joint_spring": EFFECTS["joint_spring"]}, (), 3, compares=False)
+    (found,) = inquiry.hypothesis
+    one = claim.Claim(inquiry, (found,), 0, inquiry.whole, claim.left(inquiry, (found,)))
+    assert found.key == ("joint_spring", 1) and support.refusal(one) is None
+    assert ("torque_ripple" in {r.candidate.effect.name for r in one.rivals if r.equal}) is alike
 
 
 def test_rows_that_judge():
