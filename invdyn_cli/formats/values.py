@@ -19,7 +19,7 @@ NEAR = 0.2
 
 TURNS = 2 * math.pi * 1.1
 """[rad] Positions beyond are hardly radians of a joint, below hardly degrees of a motion (if beyond LEAST)."""
-LEAST, MOST = 0.5, 15.0
+LEAST, MOST = 0.35, 15.0
 """[rad] Between TURNS and MOST, and where nothing is beyond LEAST, positions tell no unit."""
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.errors import LogError
+from invdyn_cli.formats import values
 from invdyn_cli.formats.columns import ColumnMap, log_from
 from invdyn_cli.formats.guess import complete
 from invdyn_cli.formats.map_file import from_plain
@@ -105,6 +106,12 @@ def test_units_from_values():
     found = guessed(columns)
     assert [found.channel(x).unit for x in ("t", "q", "qd")] == [("ms",), ("deg",), ("rpm",)]
     assert found.known["qd.unit"] == "guessed from values"
+
+
+@pytest.mark.parametrize(("largest", "unit"), [(0.3, None), (0.4, "rad"), (6.0, "rad"), (8.0, None), (20.0, "deg")])
+def test_the_unit_of_the_largest_angle(largest, unit):
+    """No motion is a third of a degree, no joint turns by more than a turn and a bit in radians."""
+    assert values.angle_unit(largest * np.sin(np.linspace(0, 20, 200))[:, None]) == unit
 
 
 def test_what_both_may_be_is_asked():
