@@ -165,7 +165,7 @@ def diagnose(
     nominal = robot_of(robot, found, arrays)
     if nominal is None:
         got = "a diagnosis needs the robot's kinematics, and the log names no URDF"
-        raise UsageError(got, advice="diagnose(log, 'arm.urdf'), or urdf='arm.urdf' beside arrays")
+        raise UsageError(got, advice="diagnose(log, 'arm.urdf'), or urdf='arm.urdf' with arrays")
     notes: list[str] = []
     return explain(
         ordered(found, nominal, notes),

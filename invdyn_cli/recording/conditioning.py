@@ -152,7 +152,7 @@ class Conditioning:
             raise UsageError(f"{got}; allowed: no slower", advice="data.decimate, which drops samples after the filter")
         if self.filter_cutoff is not None and not 0 < self.filter_cutoff < rate / 2:
             got = f"data.filter_cutoff={self.filter_cutoff:g} Hz for trajectory {key!r} at {rate:.4g} Hz"
-            raise UsageError(f"{got}; allowed: above 0 and below half of it, or null")
+            raise UsageError(f"{got}; allowed: above 0 and below half the rate, or null")
         return rate
 
     def _conditioned(

@@ -38,7 +38,8 @@ def over_velocity(axes: Axes, exhibit: Exhibit) -> None:
 
 
 def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
-    """The same, zoomed to slow motion; dashed the law itself, before the filter rounds it off."""
+    """The same, zoomed to slow motion; dashed the law itself, as of Stribeck friction, before the filter rounds it
+    off."""
     coulomb, static, velocity = (scalar(exhibit.finding, name) for name in ("coulomb", "static", "velocity"))
     qd, y = exhibit.own(exhibit.signals.qd), exhibit.own(exhibit.residual, moving=True)
     reach = 6 * abs(scalar(exhibit.finding, "velocity", 0.05))
@@ -46,7 +47,7 @@ def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
     law(axes, qd[near], y[near], exhibit.own(exhibit.term)[near], split=True, fewest=5)
     if np.isfinite(coulomb + static + velocity):
         v = np.linspace(1e-4 * reach, reach, 200)
-        height = coulomb + (static - coulomb) * np.exp(-((v / velocity) ** 2))
+        height = coulomb + (static - coulomb) * np.exp(-((v / velocity) ** scalar(exhibit.finding, "exponent", 2.0)))
         for sign in (-1, 1):
             axes.plot(sign * v, sign * height, color=PREDICTED, lw=1.1, ls="--", label="the law, unfiltered")
     axes.set_xlim(-reach, reach)

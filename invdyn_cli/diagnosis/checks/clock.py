@@ -165,7 +165,7 @@ class ClockJitter(AbstractCheck):
                         threshold=self.warn if jitter > self.warn else self.note,
                         seen=f"steps of {1e3 * step:.3g} ms vary by {1e3 * jitter * step:.2g} ms (standard deviation), "
                         f"{1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
-                        meaning="reading puts it on a uniform clock by linear interpolation; fast signals lose there",
+                        meaning="reading puts it on a uniform clock by interpolation; fast signals lose there",
                         advice="time stamps from the controller, not from the program that writes the log",
                         source="own choice: half a step, as much as the hold of a controller",
                     )

@@ -40,7 +40,7 @@ DEVIATIONS = 3.0
 
 @dataclass(frozen=True)
 class Claim:
-    """A candidate of a hypothesis.
+    """A candidate of a hypothesis that is to be claimed, and what decides whether it may be.
 
     Attributes:
         hypothesis: all candidates; this one is number `place`.

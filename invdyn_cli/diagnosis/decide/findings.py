@@ -92,7 +92,7 @@ def report(
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
     rows = inquiry.judge.rows
-    inquiry, supporting, whole, dropped = supported(inquiry, refusals)
+    inquiry, supporting, whole, refused = supported(inquiry, refusals)
     hypothesis = tuple(x.candidate for x in supporting)
     chosen, nothing = exactly(inquiry, hypothesis, inquiry.chosen, rows), refitted(inquiry, [], rows)
     after, sized = left(inquiry, hypothesis), sizes(inquiry, whole, unsure)
@@ -129,7 +129,7 @@ def report(
         residual=chosen.residual + inquiry.worn(chosen),
         alone=inquiry.model.residual(chosen.acting),
         whole=inquiry.model.residual(acting),
-        notes=(*dropped, *doubt, *remarks, *_what_counts(inquiry), *sized.notes),
+        notes=(*refused, *doubt, *remarks, *_what_counts(inquiry), *sized.notes),
     )
 
 
