@@ -383,7 +383,7 @@ class AbstractGearEffect(AbstractEffect):
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
     ) -> dict[str, Any]:
-        return self.from_compliance(self.compliance(trial) + float(coefficients[0]))
+        return {**trial, **self.from_compliance(self.compliance(trial) + float(coefficients[0]))}
 
 
 class AbstractForceEffect(AbstractEffect):

@@ -67,19 +67,22 @@ class JointElasticity(AbstractGearEffect):
 
     Attributes:
         resonances: of the link on its spring, motor held, to try [Hz]; the found stiffness is refined between them.
-        damping_ratio: of that resonance in the model; more than most gears have, or every error of the measured motion
-            would ring on. Below the resonance it plays no part (docs/decisions/011).
+        ratios: damping ratios of that resonance that are tried where a spring was found: below the resonance they play
+            no part. The default is more than most gears have, or every error of the measured motion would ring on
+            (docs/decisions/011).
     """
 
     resonances: tuple[float, ...] = (2.7, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0)
-    damping_ratio: float = 0.2
+    ratios: tuple[float, ...] = (0.1, 0.05, 0.02)
 
     name = "joint_elasticity"
     title = "joint elasticity"
     meaning = "A gear that deflects under load."
-    equation = "torque = stiffness (motor angle − link angle)"
+    equation = "torque = stiffness δ + 2 damping_ratio √(stiffness inertia) dδ/dt, δ = motor angle − link angle"
     reference = "Spong, ASME JDSMC 1987"
-    parameters = {"stiffness": Parameter("N m/rad", 1.0)}
+    parameters = {"stiffness": Parameter("N m/rad", 1.0), "damping_ratio": Parameter("-", 1e-3, 0.99)}
+    defaults = {"damping_ratio": 0.2}
+    chosen = ("damping_ratio",)
     confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
     advice = "a chirp up to the resonance: the phase of a delay is linear in frequency, that of a spring is quadratic"
     panels = ("loops_over_load",)
@@ -87,7 +90,7 @@ class JointElasticity(AbstractGearEffect):
     shows = ("torque_slope", "acceleration")
 
     def typical(self, usual: UsualJoint) -> dict[str, Any]:
-        return {"stiffness": max(usual.inertia * (2 * np.pi * USUAL_RESONANCE) ** 2, 1.0)}
+        return {"stiffness": max(usual.inertia * (2 * np.pi * USUAL_RESONANCE) ** 2, 1.0), **self.defaults}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"compliance": 1 / parameters["stiffness"]})
@@ -96,7 +99,11 @@ class JointElasticity(AbstractGearEffect):
         return [{"stiffness": float(np.median(inertia)) * (2 * np.pi * f) ** 2} for f in self.resonances]
 
     def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
-        return _on_spring(np.asarray(load), np.asarray(inertia), parameters["stiffness"], self.damping_ratio, rate)
+        ratio = self.whole(parameters)["damping_ratio"]
+        return _on_spring(np.asarray(load), np.asarray(inertia), parameters["stiffness"], ratio, rate)
+
+    def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
+        return [{**parameters, "damping_ratio": x} for x in self.ratios]
 
     def compliance(self, parameters: Parameters) -> float:
         return 1 / parameters["stiffness"]

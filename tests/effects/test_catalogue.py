@@ -31,7 +31,7 @@ NAMES = {
     "coupled_friction": {"coulomb", "damping", "armature", "ratio"},
     "torque_offset_drift": {"rate"},
     "backlash": {"gap"},
-    "joint_elasticity": {"stiffness"},
+    "joint_elasticity": {"stiffness", "damping_ratio"},
     "thermal_friction_drift": {"cold", "warm", "time_constant"},
     "torque_ripple": {"amplitude", "cycles", "phase"},
     "joint_spring": {"stiffness", "rest"},

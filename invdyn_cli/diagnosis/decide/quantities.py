@@ -38,7 +38,7 @@ def quantities(
 def tried(robot: Robot, acting: EffectInstance) -> dict[str, Quantity]:
     """What a search chose and nothing refined: parameters that are one of a few values, and the joint that drives the
     gear of a coupled effect, by its name."""
-    units = {name: acting.effect.parameters[name].unit for name in acting.effect.chosen}
+    units = {name: acting.effect.parameters[name].unit for name in acting.effect.chosen if name in acting.parameters}
     chosen = {name: Quantity(plain(acting.parameters[name]), unit) for name, unit in units.items()}
     return chosen | {name: Quantity(joint, "") for name, joint in driver_name(acting, robot).items()}
 
