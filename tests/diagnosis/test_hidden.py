@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.cases import SIZES, Case, Scene, draw_case, draw_effect, draw_scene, play
+from experiments.cases import SIZES, Case, Scene, draw_case, draw_effect, draw_scene, inverse_dynamics, play
 from experiments.confusion import LOUD, claims, judge
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -210,6 +210,27 @@ def test_a_drive_that_is_always_at_its_limit():
     (hidden,) = case.hidden
     assert (found.effect, found.joint, found.status) == (hidden.effect, hidden.joint, "named")
     assert found.parameters["limit"].value == pytest.approx(hidden.parameters["limit"], rel=0.1)
+
+
+@pytest.mark.parametrize("seed", usually([1], [0, 1, 2]))
+def test_a_soft_gear_rings(seed):
+    """A gear whose link swings at 4 to 7 Hz, damped by 2 %, is named alone, its stiffness right within 10 %; where it
+    makes ten times the noise it is found to be damped by less than a tenth."""
+
+    def hide(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
+        joint, still = int(draw.integers(1, 3)), np.zeros_like(scene.q[::50])
+        turned = np.where(np.arange(3) == joint, 1.0, still)
+        weightless = replace(scene.robot, gravity=np.zeros(3))
+        inertia = float(np.median(inverse_dynamics(weightless, scene.q[::50], still, turned)[:, joint]))
+        stiffness = inertia * (2 * np.pi * draw.uniform(4, 7)) ** 2
+        return [Hidden("joint_elasticity", scene.robot.joints[joint], {"stiffness": float(stiffness)})]
+
+    case = played(seed, "soft gear", hide)
+    (found,) = claims(diagnose(case.log, case.robot))
+    (hidden,) = case.hidden
+    assert (found.effect, found.joint, found.status) == (hidden.effect, hidden.joint, "named")
+    assert found.parameters["stiffness"].value == pytest.approx(hidden.parameters["stiffness"], rel=0.1)
+    assert case.share < 10 or found.parameters["damping_ratio"].value < 0.1
 
 
 @pytest.mark.parametrize(("name", "seed"), marked(["clean"], [0, 1, 2], [("clean", 0)]))
