@@ -28,7 +28,7 @@ def parsed(text: str, what: str, raises: type[InvdynError], advice: str = "") ->
     except ValueError as error:
         raise raises(f"{what} is not JSON ({error})", advice=advice) from error
     except RecursionError as error:
-        raise raises(f"{what} is nested too deep for JSON of ours", advice=advice) from error
+        raise raises(f"{what} is nested deeper than any JSON that invdyn writes", advice=advice) from error
 
 
 def read_json(path: Path, raises: type[InvdynError], advice: str = "") -> Any:

@@ -107,7 +107,7 @@ def make_tracker(config: DictConfig) -> AbstractTracker:
     """
     node = config.get("tracker")
     if not isinstance(node, DictConfig) or "_target_" not in node:
-        raise UsageError(f"tracker={node}; allowed: a choice of the group, see invdyn run --help")
+        raise UsageError(f"tracker={node}; allowed: a name that invdyn run --help lists")
     made = instantiate(node)
     if not isinstance(made, AbstractTracker):
         raise UsageError(f"tracker: {node._target_} gives a {type(made).__name__}; allowed: an AbstractTracker")
@@ -165,7 +165,7 @@ def refuse_options(config: DictConfig) -> None:
     """Refuse values outside of any group, and empty groups."""
     for group in ("robot", "data", "model", "adaptation"):
         if config[group] is None or "_target_" not in config[group]:
-            raise UsageError(f"{group}={config[group]}; allowed: a choice of the group, see invdyn run --help")
+            raise UsageError(f"{group}={config[group]}; allowed: a name that invdyn run --help lists")
     refuse_seed(config.seed)
     refuse_formats("figures.formats", config.figures.formats)
 
@@ -193,7 +193,7 @@ def make_log_source(config: DictConfig) -> AbstractSource:
     """The data source of the config; UsageError for one that has no log."""
     if not isinstance(config.data, DictConfig) or "_target_" not in config.data:
         raise UsageError(
-            f"data={config.data}; allowed: a choice of the group, see invdyn run --help",
+            f"data={config.data}; allowed: a name that invdyn run --help lists",
             advice="data=real_log data.path=…",
         )
     source = instantiate(config.data)

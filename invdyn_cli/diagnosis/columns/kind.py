@@ -38,7 +38,7 @@ class AbstractKind(abc.ABC, Generic[E]):
     def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int) -> np.ndarray:
         """Columns (k, n, T) of a piece, for an effect that may act in a time window; UsageError for one that cannot."""
         got = f"{effect.name} acts on {effect.point}, and cannot be passing"
-        raise UsageError(f"{got}; allowed for effects that come and go: bodies, forces, and channels with a factor")
+        raise UsageError(f"{got}; allowed for effects that come and go: bodies, forces, channels that multiply")
 
     def slope(
         self, evidence: Evidence, effect: E, joint: Any, before: Parameters, after: Parameters, beside: Beside
