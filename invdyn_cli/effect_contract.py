@@ -59,7 +59,7 @@ class AbstractEffect(abc.ABC):
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Sets of effects that can, in theory, explain the same logs."""
     looks_like: ClassVar[tuple[tuple["AbstractEffect", Parameters], ...]] = ()
-    """Effects, with their nonlinear parameters, that look the same where the joint moves little: they are tried in its
+    """Effects, with their nonlinear parameters, that look the same where the joint turns little: they are tried in its
     place before it is named."""
     contains: ClassVar[tuple[str, ...]] = ()
     """Effects that are special cases of it: the simpler one is named unless the data require more."""

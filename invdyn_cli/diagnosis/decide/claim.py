@@ -131,9 +131,12 @@ class Claim:
 
     @cached_property
     def rivals(self) -> list[naming.Rival]:
-        """The best trial of every other effect in its place, those among them that it looks like on a short way."""
+        """The best trial of every other effect in its place, those among them that it looks like where its joint turns
+        little."""
         inquiry, own = self.inquiry, self.candidate
-        like = [kind_of(e).candidate(inquiry.evidence, e, own.joint, at) for e, at in own.effect.looks_like]
+        slides = own.joint is not None and inquiry.evidence.robot.prismatic[own.joint]
+        alike = () if slides else own.effect.looks_like
+        like = [kind_of(e).candidate(inquiry.evidence, e, own.joint, at) for e, at in alike]
         inquiry.judge.refresh()
         return naming.rivals(inquiry.judge, inquiry.always, self.hypothesis, self.place, [*inquiry.pool, *like])
 

@@ -51,7 +51,7 @@ def of_coulomb(inquiry):
 @pytest.mark.parametrize(("share", "alike"), [(0.08, True), (1.0, False)])
 def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
     """Six times a turn is the longest ripple that gears and motors usually have: in 0.2 rad it is as straight as a
-    spring, in 2 rad it is not."""
+    spring, in 2 rad it is not. A slide has no turns."""
     t, m = moved(20.0)
     less = Motion(share * m.q, share * m.qd, share * m.qdd)
     spring = on(1, lambda t, q, qd, qdd: 2.0 * (q - 0.1))
@@ -61,6 +61,9 @@ def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
     one = claim.Claim(inquiry, (found,), 0, inquiry.whole, claim.left(inquiry, (found,)))
     assert found.key == ("joint_spring", 1) and support.refusal(one) is None
     assert ("torque_ripple" in {r.candidate.effect.name for r in one.rivals if r.equal}) is alike
+    robot = replace(evidence.robot, prismatic=np.array([False, True, False]))
+    slide = replace(one, inquiry=replace(inquiry, evidence=replace(evidence, robot=robot)))
+    assert "torque_ripple" not in {r.candidate.effect.name for r in slide.rivals}
 
 
 def test_rows_that_judge():
