@@ -58,9 +58,6 @@ class AbstractEffect(abc.ABC):
     """The effect that it is called where it acts in a time window only."""
     confounders: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Sets of effects that can, in theory, explain the same logs."""
-    looks_like: ClassVar[tuple[tuple["AbstractEffect", Parameters], ...]] = ()
-    """Effects, with their nonlinear parameters, that look the same where the joint turns little: they are tried in its
-    place before it is named."""
     contains: ClassVar[tuple[str, ...]] = ()
     """Effects that are special cases of it: the simpler one is named unless the data require more."""
     contains_as_limit: ClassVar[bool] = False
@@ -134,6 +131,11 @@ class AbstractEffect(abc.ABC):
     def whole(self, parameters: Parameters) -> dict[str, Any]:
         """These parameters, and the defaults of those that are left out."""
         return {**self.defaults, **parameters}
+
+    def looks_like(self, robot: Robot, joint: int | None) -> Sequence[tuple["AbstractEffect", Parameters]]:
+        """Effects, with their nonlinear parameters, that look the same where the joint moves little: they are tried in
+        its place before it is named."""
+        return ()
 
     def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
         """Of an effect that was found with these parameters: nonlinear parameters of another kind that are then tried,
@@ -380,10 +382,14 @@ class AbstractGearEffect(AbstractEffect):
         (name,) = self.parameters
         return {name: compliance}
 
+    def as_soft(self, parameters: Parameters, compliance: float) -> dict[str, Any]:
+        """These parameters with that number."""
+        return {**parameters, **self.from_compliance(compliance)}
+
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
     ) -> dict[str, Any]:
-        return {**trial, **self.from_compliance(self.compliance(trial) + float(coefficients[0]))}
+        return self.as_soft(trial, self.compliance(trial) + float(coefficients[0]))
 
 
 class AbstractForceEffect(AbstractEffect):

@@ -7,6 +7,7 @@ changes its sign, and the load is that of the links. Nothing is named here.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -94,13 +95,16 @@ def _nearest(
     assert isinstance(effect, AbstractGearEffect)
     assert joint is not None
 
+    def at(logarithm: float) -> dict[str, Any]:
+        return effect.as_soft(one.parameters, float(np.exp(logarithm)))
+
     def of(logarithm: float) -> float:
-        return loss(gears.torque(evidence, effect, joint, effect.from_compliance(float(np.exp(logarithm)))))
+        return loss(gears.torque(evidence, effect, joint, at(logarithm)))
 
     tried = np.log(effect.compliance(one.parameters)) + np.linspace(-BETWEEN, BETWEEN, SCANNED)
     best, step = tried[int(np.argmin([of(x) for x in tried]))], tried[1] - tried[0]
     found = scipy.optimize.minimize_scalar(of, bounds=(best - step, best + step), options={"xatol": 2e-3})
-    return replace(one, parameters=effect.from_compliance(float(np.exp(found.x)))), float(found.fun)
+    return replace(one, parameters=at(found.x)), float(found.fun)
 
 
 def left(columns: Columns, one: EffectInstance | None) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
+from invdyn_cli.interfaces import AbstractEffect, AbstractTorqueEffect, JointState, Parameter, Parameters
 from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.maths import ripple
 from invdyn_cli.types import Array, Robot
@@ -77,7 +77,6 @@ class JointSpring(AbstractTorqueEffect):
     reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
     parameters = {"stiffness": Parameter("N m/rad", 0.0), "rest": Parameter("rad")}
     confounders = (("link_inertia_error",), ("torque_offset",), ("base_tilt",), ("encoder_offset",), ("torque_ripple",))
-    looks_like = ((TorqueRipple(), TorqueRipple.scanned[0]),)
     contains = ("torque_offset",)
     advice = "postures over the joint's whole range: gravity torque follows a sine, a spring torque a line"
     panels = ("position",)
@@ -101,6 +100,11 @@ class JointSpring(AbstractTorqueEffect):
     def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
         stiffness = coefficients[0]
         return {"stiffness": stiffness, "rest": float(-coefficients[1] / (stiffness if stiffness else 1e-300))}
+
+    def looks_like(self, robot: Robot, joint: int | None) -> Sequence[tuple[AbstractEffect, Parameters]]:
+        """A ripple of few periods a turn, of which a slide has none."""
+        slides = joint is None or robot.prismatic[joint]
+        return () if slides else ((TorqueRipple(), TorqueRipple.scanned[0]),)
 
     def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         return [parameters["stiffness"], -parameters["stiffness"] * parameters["rest"]]

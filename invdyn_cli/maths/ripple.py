@@ -6,7 +6,7 @@ import numpy as np
 MOST = 400.0
 """Cycles of a turn that are sought."""
 EXACT_EVERY = 64
-"""Cycles from one exponential to the next: a product makes the waves between, ten times as fast."""
+"""Every so many cycles the wave is an exponential; a product makes those between, ten times as fast."""
 
 
 def grid(q: np.ndarray, most: float = MOST) -> np.ndarray:
@@ -22,7 +22,8 @@ def power(
     """Squares (C,) of the residual (T,) that a sine over the angle q (T,) explains, for each of the evenly spaced
     cycles (C,); attenuated as a low-pass at `cutoff` [Hz] does at the speed qd [rad/s]."""
     out, blocked = np.empty(len(cycles)), (qd / (2 * np.pi * cutoff)) ** 8
-    wave = turn = np.exp(1j * np.diff(cycles[:2]).sum() * q)
+    step = np.diff(cycles[:2]).sum()  # 0 of one
+    wave = turn = np.exp(1j * step * q)
     for k, c in enumerate(cycles):
         wave = wave * turn if k % EXACT_EVERY else np.exp(1j * c * q)
         gain = np.broadcast_to(1 / (1 + c**8 * blocked), q.shape)

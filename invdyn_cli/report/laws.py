@@ -38,7 +38,7 @@ def over_velocity(axes: Axes, exhibit: Exhibit) -> None:
 
 
 def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
-    """The same, zoomed to slow motion; dashed the law itself, as of Stribeck friction, before the filter rounds it
+    """The same, zoomed to slow motion; dashed is the law of Stribeck friction itself, before the filter rounds it
     off."""
     coulomb, static, velocity = (scalar(exhibit.finding, name) for name in ("coulomb", "static", "velocity"))
     qd, y = exhibit.own(exhibit.signals.qd), exhibit.own(exhibit.residual, moving=True)

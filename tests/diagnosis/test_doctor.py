@@ -139,7 +139,7 @@ SPOILED = {
 
 
 USUAL = ("qd in degrees", "t in ms", "mN m", "one sign", "joints swapped")
-"""One of each kind of defect and channel; the others differ from one of these by a factor or by which joints."""
+"""One of each kind of defect; the others differ from one of these by a factor, a channel or which joints."""
 
 
 @pytest.mark.parametrize("how", usually(USUAL, SPOILED))

@@ -62,6 +62,17 @@ def test_every_cause_has_a_picture(drawn):
     assert all(min(imread(x).shape[:2]) > 300 for x in paths)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_a_law_has_the_exponent_that_was_found(exponent):
+    """The dashed law of a Stribeck friction falls as its effect does."""
+    found = one("stribeck_friction")
+    sizes = {**found.findings[0].parameters, "exponent": Quantity(exponent, "-")}
+    changed = replace(found, findings=(replace(found.findings[0], parameters=sizes), *found.findings[1:]))
+    v, height = lines(draw(exhibits(changed)[0]), "the law, unfiltered")[-1]
+    coulomb, static, velocity = (sizes[name].value for name in ("coulomb", "static", "velocity"))
+    np.testing.assert_allclose(height, coulomb + (static - coulomb) * np.exp(-((v / velocity) ** exponent)))
+
+
 @pytest.mark.parametrize("effect", EVERY_EFFECT)
 def test_every_effect_can_be_drawn(effect):
     """The picture of any effect names it and its joint in the title, and has a unit on every axis that has a label."""

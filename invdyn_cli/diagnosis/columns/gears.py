@@ -125,8 +125,7 @@ def _columns(
     compliance = effect.compliance(parameters)
 
     def yielded(factor: float) -> list[tuple[np.ndarray, float]]:
-        at = {**parameters, **effect.from_compliance(factor * compliance)}
-        return _yielded(evidence, effect, joint, at, carried)
+        return _yielded(evidence, effect, joint, effect.as_soft(parameters, factor * compliance), carried)
 
     softer = [more - less for (more, _), (less, _) in zip(yielded(1 + YIELD), yielded(1 - YIELD), strict=True)]
     parts, far = zip(*yielded(1.0), strict=True)

@@ -131,12 +131,11 @@ class Claim:
 
     @cached_property
     def rivals(self) -> list[naming.Rival]:
-        """The best trial of every other effect in its place, those among them that it looks like where its joint turns
+        """The best trial of every other effect in its place, those among them that it looks like where its joint moves
         little."""
-        inquiry, own = self.inquiry, self.candidate
-        slides = own.joint is not None and inquiry.evidence.robot.prismatic[own.joint]
-        alike = () if slides else own.effect.looks_like
-        like = [kind_of(e).candidate(inquiry.evidence, e, own.joint, at) for e, at in alike]
+        inquiry, evidence, own = self.inquiry, self.inquiry.evidence, self.candidate
+        alike = own.effect.looks_like(evidence.robot, own.joint)
+        like = [kind_of(effect).candidate(evidence, effect, own.joint, at) for effect, at in alike]
         inquiry.judge.refresh()
         return naming.rivals(inquiry.judge, inquiry.always, self.hypothesis, self.place, [*inquiry.pool, *like])
 
