@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.decide.intervals import reach
 from invdyn_cli.diagnosis.decide.quantities import quantities
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
-from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.diagnosis.search.judge import RELEVANT, Hypothesis
 from invdyn_cli.diagnosis.search.naming import blind_to_stribeck
 from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, place_of, stretches
 from invdyn_cli.effects.composition import EffectInstance
@@ -83,8 +83,8 @@ def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str
 
 
 def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
-    """The claims with all offsets and frictions that differ for sure and are missed on held-out data, if only such were
-    found, and fewer; on joints on which the search came to something else there are none."""
+    """The claims with all offsets and frictions that differ for sure, are RELEVANT and are missed on held-out data, if
+    only such were found, and fewer; on joints on which the search came to something else there are none."""
     evidence, claims = inquiry.evidence, made.findings[: len(made.terms)]
     reference, plain = evidence.reference_rows, {TERMS[term][0] for term in FITTED}
     others = [c for c in inquiry.hypothesis if c.effect.name not in plain]
@@ -98,12 +98,14 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     differ = _differ(values, halves)
     differ[:, [c.joint for c in others if c.joint is not None]] = False
     pool = {c.key: c for c in inquiry.pool if not c.shape}
-    changes = []
+    changes, least = [], RELEVANT * np.sqrt(np.mean(evidence.tau[~reference] ** 2, axis=0))
     for t, term, j, _ in _places(evidence):
         candidate = pool.get((TERMS[term][0], j))
         if differ[t, j] and candidate is not None:
             own = np.outer(friction[t, j] * ~reference, np.eye(evidence.dofs)[j])
             before, after = ((x[1] - x[0])[t, j] for x in (learned, values))
+            if abs(after) * np.sqrt(np.mean(own[~reference, j] ** 2)) < least[j]:
+                continue
             half = np.hypot(*halves[:, t, j])
             changes.append(_Change(candidate, j, TERMS[term][1], float(before), float(after), float(half), own))
     now = links - np.einsum("tj,tjr->rj", learned[1], friction)

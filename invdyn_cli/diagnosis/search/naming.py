@@ -175,7 +175,7 @@ def rivals(
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
         if refused:
             why, equal = f"{refused} (it {why})", False
-        elif equal and clash(c, own):
+        elif equal and clash(c, own) and excess >= -max(error, LEAST_DIFFERENCE):
             why, equal = f"is the more general effect, but {own.effect.title} is enough for these data", False
         elif equal and own.effect.group == "standard" and c.effect.coupled:
             why, equal = (
