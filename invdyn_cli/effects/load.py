@@ -24,7 +24,8 @@ class Payload(AbstractBodyEffect):
     """A body on the last link that the model does not contain: tool, gripper, object.
 
     `inertia` (xx, xy, yy, xz, yz, zz) about its centre of mass is what it has beyond a point mass. A negative mass is
-    kept for the search: it is then no payload, but a link that is lighter than its model.
+    kept for the search: it is then no payload, but a link that is lighter than its model; or, as a change since an
+    earlier log, a body that was taken off.
     """
 
     name = "payload"

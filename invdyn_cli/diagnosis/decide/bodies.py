@@ -29,13 +29,13 @@ MANY_LINKS = 3
 """Number of links with wrong inertials from which on the whole model is in doubt."""
 
 
-def as_link(robot: Robot, acting: EffectInstance) -> EffectInstance:
+def as_link(robot: Robot, acting: EffectInstance, compares: bool = False) -> EffectInstance:
     """A payload that is physically impossible, or farther away than any tool, becomes an error of the last link's
-    inertials."""
+    inertials. Since a reference (`compares`) one may have been taken off: its mass is then negative."""
     if not acting.effect.load or acting.effect.passing:  # links are not wrong for a time
         return acting
     mass, com = acting.parameters["mass"], acting.parameters["com"]
-    if mass > 0 and np.linalg.norm(com) <= FARTHEST_TOOL:
+    if (mass > 0 or compares) and np.linalg.norm(com) <= FARTHEST_TOOL:
         return acting
     link, last = EFFECTS[LINK], robot.dofs - 1
     change = acting.effect.coordinates(acting.parameters, robot, None)
@@ -55,7 +55,7 @@ def told(finding: Finding, acting: EffectInstance, robot: Robot, ends: Mapping[s
     if effect.load:
         finding = replace(finding, parameters={name: finding.parameters[name] for name in ("mass", "com")})
         nominal = float(robot.inertial[-1, 0])
-        if not effect.passing and float(ends["mass"][0]) < LIGHTER * nominal:
+        if not effect.passing and abs(float(ends["mass"][0])) < LIGHTER * nominal:
             return replace(
                 finding,
                 alternatives=(*finding.alternatives, (LINK,)),

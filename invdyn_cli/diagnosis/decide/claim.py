@@ -11,8 +11,9 @@ from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow, slow_saved, slow_share
 from invdyn_cli.diagnosis.decide.gain import gains_of
 from invdyn_cli.diagnosis.decide.intervals import intervals
-from invdyn_cli.diagnosis.search import naming
+from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.composed import Refined
+from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.further import acting_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
@@ -188,6 +189,19 @@ class Claim:
         name = effect.sized_by or (next(iter(effect.parameters)) if alone else "")
         ends = self._ends(name)
         return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
+
+    @cached_property
+    def window(self) -> float:
+        """The length of its window, as a multiple of what the interval of an edge leaves open, at least; infinite for
+        what lasts. An edge that a rest hides does not count: friction then bears what comes and goes."""
+        place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
+        if self.candidate.when is None or place is None:
+            return np.inf
+        evidence, when = self.inquiry.evidence, self.whole.acting[place].when
+        assert when is not None
+        rested = resting.edges(evidence, self.inquiry.model, self.whole)[1][place]
+        shown = [np.ptp(self._ends(edge)) for edge in EDGES if edge not in rested]
+        return (when.end - when.start) / max(shown, default=0.0) if shown else np.inf
 
     def _evidence(self, always: Hypothesis) -> float:
         """`evidence` beside what is `always` there."""

@@ -140,7 +140,8 @@ def sizes(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> Sized:
         around, every = (*inquiry.beside(whole.acting), *unsure), np.ones_like(inquiry.judge.rows)
         beside = refine(evidence, model, whole.acting, every, inquiry.noise.weights, around, steps=0)
         whole = replace(whole, unknown=beside.unknown)
-    whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a) for a in whole.acting))
+    compares = evidence.reference_rows is not None
+    whole = replace(whole, acting=tuple(bodies.as_link(evidence.robot, a, compares) for a in whole.acting))
     wanted = intervals(evidence, whole)
     whole, notes, costs = realisable(evidence, model, whole, bodies.link_names(evidence.robot))
     whole, rested = resting.edges(evidence, model, whole)

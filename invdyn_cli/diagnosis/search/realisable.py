@@ -164,6 +164,8 @@ def _bodies(evidence: Evidence, refined: Refined, names: Sequence[str]) -> tuple
         places = np.array([k for k, (of, name, _) in enumerate(refined.labels) if of == number and not name])
         if one.effect.load:
             mass, *moment = refined.theta[places[:4]]
+            if mass < 0:  # taken off since a reference
+                continue
             ball = pseudo_inertia.ball(abs(mass), np.array(moment) / mass)
             bodies.append(Body("the payload", places, np.zeros(10), ball))
             continue
