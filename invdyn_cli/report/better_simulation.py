@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.html import folded, picture, table
 from invdyn_cli.report.replay_figure import angle_unit
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import units_of
 from invdyn_cli.types import Diagnosis
 
 REPLAY_CAPTION = (

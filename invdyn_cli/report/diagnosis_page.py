@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
-from invdyn_cli.diagnosis.decide.wording import SINCE, in_table
+from invdyn_cli.diagnosis.decide.wording import SINCE, in_table, units_of
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
@@ -38,7 +38,6 @@ from invdyn_cli.report.wording import (
     place,
     rivals_of,
     text_of,
-    units_of,
     verdict_words,
     when,
     words,

@@ -4,11 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.exhibits import as_numpy
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import claims, joints_of, units_of, words
+from invdyn_cli.report.wording import claims, joints_of, words
 from invdyn_cli.types import Diagnosis
 
 MOST_TURNS = 20

@@ -6,7 +6,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from invdyn_cli.diagnosis.decide.wording import in_table
+from invdyn_cli.diagnosis.decide.wording import in_table, units_of
 from invdyn_cli.report.quantities import best_gain, gain_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
@@ -21,7 +21,6 @@ from invdyn_cli.report.wording import (
     perhaps,
     place,
     standard_rows,
-    units_of,
     verdict_words,
     when,
     words,

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from invdyn_cli.report.wording import claims, joints_of, units_of
+from invdyn_cli.diagnosis.decide.wording import units_of
+from invdyn_cli.report.wording import claims, joints_of
 from invdyn_cli.types import Diagnosis, Finding, Signals
 
 GAP = 5.0

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
+from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.html import folded, table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
@@ -15,7 +16,6 @@ from invdyn_cli.report.wording import (
     estimates,
     place,
     standard_rows,
-    units_of,
     words,
 )
 from invdyn_cli.types import Diagnosis, Quantity

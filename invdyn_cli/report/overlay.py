@@ -3,11 +3,12 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, label_below, limit_around, plain, shape_of, thinned
 from invdyn_cli.report.exhibits import as_numpy, telling_window
 from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import joints_of, units_of
+from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
 
 OVERLAY = "torques"

@@ -4,10 +4,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, number_bars, plain, thinned
 from invdyn_cli.report.exhibits import as_numpy, telling_window
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import joints_of, units_of
+from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
 
 BEFORE, AFTER = GREY, RESIDUAL

@@ -3,9 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, number_bars, plain
 from invdyn_cli.report.overview import AFTER, BEFORE
-from invdyn_cli.report.wording import joints_of, units_of
+from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
 
 REPLAY = "replay"

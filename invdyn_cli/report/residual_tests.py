@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from invdyn_cli.diagnosis.decide.wording import test_words
+from invdyn_cli.diagnosis.decide.wording import test_words, units_of
 from invdyn_cli.report.canvas import INK, RESIDUAL, WIDTH, plain
 from invdyn_cli.report.html import picture, table
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import units_of, words
+from invdyn_cli.report.wording import words
 from invdyn_cli.types import Diagnosis, ResidualTest
 
 RESIDUAL_TESTS = "residual_tests"

@@ -199,15 +199,6 @@ def joints_of(diagnosis: Diagnosis) -> tuple[str, ...]:
     return diagnosis.fit.joints if diagnosis.fit else tuple(diagnosis.baseline)
 
 
-def units_of(diagnosis: Diagnosis) -> dict[str, str]:
-    """Unit of every joint's torque: N for a joint known to slide, else N m; A where a drive's gain is not known."""
-    robot = diagnosis.fit.robot if diagnosis.fit else None
-    slides = dict(zip(robot.joints, robot.prismatic, strict=True)) if robot else {}
-    currents = diagnosis.details.get("torque_in_A", ())
-    units = {joint: "N" if slides.get(joint) else "N m" for joint in joints_of(diagnosis)}
-    return {joint: "A" if joint in currents else unit for joint, unit in units.items()}
-
-
 def picture(number: int, finding: Finding) -> str:
     """File name (without suffix) of the picture of the `number`-th claim, counted from 1."""
     safe = "".join(x if x.isascii() and (x.isalnum() or x == "_") else "-" for x in finding.effect)

@@ -1,5 +1,6 @@
 """The verdict, in one word and in two sentences."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -76,19 +77,21 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
 
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     claims = [f for f in diagnosis.findings if f.status in CLAIMS]
-    apart = set(diagnosis.details.get("torque_in_A", ()))  # joints of which no error is known in N m
+    units = units_of(diagnosis)
+    usual_unit = Counter(units.values()).most_common(1)[0][0]
+    apart = [j for j, unit in units.items() if unit != usual_unit]
     before, after = (
         np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
         for table in diagnosis.details.get(SINCE, (diagnosis.baseline, diagnosis.extended))
     )
     compares = SINCE in diagnosis.details
-    over = "all joints" if not apart else f"all joints except {_listed(sorted(apart))}"
+    over = "all joints" if not apart else f"all joints except {_listed(apart)}"
     rest = _rest(diagnosis)
     if not claims:
         first = "No cause was found: the held-out RMS error of the nominal model"
         if compares:
             first = "No change since the reference has a name: the held-out RMS error of one model of both logs"
-        return f"{first} is {before:.3g} N m over {over}. {rest or 'The residual looks like noise.'}"
+        return f"{first} is {before:.3g} {usual_unit} over {over}. {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     new = [f for f in claims if compares and f.window is not None]
     shown = [f for f in claims if not any(f is x for x in (*usual, *new))]
@@ -109,11 +112,17 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         if new:
             changed.append(f"For a time in this log, and not in the reference: {_listed(_grouped(new, titles))}.")
         first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
-    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} N m over {over}."
+    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {usual_unit} over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     doubt = " What comes and goes may be of an effect that is not in the catalogue."
     return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
+
+
+def units_of(diagnosis: Diagnosis) -> dict[str, str]:
+    """Unit of every joint's torque: N for a joint that slides, A where a drive's gain is not known, else N m."""
+    terms = {joint: diagnosis.standard.get(joint, {}).get("offset", {}) for joint in diagnosis.baseline}
+    return {joint: own.get("unit", "N m") for joint, own in terms.items()}
 
 
 def _grouped(findings: Sequence[Finding], titles: Mapping[str, str]) -> list[str]:
