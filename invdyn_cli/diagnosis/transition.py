@@ -25,14 +25,16 @@ TOLD = 30.0
 
 def speeds(columns: Columns, residual: np.ndarray, jumping: Sequence[EffectInstance] = ()) -> tuple[float, ...]:
     """(n,) [rad/s; m/s] v of the friction tanh(qd / v) of each joint that leaves least, with the links as the standard
-    model has them: the present one where no other is plainly better.
+    model has them: the present one where no other is plainly better. Of a comparison's logs the reference tells it: a
+    torque that has since come late looks like it.
 
     Args:
         residual: (R, n) logged torque minus that of a model without friction.
         jumping: what was found that jumps where its joint turns back, and is still in the residual.
     """
     evidence = columns.evidence
-    rows = evidence.role == ROLES.index("train")
+    rows = evidence.role == ROLES.index("reference")
+    rows = rows if rows.any() else evidence.role == ROLES.index("train")
     theta = columns.fit(residual, rows).theta
     target = residual - columns.of(np.where(columns.inertial, theta, 0.0))
     now = evidence.recording.transition
