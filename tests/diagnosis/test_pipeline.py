@@ -119,6 +119,16 @@ def test_a_reference_leaves_what_has_changed(loaded, robot, rubbing):
     assert diagnosis.summary.startswith("Since the reference, payload (or an alternative) has changed.")
 
 
+def test_a_payload_that_was_taken_off_since_a_reference(loaded, robot, rubbing):
+    """A tool that only the reference had is a payload of negative mass, with its centre, and no link that is lighter
+    than its model."""
+    diagnosis = diagnose(recorded(robot, rubbing, duration=14.0, seed=2), robot, reference=loaded)
+    (found,) = claims(diagnosis)
+    assert found.effect == "payload"
+    assert found.parameters["mass"].value == pytest.approx(-LOAD["mass"], rel=0.05)
+    np.testing.assert_allclose(found.parameters["com"].value, LOAD["com"], atol=0.005)
+
+
 def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
     """Beside an earlier log with the same friction, a drive that was weaker for some seconds, drawn at random, is found
     with its factor within 2 % and its window within the 0.3 s in which a joint turns back."""

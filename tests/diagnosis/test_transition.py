@@ -1,6 +1,7 @@
 """Friction that changes its side gradually where a joint turns back."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from invdyn_cli.diagnosis import diagnose, standard, transition
 from invdyn_cli.effects.composition import sign_of
 from invdyn_cli.effects.description import as_dict, from_dict
 from invdyn_cli.errors import UsageError
+from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.references import PickPlace
@@ -37,6 +39,19 @@ def test_the_speed_of_a_gradual_change_is_found(speed):
 def test_friction_that_jumps_does_so(term):
     """Coulomb friction of the same size, none, and viscous friction alone: no joint creeps."""
     assert not any(found(on(0, lambda t, q, qd, *_: 2.0 * term(qd))))
+
+
+def test_of_two_logs_the_reference_tells():
+    """Friction that jumps in a reference, and whose torque comes 10 ms late since, jumps; that of the later log alone
+    would seem to be gradual."""
+    late = on(0, lambda t, q, qd, qdd: 2.0 * np.sign(np.where(t < 15, qd, np.interp(t - 0.01, t, qd))))
+    evidence = evidence_of(log_of(raw(*moved(30.0), late, torque=0.02, position=1e-7)), ("coulomb_friction",))
+    told = []
+    for before in ("reference", "test"):
+        role = np.where(evidence.on_rows("t") < 15, ROLES.index(before), ROLES.index("train"))
+        own = replace(evidence, role=role)
+        told.append(transition.speeds(standard.columns_of(own, "unknown"), own.residual((), np.zeros(0)))[0])
+    assert told[0] == 0 < told[1]
 
 
 def test_a_slow_joint_creeps_as_others_do():

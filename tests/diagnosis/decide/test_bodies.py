@@ -50,3 +50,11 @@ def test_no_body_is_a_wrong_link():
         np.testing.assert_allclose(*changed, atol=1e-12)
         passing = replace(none, effect=EFFECTS["payload_change"], when=TimeWindow("run", 1.0, 2.0))
         assert bodies.as_link(arm(), passing) is passing
+
+
+def test_a_body_may_be_taken_off():
+    """Since a reference a payload of negative mass is one that was taken off."""
+    taken = EffectInstance(EFFECTS["payload"], None, {"mass": -1.0, "com": np.array([0.0, 0.0, 0.1])})
+    assert bodies.as_link(arm(), taken, compares=True) is taken
+    assert not found("payload", -2.0).alternatives
+    assert found("payload", -0.1).alternatives == (("link_inertia_error",),)

@@ -7,8 +7,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis.decide.wording import verdict
-from invdyn_cli.types import Finding
+from invdyn_cli.diagnosis.decide.wording import summary, verdict
+from invdyn_cli.types import Diagnosis, Examination, Finding
 
 CONTACT = Finding("external_contact", "a", "ambiguous", window=(4.0, 9.0), trajectory="one")
 
@@ -25,3 +25,15 @@ def test_what_may_be_unknown_explains_nothing(alternatives, said):
     nothing = np.zeros(1)
     extended = {"a": {"rmse": 0.01}}
     assert verdict(cast(Any, made), nothing, np.zeros(1, bool), nothing, None, extended) == said
+
+
+@pytest.mark.parametrize(
+    ("slides", "said"), [("z", "5 N m over all joints except z."), ("xyz", "6 N over all joints.")]
+)
+def test_an_error_has_one_unit(slides, said):
+    """The error of all joints together is that of joints with one unit, the usual one; others are named."""
+    errors = {"x": {"rmse": 3.0}, "y": {"rmse": np.sqrt(41)}, "z": {"rmse": np.sqrt(58)}}
+    units = {joint: {"offset": {"unit": "N" if joint in slides else "N m"}} for joint in errors}
+    still = dict.fromkeys(errors, 0.0)
+    diagnosis = Diagnosis("nothing_found", Examination(True, (), {}), (), errors, errors, None, still, standard=units)
+    assert said in summary(diagnosis, {})

@@ -91,6 +91,15 @@ def test_rivals_of_what_is_there_are_rejected(dry):
     assert ("coulomb_friction", 1) not in why
 
 
+def test_a_general_effect_that_is_better_is_a_rival(dry, dropping):
+    """Coulomb friction in the place of a friction that drops is not enough for the data: the drop is its equal at
+    least. Without a drop it is none."""
+    for (evidence, judge), better in ((dry, False), (dropping, True)):
+        made = naming.rivals(judge, (), (candidate(evidence, "coulomb_friction", 1),), 0, evidence.candidates)
+        (drop,) = (r for r in made if r.candidate.effect.name == "stribeck_friction")
+        assert drop.equal == better
+
+
 def test_a_rival_that_does_as_well_is_equal():
     """Viscous and quadratic friction of a joint whose speed hardly changes are the same: each is the other's equal."""
     t = np.arange(20_000) / 500
