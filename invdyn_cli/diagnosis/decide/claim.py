@@ -119,11 +119,13 @@ class Claim:
     def slow_gain(self) -> float:
         """Of what it makes where the arm moves (`slow`), the share that may be saved there, at most: an effect has one
         size at all frequencies. Above, a controller answers to the noise of encoders, and the logged motion has that
-        noise, too: what goes with both looks like a delay or a spring (docs/decisions/046)."""
+        noise, too: what goes with both looks like a delay or a spring (docs/decisions/046). The columns of a gear are
+        far from its formula at an impact; there that counts."""
         evidence, joints = self.inquiry.evidence, np.flatnonzero(self._own)
+        before, after = self._exactly if self.candidate.effect.yields else (self.before, self.after)
         after, change = (
             np.stack([slow(evidence, x[:, j], int(j), self.candidate.effect.yields) for j in joints], axis=1)
-            for x in (self.after * evidence.valid, (self.before - self.after) * evidence.valid)
+            for x in (after * evidence.valid, (before - after) * evidence.valid)
         )
         weights = self.inquiry.noise.weights[joints]
         saved, made = (2 * after + change) * change @ weights, change**2 @ weights
@@ -221,15 +223,20 @@ class Claim:
         are, as a share of what is left on the joints that feel it. The linear columns of a drive's gain or delay also
         make the noise of the measured torque smaller; the exact formula does not."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
-        others = [a for a in self.whole.acting if a.key != self.key]
-        after = self.whole.residual * evidence.valid
-        change = (self.inquiry.model.without(self.whole, others) - self.whole.residual) * evidence.valid
+        before, after = (x * evidence.valid for x in self._exactly)
+        change = before - after
         rows = _judging(evidence, change**2 @ weights)
         saved = ((2 * after + change) * change) @ weights
         of_joint = np.sum(change[rows] ** 2, axis=0) * weights
         felt = of_joint > FELT * of_joint.sum()
         remains = float(np.sum(after[rows] ** 2 @ (weights * felt)))
         return float(saved[rows].sum()) / max(remains, 1e-300)
+
+    @cached_property
+    def _exactly(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the exact formulas leave (R, n) without it, the others staying as they are, and with it."""
+        others = [a for a in self.whole.acting if a.key != self.key]
+        return self.inquiry.model.without(self.whole, others), self.whole.residual
 
     @property
     def _own(self) -> np.ndarray:
