@@ -10,6 +10,8 @@ import numpy as np
 import scipy
 from matplotlib.axes import Axes
 
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.report.canvas import (
     BAND,
     CLOUD_POINTS,
@@ -40,14 +42,12 @@ def over_velocity(axes: Axes, exhibit: Exhibit) -> None:
 def near_standstill(axes: Axes, exhibit: Exhibit) -> None:
     """The same, zoomed to slow motion; dashed is the law of Stribeck friction itself, before the filter rounds it
     off."""
-    coulomb, static, velocity = (scalar(exhibit.finding, name) for name in ("coulomb", "static", "velocity"))
     qd, y = exhibit.own(exhibit.signals.qd), exhibit.own(exhibit.residual, moving=True)
     reach = 6 * abs(scalar(exhibit.finding, "velocity", 0.05))
     near = np.abs(qd) < reach
     law(axes, qd[near], y[near], exhibit.own(exhibit.term)[near], split=True, fewest=5)
-    if np.isfinite(coulomb + static + velocity):
-        v = np.linspace(1e-4 * reach, reach, 200)
-        height = coulomb + (static - coulomb) * np.exp(-((v / velocity) ** scalar(exhibit.finding, "exponent", 2.0)))
+    v = np.linspace(1e-4 * reach, reach, 200)
+    if (height := by_its_law(exhibit.finding, 0 * v, v)) is not None:
         for sign in (-1, 1):
             axes.plot(sign * v, sign * height, color=PREDICTED, lw=1.1, ls="--", label="the law, unfiltered")
     axes.set_xlim(-reach, reach)
@@ -91,11 +91,10 @@ def slope_over_time(axes: Axes, exhibit: Exhibit, *, windows: int = 15) -> None:
                 points.append([t[use].mean(), np.sum(y[use] * qd[use]) / power, np.sum(term[use] * qd[use]) / power])
     when, measured, fitted = np.array(sorted(points)).reshape(-1, 3).T
     axes.plot(when, measured, "o", color=MEASURED, ms=3.5, mew=0, label="slope in a window of time")
-    cold, warm, constant = (scalar(exhibit.finding, name) for name in ("cold", "warm", "time_constant"))
-    if np.isfinite(cold + warm + constant) and len(when):
-        when = np.linspace(when[0], when[-1], 200)
-        fitted = warm + (cold - warm) * np.exp(-when / constant)
-        axes.axhline(warm, color=GREY, lw=1, ls=":", label="warm")
+    evenly = np.linspace(*(when[[0, -1]] if len(when) else (0.0, 0.0)), 200)
+    if len(when) and (law := by_its_law(exhibit.finding, evenly, np.ones(200))) is not None:
+        when, fitted = evenly, law
+        axes.axhline(scalar(exhibit.finding, "warm"), color=GREY, lw=1, ls=":", label="warm")
     axes.plot(when, fitted, color=PREDICTED, lw=2.2, zorder=1.5, label=TERM)
     axes.set_ylim(min(0, *axes.get_ylim()))
     axes.set_title("drag over time")
@@ -226,6 +225,17 @@ def mark(axes: Axes, x: float, text: str) -> None:
         color=PREDICTED,
         fontweight="bold",
     )
+
+
+def by_its_law(finding: Finding, t: np.ndarray, qd: np.ndarray) -> np.ndarray | None:
+    """Torque (T,) [N m; N] of a finding's effect at times and positive velocities (T,), by its own law; None where that
+    or a parameter is not known."""
+    effect = EFFECTS.get(finding.effect)
+    if not isinstance(effect, AbstractTorqueEffect):
+        return None
+    sizes = {name: scalar(finding, name, effect.defaults.get(name, np.nan)) for name in effect.parameters}
+    state = JointState(t, 0 * t, qd, 0 * t, np.ones_like(qd), 0 * t)
+    return np.asarray(effect.term(sizes, state)) if np.all(np.isfinite(list(sizes.values()))) else None
 
 
 def name_axes(axes: Axes, exhibit: Exhibit, x: str, y: str = "residual") -> None:
