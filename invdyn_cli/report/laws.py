@@ -91,7 +91,8 @@ def slope_over_time(axes: Axes, exhibit: Exhibit, *, windows: int = 15) -> None:
                 points.append([t[use].mean(), np.sum(y[use] * qd[use]) / power, np.sum(term[use] * qd[use]) / power])
     when, measured, fitted = np.array(sorted(points)).reshape(-1, 3).T
     axes.plot(when, measured, "o", color=MEASURED, ms=3.5, mew=0, label="slope in a window of time")
-    evenly = np.linspace(*(when[[0, -1]] if len(when) else (0.0, 0.0)), 200)
+    first, last = (when[0], when[-1]) if len(when) else (0.0, 0.0)
+    evenly = np.linspace(first, last, 200)
     if len(when) and (law := by_its_law(exhibit.finding, evenly, np.ones(200))) is not None:
         when, fitted = evenly, law
         axes.axhline(scalar(exhibit.finding, "warm"), color=GREY, lw=1, ls=":", label="warm")
