@@ -10,9 +10,9 @@ from invdyn_cli.diagnosis.decide.gain import lowers
 from invdyn_cli.diagnosis.decide.passing import perhaps_unknown
 from invdyn_cli.types import Diagnosis, Finding
 
-PREDICTABLE, SMALL = 0.15, 0.15
+PREDICTABLE, SMALL = 0.15, 0.05
 """The residual counts as explained if the learner predicts less than this share of its variance, or less than this
-share of the nominal model's error, in N m."""
+share of the nominal model's error, in N m (docs/decisions/060)."""
 
 MOST_SAID = 4
 """Largest number of effects in the summary's first sentence."""
