@@ -367,10 +367,19 @@ class AbstractGearEffect(AbstractEffect):
         """The angle of the link minus that of the motor (T,) [rad; m], and its second derivative.
 
         Args:
-            load: (T,) torque [N m; N] that would keep the link on the motor's motion.
+            load: (T,) torque [N m; N] that would keep the link on the motor's motion, with its own friction.
             inertia: (T,) [kg m^2; kg] that the joint carries.
             rate: [Hz].
         """
+
+    def drag(self, parameters: Parameters, qd: Array) -> Array | float:
+        """Friction (T,) [N m; N] of the link itself, at velocities (T,) of the motor, that the gear transmits."""
+        return 0.0
+
+    def dragged(self, coulomb: float, viscous: float) -> Sequence[Parameters]:
+        """Trials of parameters for a link that has a share of these frictions of its joint; none where that matters
+        little."""
+        return ()
 
     def compliance(self, parameters: Parameters) -> float:
         """The one number to which the deflection is nearly proportional."""

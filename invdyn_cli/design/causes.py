@@ -215,9 +215,10 @@ def _behind_gear(
     """What a gear that yields changes of the torques: a straight line of the link's angle and acceleration against
     the motor's. A scene begins with the gear loaded."""
     mass, slope = answers
+    loads = scenes.torque[joint] + effect.drag(parameters, np.asarray(scenes.motion.qd)[joint])
     each = [
         effect.deflection(parameters, load, inertia, scenes.rate)
-        for load, inertia in zip(scenes.torque[joint], mass[joint], strict=True)
+        for load, inertia in zip(loads, mass[joint], strict=True)
     ]
     b, b2 = (np.stack(x) for x in zip(*each, strict=True))
     return dict(enumerate(mass * b2 + slope * b))

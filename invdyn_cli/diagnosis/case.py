@@ -92,7 +92,7 @@ class Case:
     def with_transition(self, speeds: tuple[float, ...]) -> "Case":
         """The same with friction that changes its side so gradually."""
         recording = replace(self.evidence.recording, transition=speeds)
-        evidence = _gathered(self.evidence.robot, recording, self.log, self.effects, self.facts)
+        evidence = _gathered(self.evidence.robot, recording, self.log, self.effects, self.facts, self.gear)
         return replace(
             self,
             recording=replace(self.recording, transition=speeds),
@@ -160,7 +160,7 @@ def prepared(
     except LogError as error:
         return _unusable(examination, (*notes, str(error)))
     progress(0.25, "columns")
-    evidence = _gathered(changed, recording, log, pool, facts)
+    evidence = _gathered(changed, recording, log, pool, facts, gear)
     columns = standard.columns_of(evidence, log.torque_side) if columns is None else replace(columns, evidence=evidence)
     return Case(
         log=log,
@@ -188,10 +188,14 @@ def _gathered(
     log: Log,
     effects: Mapping[str, AbstractEffect],
     facts: Sequence[EffectInstance],
+    gear: EffectInstance | None,
 ) -> Evidence:
-    """The columns of effects on the rows of a log, with what corrects the timing of declared ones."""
+    """The columns of effects on the rows of a log, with what corrects the timing of declared ones, and trials of gears
+    like the one beside which the standard model is fitted."""
     evidence = gather(robot, recording, list(effects.values()), log.torque_side, log.position_side)
     evidence.given = known.timed(evidence, facts)
+    if gear is not None and gear.joint is not None:
+        evidence.dragged = {gear.joint: {k: x for k, x in gear.parameters.items() if k in gear.effect.chosen}}
     return evidence
 
 

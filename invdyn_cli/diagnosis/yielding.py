@@ -20,12 +20,13 @@ from invdyn_cli.diagnosis.search.feigned import asked_by_noise
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.diagnosis.transition import TOLD
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
+from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect, Parameters
 from invdyn_cli.maths.standard import Standard, fit, link_scales
 from invdyn_cli.recording.pieces import ROLES
 
 SHORTLIST = 3
-"""Gears that are fitted with the standard model: those that gain most in the noise of a fit without them."""
+"""Gears that are refined and fitted with the standard model: those that gain most in the noise of a fit without
+them."""
 
 BETWEEN, SCANNED = 0.4, 9
 """Logarithm of a compliance, to either side of a trial, and number of values, among which a gear's is looked for: where
@@ -44,18 +45,24 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
     before = nominal - columns.of(plain.theta)
     used = (rows[:, None] & evidence.valid).T
     squares = _squares(columns, nominal, rows)
-    best: dict[tuple, tuple[float, EffectInstance, np.ndarray]] = {}
+    friction = _friction(columns, plain.theta)
+    best: dict[tuple, tuple[float, EffectInstance]] = {}
     for effect in effects:
         if not isinstance(effect, AbstractGearEffect):
             continue
         for joint in range(evidence.dofs):
-            for shape in gears.shapes_of(evidence, effect, joint):
+            shapes = gears.shapes_of(evidence, effect, joint)
+            dragged = effect.dragged(*friction[joint])
+            for shape in (*shapes, *({**shape, **own} for own in dragged for shape in shapes)):
                 made = gears.torque(evidence, effect, joint, shape)
                 loss = squares(nominal - made.T)
                 if loss < best.get((effect.name, joint), (np.inf,))[0]:
-                    best[effect.name, joint] = loss, EffectInstance(effect, joint, shape), made.T
+                    best[effect.name, joint] = loss, EffectInstance(effect, joint, shape)
     found, most = None, TOLD
-    for _, one, made in sorted(best.values(), key=lambda x: x[0])[:SHORTLIST]:
+    for _, trial in sorted(best.values(), key=lambda x: x[0])[:SHORTLIST]:
+        alike = (trial, *(replace(trial, parameters=x) for x in _dragged(trial)))
+        one, _ = min((_nearest(evidence, x, lambda made: squares(nominal - made.T)) for x in alike), key=lambda x: x[1])
+        made = left(columns, None) - left(columns, one)
         fitted = columns.fit(nominal - made, rows)
         after = nominal - made - columns.of(fitted.theta)
         independent = used.sum(1) / np.minimum(columns.times(before, rows), columns.times(after, rows))
@@ -64,7 +71,20 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
         saved = slow_saved(evidence, range(evidence.dofs), True, before * trained, after * trained, precise)
         if gain > most and not asked_by_noise(slow_share(saved), gain):
             found, most = one, gain
-    return found and _nearest(evidence, found, lambda made: squares(nominal - made.T))[0]
+    return found
+
+
+def _dragged(one: EffectInstance) -> Sequence[Parameters]:
+    """Parameters with more and with less friction of the link, where it has some."""
+    given = any(name in one.parameters for name in one.effect.chosen)
+    return one.effect.relatives(one.parameters) if given else ()
+
+
+def _friction(columns: Columns, theta: np.ndarray) -> list[tuple[float, float]]:
+    """Coulomb and viscous friction of each joint by these coefficients (p,), no less than none."""
+    own = dict(zip(columns.terms, theta[len(columns.links) :].reshape(-1, columns.evidence.dofs), strict=True))
+    levels = (np.maximum(own.get(term, np.zeros(columns.evidence.dofs)), 0.0) for term in ("coulomb", "viscous"))
+    return list(zip(*(x.tolist() for x in levels), strict=True))
 
 
 def believable(columns: Columns, one: EffectInstance | None, fitted: Standard) -> Standard:

@@ -163,6 +163,7 @@ def _behind(one: EffectInstance, motion: Motion, load: np.ndarray, inertia: np.n
     inertia = np.maximum(
         inertia, max(LEAST * np.abs(inertia).max(), LEAST_INERTIA)
     )  # on the way to other inertials there may be none
+    load = load + one.effect.drag(one.parameters, motion.qd[one.joint])
     b, b2 = one.effect.deflection(one.parameters, load, inertia, rate)
     b1 = np.gradient(b) * rate
     own = (np.arange(len(motion.q)) == one.joint)[:, None]

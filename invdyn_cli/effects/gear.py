@@ -17,6 +17,9 @@ from invdyn_cli.types import Array
 STRETCH = 128
 """Samples of a stretch of a spring's motion; all stretches are computed in parallel."""
 
+STANDS = 2e-3
+"""[rad/s; m/s] Velocity of a motor below which the friction of its link has no side of its own."""
+
 USUAL_GAP, USUAL_RESONANCE = 0.003, 12.0
 """[rad; m] of play of an ordinary gear, 10 minutes of arc; and [Hz] of a link on its joint's spring, motor held."""
 
@@ -28,20 +31,29 @@ then takes that much of the link's speed against it."""
 @dataclass(frozen=True)
 class Backlash(AbstractGearEffect):
     """Play of the gear: where the transmitted torque changes its sign, the link moves freely until it reaches the other
-    flank of the teeth.
+    flank of the teeth. Friction of the link itself, as of its bearings, is transmitted like a load; the joint's other
+    friction acts on the motor.
 
     Attributes:
         gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
+        shares: of a joint's friction that the link may have.
     """
 
     gaps: tuple[float, ...] = tuple(0.0004 * 2 ** (k / 4) for k in (*range(0, 20, 2), *range(20, 25)))
+    shares: tuple[float, ...] = (0.3, 0.9)
 
     name = "backlash"
     title = "backlash"
     meaning = "Play in the gear: the link moves freely by this angle before the motor drives it again."
     equation = "link free of the motor within ±gap/2"
     reference = "Nordin and Gutman, Automatica 2002"
-    parameters = {"gap": Parameter("rad", 1e-5, 0.1)}
+    parameters = {
+        "gap": Parameter("rad", 1e-5, 0.1),
+        "link_coulomb": Parameter("N m", 0.0),
+        "link_damping": Parameter("N m s/rad", 0.0),
+    }
+    defaults = {"link_coulomb": 0.0, "link_damping": 0.0}
+    chosen = ("link_coulomb", "link_damping")
     confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
     advice = "the same slow motion with a load of constant sign and with a load that changes sign; or a link encoder"
     panels = ("loops_over_load",)
@@ -49,7 +61,7 @@ class Backlash(AbstractGearEffect):
     shows = ("load_zeros",)
 
     def typical(self, usual: UsualJoint) -> dict[str, Any]:
-        return {"gap": USUAL_GAP}
+        return {"gap": USUAL_GAP, **self.defaults}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"gap": parameters["gap"]})
@@ -59,6 +71,24 @@ class Backlash(AbstractGearEffect):
 
     def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
         return _within_gap(np.asarray(load), np.asarray(inertia), parameters["gap"], rate)
+
+    def drag(self, parameters: Parameters, qd: Array) -> Array | float:
+        own = self.whole(parameters)
+        return own["link_coulomb"] * qd / np.hypot(qd, STANDS) + own["link_damping"] * qd
+
+    def dragged(self, coulomb: float, viscous: float) -> Sequence[Parameters]:
+        return [{"link_coulomb": x * coulomb, "link_damping": x * viscous} for x in self.shares if coulomb > 0]
+
+    def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
+        own = self.whole(parameters)
+        more = ({**own, **{name: x * own[name] for name in self.chosen}} for x in (0.6, 0.8, 1.25, 1.6))
+        return [x for x in more if x["link_coulomb"] > 0]
+
+    def compliance(self, parameters: Parameters) -> float:
+        return parameters["gap"]
+
+    def from_compliance(self, compliance: float) -> dict[str, float]:
+        return {"gap": compliance}
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ set of columns: fixed ones with factor one (a trial delay of 6 ms), and free one
 correction). Everything in the search is computed from the Gram matrices of the tables, by blocks.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -95,6 +95,7 @@ class Evidence:
         loaded: effects whose candidates depend on the torque that a joint transmits, made or not.
         reference_rows: (R,) those of a reference, on which the columns of changes vanish, where there is one.
         shown: (R, n) what the reference shows beside the nominal model.
+        dragged: of a joint, parameters of a gear whose link has friction of its own, tried beside none.
     """
 
     robot: Robot
@@ -114,6 +115,7 @@ class Evidence:
     given: tuple[Candidate, ...] = ()
     loaded: tuple[AbstractEffect, ...] = ()
     shown: np.ndarray | None = None
+    dragged: Mapping[int, Parameters] = field(default_factory=dict)
 
     def residual(self, candidates: Sequence[Candidate], theta: np.ndarray) -> np.ndarray:
         """(R, n) residual of the logged torque minus the nominal one, for candidates with these coefficients."""

@@ -88,7 +88,9 @@ def shapes_of(evidence: Evidence, effect: AbstractGearEffect, joint: int) -> Seq
     load, inertia = (np.concatenate(x) for x in zip(*_carried(evidence, joint), strict=True))
     if inertia.min() <= LEAST_INERTIA:  # links without inertia follow any gear: nothing of it shows
         return []
-    return effect.shapes(load, inertia, evidence.recording.filter.rate)
+    shapes, dragged = effect.shapes(load, inertia, evidence.recording.filter.rate), evidence.dragged.get(joint, {})
+    own = {name: x for name, x in dragged.items() if name in effect.parameters}
+    return [*shapes, *({**shape, **own} for shape in shapes if own)]
 
 
 def torque(evidence: Evidence, effect: AbstractGearEffect, joint: int, parameters: Parameters) -> np.ndarray:
@@ -141,7 +143,9 @@ def _yielded(
 ) -> list[tuple[np.ndarray, float]]:
     """For every piece what the gear changes of the torque (n, T), not filtered, and how far it yields [rad; m]."""
     made = []
-    for (load, inertia), (mass, slope) in zip(carried, _answers(evidence, joint), strict=True):
+    pieces = evidence.recording.pieces
+    for (load, inertia), (mass, slope), piece in zip(carried, _answers(evidence, joint), pieces, strict=True):
+        load = load + effect.drag(parameters, piece.qd[joint])
         b, b2 = effect.deflection(parameters, load, inertia, evidence.recording.filter.rate)
         made.append((mass * b2 + slope * b, float(np.abs(b).max())))
     return made
