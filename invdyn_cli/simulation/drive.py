@@ -107,7 +107,7 @@ class Drive:
         if not len(self.arm.gear):
             return felt
         links = felt[self._motor]
-        links[self.arm.geared] = felt[self.arm.gear]
+        links[self.arm.geared] = felt[self.arm.gear] - self._stops.drag
         return links
 
     def _of(self, state: np.ndarray, link: bool) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Joints with a compliant gear: motor and link turn on one axis, with play or a spring between them.
 
-The motor's degree of freedom carries the rotor; all torques of the drive and all friction act on it. The gear's degree
-of freedom is the link's angle minus the motor's, and carries the link. At the ends of the play MuJoCo's joint limits
-stop it, or compliant teeth push it back; MuJoCo's spring pulls it back.
+The motor's degree of freedom carries the rotor; all torques of the drive and all friction but the link's own act on it.
+The gear's degree of freedom is the link's angle minus the motor's, and carries the link. At the ends of the play
+MuJoCo's joint limits stop it, or compliant teeth push it back; MuJoCo's spring pulls it back.
 """
 # pyright: reportAttributeAccessIssue=false
 
@@ -27,6 +27,9 @@ DAMPED = 0.02
 RESOLVED = 0.3
 """[rad] Largest phase of a tooth's oscillation within a step of the physics."""
 
+SLIDING = 5e-3
+"""[rad/s; m/s] Velocity of a link at which its dry friction is three quarters of its level."""
+
 NEAR = 1e-3
 """[-] Share of the play within which teeth count as in contact: they are held there even if they do not move yet."""
 
@@ -41,6 +44,7 @@ class Gear:
         gap: [rad; m] full width of the play; 0: a spring.
         stiffness, damping: [N m/rad], [N m s/rad] of the spring, or of the teeth of a gear with play, which then
             bounce; with a stiffness of 0 their flanks stop each other at once.
+        link_coulomb, link_damping: [N m; N], [N m s/rad; N s/m] friction of the link itself.
     """
 
     joint: int
@@ -48,6 +52,8 @@ class Gear:
     gap: float = 0.0
     stiffness: float = 0.0
     damping: float = 0.0
+    link_coulomb: float = 0.0
+    link_damping: float = 0.0
 
 
 def carried(robot: Robot) -> np.ndarray:
@@ -65,6 +71,8 @@ def chosen(
     damping: float | None = None,
     damping_ratio: float = DAMPED,
     rotor: float | None = None,
+    link_coulomb: float = 0.0,
+    link_damping: float = 0.0,
 ) -> Gear:
     """A gear of this robot, its defaults as DAMPED and ROTOR have them; teeth swing with the motor against the link."""
     inertia = carried(robot)[joint]
@@ -72,7 +80,7 @@ def chosen(
     if damping is None:
         swinging = turning * inertia / (turning + inertia) if gap else inertia
         damping = 2 * damping_ratio * float(np.sqrt(stiffness * swinging))
-    return Gear(joint, turning, gap, stiffness, damping)
+    return Gear(joint, turning, gap, stiffness, damping, link_coulomb, link_damping)
 
 
 def put(arm: Arm, gears: Sequence[Gear]) -> None:
@@ -101,7 +109,11 @@ class Stops:
 
     MuJoCo stops a joint only when it is beyond its limit, by up to the motion of one step. Therefore, if the joint
     would pass the end within the next step, the limit is moved to its present position, with the damping that takes it
-    exactly to the end. Compliant teeth push with their own force.
+    exactly to the end. Compliant teeth push with their own force. Friction of a link itself acts on its angle, the sum
+    of both degrees of freedom.
+
+    Attributes:
+        drag: (g,) [N m; N] friction of the links in the last step.
 
     Raises:
         UsageError: if teeth are too stiff for the steps of the physics.
@@ -111,6 +123,9 @@ class Stops:
         plays = [(dof, gear) for dof, gear in zip(arm.gear, gears, strict=True) if gear.gap]
         self._plays = [(dof, gear.gap / 2) for dof, gear in plays if not gear.stiffness]
         self._teeth = [(dof, gear) for dof, gear in plays if gear.stiffness]
+        every = enumerate(zip(arm.motor[arm.geared], arm.gear, gears, strict=True))
+        self._rubbing = [(k, *one) for k, one in every if one[-1].link_coulomb or one[-1].link_damping]
+        self.drag = np.zeros(len(gears))
         self._model, self._data = arm.model, data
         self._step = float(arm.model.opt.timestep)
         for _, gear in self._teeth:
@@ -120,7 +135,7 @@ class Stops:
                 raise UsageError(f"{got}; allowed: at most {most:.3g}. Try more substeps")
 
     def __bool__(self) -> bool:
-        return bool(self._plays or self._teeth)
+        return bool(self._plays or self._teeth or self._rubbing)
 
     def look_ahead(self) -> None:
         """Set the limits and the forces of teeth for the next step."""
@@ -130,6 +145,13 @@ class Stops:
             deep = q - np.clip(q, -gear.gap / 2, gear.gap / 2)
             push = gear.stiffness * deep + gear.damping * qd
             self._data.qfrc_applied[dof] = -push if deep * push > 0 else 0.0
+        for k, motor, dof, gear in self._rubbing:
+            speed = float(self._data.qvel[motor] + self._data.qvel[dof])
+            toothless = not (gear.gap and gear.stiffness)
+            drag = -gear.link_coulomb * np.tanh(speed / SLIDING) - gear.link_damping * speed
+            self._data.qfrc_applied[dof] = drag + (0.0 if toothless else self._data.qfrc_applied[dof])
+            self._data.qfrc_applied[motor] += drag
+            self.drag[k] = drag
         for dof, half in self._plays:
             q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
             model.jnt_margin[dof], model.jnt_solref[dof] = 0.0, (2 * h, 1.0)

@@ -49,7 +49,10 @@ KINDS = {
     "presliding_hysteresis": Kind({"coulomb": FROM, "stiffness": ABOVE}),
     "thermal_friction_drift": Kind({"cold": FROM, "warm": FROM, "time_constant": ABOVE}),
     "coupled_friction": Kind({"coulomb": FROM, "damping": FROM, "ratio": NUMBER}, {"armature": FROM}),
-    "backlash": Kind({"gap": ABOVE}, {"rotor": ABOVE, "stiffness": ABOVE, "damping_ratio": FROM}),
+    "backlash": Kind(
+        {"gap": ABOVE},
+        {"rotor": ABOVE, "stiffness": ABOVE, "damping_ratio": FROM, "link_coulomb": FROM, "link_damping": FROM},
+    ),
     "joint_elasticity": Kind({"stiffness": ABOVE}, {"damping": FROM, "rotor": ABOVE}),
     "torque_ripple": Kind({"amplitude": NUMBER, "cycles": ABOVE, "phase": NUMBER}),
     "joint_spring": Kind({"stiffness": FROM, "rest": NUMBER}),

@@ -13,6 +13,7 @@ from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
@@ -21,8 +22,9 @@ TEETH = 2e4
 """[N m/rad] that few steps of the physics resolve."""
 
 
-def worn(seed: int, folder, bits: int, gap: float = 0.0) -> tuple[Case, str | None]:
-    """The case of a worn arm of three joints, with this play in one of them if it is above zero, and that joint."""
+def worn(seed: int, folder, bits: int, gap: float = 0.0, share: float = 0.0) -> tuple[Case, Hidden]:
+    """The case of a worn arm of three joints, and what was hidden last: this play in one of them, if it is above zero,
+    with a `share` of the joint's friction on the link."""
     draw = np.random.default_rng(seed)
     (folder / "arm.urdf").write_text(random_arm(draw, 3))
     robot = load_urdf(folder / "arm.urdf")
@@ -31,13 +33,18 @@ def worn(seed: int, folder, bits: int, gap: float = 0.0) -> tuple[Case, str | No
     if gap:
         one = sized(draw, scene, "backlash")
         soft = {"gap": gap, "stiffness": TEETH, "damping_ratio": 0.3}
+        rubs = {x.effect: x for x in hidden if x.joint == one.joint}
+        for effect, size in (("coulomb_friction", "coulomb"), ("viscous_friction", "damping")):
+            whole = rubs[effect].parameters[size]
+            hidden[hidden.index(rubs[effect])] = replace(rubs[effect], parameters={size: (1 - share) * whole})
+            soft[f"link_{size}"] = share * whole
         hidden.append(replace(one, parameters={**one.parameters, **soft}))
     noise = Noise(position=1e-6, position_quantum=2 * np.pi / 2**bits, torque=tuple(0.005 * scene.torque))
     steps = max([4, *(substeps_for(x, 500.0) for x in hidden)])
     how: dict[str, Any] = {"duration": 25.0, "rate": 500.0, "seed": seed, "position_side": "motor", "substeps": steps}
     case = prepared(record(robot, [scene.reference], hidden, noise=noise, **how), robot, None, None, Options(), EFFECTS)
     assert isinstance(case, Case)
-    return case, hidden[-1].joint if gap else None
+    return case, hidden[-1]
 
 
 def test_play_is_seen_before_links_make_up_for_it(tmp_path):
@@ -47,14 +54,26 @@ def test_play_is_seen_before_links_make_up_for_it(tmp_path):
     seen = 0
     for seed in range(3):
         gap = float(np.exp(np.random.default_rng([seed, 1]).uniform(*np.log((0.003, 0.022)))))
-        case, joint = worn(seed, tmp_path, 18, gap)
+        case, play = worn(seed, tmp_path, 18, gap)
         if case.gear is not None:
-            number = case.robot.joints.index(joint)
+            number = case.robot.joints.index(str(play.joint))
             assert case.gear.key == ("backlash", number)
             most = gap + 2 * np.abs(case.evidence.tau[:, number]).max() / TEETH
             assert 0.7 * gap < case.gear.parameters["gap"] < 1.3 * most
             seen += 1
     assert seen >= 2
+
+
+def test_play_is_seen_behind_which_the_link_rubs(tmp_path):
+    """A share of the friction of 20 to 60 %, drawn at random, acts on the link, and shifts the moments at which play is
+    crossed: found with its joint, its size within 30 %, and friction of the link within a factor of two."""
+    draw = np.random.default_rng(8)
+    gap, share = float(draw.uniform(0.004, 0.012)), float(draw.uniform(0.2, 0.6))
+    case, play = worn(3, tmp_path, 18, gap, share)
+    assert case.gear is not None and case.gear.key == ("backlash", case.robot.joints.index(str(play.joint)))
+    assert case.gear.parameters["gap"] == pytest.approx(gap, rel=0.3)
+    for name in ("link_coulomb", "link_damping"):
+        assert play.parameters[name] / 2 < case.gear.parameters[name] < 2 * play.parameters[name]
 
 
 @pytest.mark.parametrize(("bits", "seed"), [(13, 0), (16, 1)])

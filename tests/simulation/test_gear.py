@@ -43,6 +43,28 @@ def test_teeth_bounce(apollo4, damping_ratio):
     assert speed[-1] == pytest.approx(left, rel=0.02)  # 0.02: a hundred steps in a swing
 
 
+def test_a_link_rubs_itself(apollo4):
+    """Within its play, which it does not cross here, a link slows down as its dry and its viscous friction have it,
+    followed on paper; a motor that turns with it, too."""
+    robot, last = replace(apollo4, gravity=np.zeros(3)), apollo4.dofs - 1
+    coulomb, damping, seconds = 0.3, 0.2, 0.02
+    arm = build(robot, geared=[last], armature=np.full(robot.dofs, 1e9), timestep=STEP)
+    made = gear.chosen(robot, last, gap=1.0, rotor=1e9, link_coulomb=coulomb, link_damping=damping)
+    gear.put(arm, [made])
+    data = mujoco.MjData(arm.model)
+    stops, dof, motor = gear.Stops(arm, [made], data), int(arm.gear[0]), int(arm.motor[last])
+    for turning in (0.0, 2.0):  # of the motor
+        data.qpos[dof], data.qvel[dof], data.qvel[motor] = -0.4, 1.0, turning
+        first = 1.0 + turning
+        for _ in range(round(seconds / STEP)):
+            data.qfrc_applied[motor] = 0.0
+            stops.look_ahead()
+            mujoco.mj_step(arm.model, data)
+        slowed = np.exp(-damping * seconds / gear.carried(robot)[last])
+        expected = (first + coulomb / damping) * slowed - coulomb / damping
+        assert data.qvel[dof] + data.qvel[motor] == pytest.approx(expected, rel=2e-3)
+
+
 def test_teeth_carry_the_load_on_a_spring(apollo4):
     """Under the weight of the link the teeth yield by the weight over their stiffness."""
     gravity = np.array([6.0, 6.0, -5.0])
