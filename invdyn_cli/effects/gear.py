@@ -45,7 +45,7 @@ class Backlash(AbstractGearEffect):
     name = "backlash"
     title = "backlash"
     meaning = "Play in the gear: the link moves freely by this angle before the motor drives it again."
-    equation = "link free of the motor within ±gap/2"
+    equation = "link free of the motor within ±gap/2; on it: link_coulomb sign(qd) + link_damping qd"
     reference = "Nordin and Gutman, Automatica 2002"
     parameters = {
         "gap": Parameter("rad", 1e-5, 0.1),
@@ -64,7 +64,10 @@ class Backlash(AbstractGearEffect):
         return {"gap": USUAL_GAP, **self.defaults}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        return SimulatorTerms({"gap": parameters["gap"]})
+        rubs = any(parameters.get(name) for name in self.chosen)
+        return SimulatorTerms(
+            {"gap": parameters["gap"]}, lost="has the friction of its link on the motor" if rubs else ""
+        )
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
         return [{"gap": x} for x in self.gaps]

@@ -30,7 +30,7 @@ NAMES = {
     "presliding_hysteresis": {"coulomb", "stiffness"},
     "coupled_friction": {"coulomb", "damping", "armature", "ratio"},
     "torque_offset_drift": {"rate"},
-    "backlash": {"gap"},
+    "backlash": {"gap", "link_coulomb", "link_damping"},
     "joint_elasticity": {"stiffness", "damping_ratio"},
     "thermal_friction_drift": {"cold", "warm", "time_constant"},
     "torque_ripple": {"amplitude", "cycles", "phase"},

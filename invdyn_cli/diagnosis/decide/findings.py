@@ -13,12 +13,12 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
-from invdyn_cli.diagnosis.decide.doubt import UNKNOWN, or_else
+from invdyn_cli.diagnosis.decide.doubt import BEYOND, UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
-from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
+from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, over_unknown, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
@@ -194,8 +194,9 @@ def _doubted(
         more += [(e.for_a_time,) for e in alike if e.for_a_time in effects]
     if acting.effect is not candidate.effect and bodies.may_be_payload(sized.wanted[i]):
         more.append((candidate.effect.name,))
+    doubtful = acting.effect.group != "standard" and over_unknown(claimed) < BEYOND
     no_body = i in sized.costs and sized.costs[i] > NO_BODY * claimed.evidence
-    if no_body or _is_vague(finding) or not held_out(evidence):
+    if doubtful or no_body or _is_vague(finding) or not held_out(evidence):
         more.append(UNKNOWN)
     if not (finding.alternatives or more):
         return finding

@@ -47,7 +47,7 @@ class Refusal:
     why: Callable[[Claim], str] = lambda _: ""
 
 
-def _beside_unknown(claim: Claim) -> float:
+def over_unknown(claim: Claim) -> float:
     """The gain of a claim, as a multiple of what its coefficients would explain of an unknown cause."""
     needed = OUTWEIGHED + PICKED_UP * (claim.inquiry.judge.freedom(claim.candidate) - 1)
     return claim.gain / max(needed * claim.unknown, 1e-300)
@@ -66,7 +66,7 @@ USUAL_LINKS = Refusal(
 )
 
 REFUSALS = (
-    Refusal("gain over what stays unknown", _beside_unknown, 1.0, _why_unknown),
+    Refusal("gain over what stays unknown", over_unknown, 1.0, _why_unknown),
     Refusal("gain on its own joint", lambda x: x.gain_on_its_joint, -naming.LEAST_DIFFERENCE),
     Refusal(
         "least gain by its interval",

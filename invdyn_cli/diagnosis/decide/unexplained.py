@@ -30,10 +30,9 @@ STRETCH = 0.5
 LOUDER = 5.0
 """Multiple of the RMS that noise and clocks usually leave, above which a recurring residual is more than noise."""
 
-UNKNOWN_FIRST, MOSTLY_UNKNOWN, UNKNOWN = 3.0, 30.0, 0.5
-"""An effect is named if it saves this many times the variance that a learner still predicts on its joints. The second
-factor is for a joint on which the learner predicts more than the share UNKNOWN of the residual: an effect that the
-catalogue lacks acts there."""
+MOSTLY_UNKNOWN, UNKNOWN = 30.0, 0.5
+"""The factor (doubt.BEYOND) for a joint on which the learner predicts more than the share UNKNOWN of the residual: an
+effect that the catalogue lacks acts there."""
 
 LATE_UNKNOWN = 1e4
 """The factor for a delay or a lag on such a joint: many other effects resemble one to some percent."""
@@ -104,7 +103,7 @@ def in_doubt(
         effect = effects[one.effect]
         near = [x for j, x in shares.items() if j == one.joint or not effect.yields]
         mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
-        least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else UNKNOWN_FIRST
+        least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else doubt.BEYOND
         if one.status == "named" and saved < least * unknown:
             advice = "look for another effect on this joint: most of what the model misses there is still unknown"
             one = doubt.or_else(one, doubt.UNKNOWN, advice=advice)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis.decide.doubt import BEYOND
 from invdyn_cli.diagnosis.decide.unexplained import (
     LATE_UNKNOWN,
     MOSTLY_UNKNOWN,
     UNKNOWN,
-    UNKNOWN_FIRST,
     in_doubt,
     shares,
 )
@@ -53,9 +53,9 @@ def claimed(effect: str, left: float) -> Finding:
 @pytest.mark.parametrize(
     ("effect", "learned", "times"),
     [
-        ("coulomb_friction", UNKNOWN - 0.1, UNKNOWN_FIRST),
+        ("coulomb_friction", UNKNOWN - 0.1, BEYOND),
         ("coulomb_friction", UNKNOWN + 0.1, MOSTLY_UNKNOWN),
-        ("actuator_lag", UNKNOWN - 0.1, UNKNOWN_FIRST),
+        ("actuator_lag", UNKNOWN - 0.1, BEYOND),
         ("actuator_lag", UNKNOWN + 0.1, LATE_UNKNOWN),
         ("torque_delay", UNKNOWN + 0.1, LATE_UNKNOWN),
     ],
