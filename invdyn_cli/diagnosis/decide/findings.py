@@ -167,7 +167,11 @@ def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndar
         gain=claimed.gains,
         rejected=_rejected(robot, candidate.key, rivals),
         advice=acting.effect.advice,
-        evidence=facts(evidence, term) | _equals(robot, rivals) | {"gain_over_unexplained": min(over_unknown(claimed), MOST)},
+        evidence={
+            **facts(evidence, term),
+            **_equals(robot, rivals),
+            "gain_over_unexplained": min(over_unknown(claimed), MOST),
+        },
         group=acting.effect.group,
         text=acting.effect.text,
     )

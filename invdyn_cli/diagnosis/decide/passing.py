@@ -35,8 +35,8 @@ def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) 
 
 
 def perhaps_unknown(findings: Sequence[Finding]) -> bool:
-    """Whether one of what comes and goes may be of an effect that is not in the catalogue."""
-    return any(f.window is not None and UNKNOWN in f.alternatives for f in findings)
+    """Whether an anomaly, or what comes and goes, may be of an effect that is not in the catalogue."""
+    return any(UNKNOWN in f.alternatives and (f.window is not None or f.group != "standard") for f in findings)
 
 
 def _at_once(one: Finding, other: Finding) -> bool:

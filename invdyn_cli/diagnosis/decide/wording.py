@@ -46,7 +46,7 @@ def verdict(
     floor: np.ndarray | None,
     extended: Mapping[str, Mapping[str, float]],
 ) -> str:
-    """explained, partly_explained or nothing_found; partly where what comes and goes may be of an unknown effect.
+    """explained, partly_explained or nothing_found; partly where an anomaly may be of an unknown effect.
 
     Args:
         learned: share of the residual (n,) that a learner predicts.
@@ -115,7 +115,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {usual_unit} over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
-    doubt = " What comes and goes may be of an effect that is not in the catalogue."
+    doubt = " One of these effects may be one that is not in the catalogue."
     return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
 
 
