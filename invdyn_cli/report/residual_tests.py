@@ -24,8 +24,8 @@ SHOWN = 9
 NOTE = (
     "RMS torque of the part of the residual that each quantity explains; -: the log is too short for the test. Bold: "
     "the test failed, because noise reaches this value in at most one of a hundred logs, and the value is more than "
-    "0.2 % of the joint's torque. A failed test rules out the verdict “explained”, unless its torque is small compared "
-    "with the effects that were found."
+    "0.2 % of the joint's torque. A failed test rules out the verdict “explained”, unless its torque is below "
+    "5 % of the nominal model's error."
 )
 CAPTION = "Mean residual over the quantity of each failed test, with two standard errors (autocorrelation included)."
 
