@@ -20,13 +20,12 @@ from invdyn_cli.diagnosis.search.feigned import asked_by_noise
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.diagnosis.transition import TOLD
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect, Parameters
+from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 from invdyn_cli.maths.standard import Standard, fit, link_scales
 from invdyn_cli.recording.pieces import ROLES
 
 SHORTLIST = 3
-"""Gears that are refined and fitted with the standard model: those that gain most in the noise of a fit without
-them."""
+"""Gears that are fitted with the standard model: those that gain most in the noise of a fit without them."""
 
 BETWEEN, SCANNED = 0.4, 9
 """Logarithm of a compliance, to either side of a trial, and number of values, among which a gear's is looked for: where
@@ -60,8 +59,7 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
                     best[effect.name, joint] = loss, EffectInstance(effect, joint, shape)
     found, most = None, TOLD
     for _, trial in sorted(best.values(), key=lambda x: x[0])[:SHORTLIST]:
-        alike = (trial, *(replace(trial, parameters=x) for x in _dragged(trial)))
-        one, _ = min((_nearest(evidence, x, lambda made: squares(nominal - made.T)) for x in alike), key=lambda x: x[1])
+        one = _nearest_dragged(evidence, trial, lambda made: squares(nominal - made.T))
         made = left(columns, None) - left(columns, one)
         fitted = columns.fit(nominal - made, rows)
         after = nominal - made - columns.of(fitted.theta)
@@ -71,13 +69,16 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
         saved = slow_saved(evidence, range(evidence.dofs), True, before * trained, after * trained, precise)
         if gain > most and not asked_by_noise(slow_share(saved), gain):
             found, most = one, gain
-    return found
+    return found and _nearest(evidence, found, lambda made: squares(nominal - made.T))[0]
 
 
-def _dragged(one: EffectInstance) -> Sequence[Parameters]:
-    """Parameters with more and with less friction of the link, where it has some."""
-    given = any(name in one.parameters for name in one.effect.chosen)
-    return one.effect.relatives(one.parameters) if given else ()
+def _nearest_dragged(evidence: Evidence, one: EffectInstance, loss: Callable[[np.ndarray], float]) -> EffectInstance:
+    """A trial whose link has friction, with the share of that, and the compliance, that have the least `loss`; any
+    other as it is."""
+    if not any(name in one.parameters for name in one.effect.chosen):
+        return one
+    alike = (one, *(replace(one, parameters=x) for x in one.effect.relatives(one.parameters)))
+    return min((_nearest(evidence, x, loss) for x in alike), key=lambda x: x[1])[0]
 
 
 def _friction(columns: Columns, theta: np.ndarray) -> list[tuple[float, float]]:
