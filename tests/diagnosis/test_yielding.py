@@ -47,11 +47,11 @@ def worn(seed: int, folder, bits: int, gap: float = 0.0, share: float = 0.0) -> 
     return case, hidden[-1]
 
 
-def assert_size(case: Case, gap: float) -> None:
-    """Play is found within 30 % of what it is, or of that and what the teeth yield beside it at the largest load."""
+def is_sized(case: Case, gap: float) -> bool:
+    """Whether play is found within 30 % of what it is, or of that and what the teeth yield at the largest load."""
     assert case.gear is not None
     most = gap + 2 * np.abs(case.evidence.tau[:, case.gear.joint]).max() / TEETH
-    assert 0.7 * gap < case.gear.parameters["gap"] < 1.3 * most
+    return bool(0.7 * gap < case.gear.parameters["gap"] < 1.3 * most)
 
 
 def test_play_is_seen_before_links_make_up_for_it(tmp_path):
@@ -64,21 +64,25 @@ def test_play_is_seen_before_links_make_up_for_it(tmp_path):
         if case.gear is not None:
             number = case.robot.joints.index(str(play.joint))
             assert case.gear.key == ("backlash", number)
-            assert_size(case, gap)
+            assert is_sized(case, gap)
             seen += 1
     assert seen >= 2
 
 
 def test_play_is_seen_behind_which_the_link_rubs(tmp_path):
-    """A share of the friction of 20 to 60 %, drawn at random, acts on the link, and shifts the moments at which play is
-    crossed: found with its joint, its size, and friction of the link within a factor of two."""
-    draw = np.random.default_rng(8)
-    gap, share = float(draw.uniform(0.004, 0.012)), float(draw.uniform(0.2, 0.6))
-    case, play = worn(3, tmp_path, 18, gap, share)
-    assert case.gear is not None and case.gear.key == ("backlash", case.robot.joints.index(str(play.joint)))
-    assert_size(case, gap)
-    for name in ("link_coulomb", "link_damping"):
-        assert play.parameters[name] / 2 < case.gear.parameters[name] < 2 * play.parameters[name]
+    """A share of the friction of 15 to 70 %, drawn at random, acts on the link, and shifts the moments at which play is
+    crossed. Of 4 to 15 mrad on three arms all are found on their joint, with friction of the link within a factor of
+    2.5 (shares are tried a factor of three apart), and at least two with their size."""
+    sized = 0
+    for seed in range(3):
+        draw = np.random.default_rng([seed, 8])
+        gap, share = float(np.exp(draw.uniform(*np.log((0.004, 0.015))))), float(draw.uniform(0.15, 0.7))
+        case, play = worn(seed, tmp_path, 18, gap, share)
+        assert case.gear is not None and case.gear.key == ("backlash", case.robot.joints.index(str(play.joint)))
+        for name in ("link_coulomb", "link_damping"):
+            assert play.parameters[name] / 2.5 < case.gear.parameters[name] < 2.5 * play.parameters[name]
+        sized += is_sized(case, gap)
+    assert sized >= 2
 
 
 @pytest.mark.parametrize(("bits", "seed"), [(13, 0), (16, 1)])

@@ -143,7 +143,10 @@ def asked_for(step: np.ndarray, extra: float) -> bool:
 def rivals(
     judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]
 ) -> list[Rival]:
-    """The best trial of every other effect in the place of one, by effect and joint, the strongest first."""
+    """The best trial of every other effect in the place of one, by effect and joint, the strongest first. A more
+    general effect is one if it does better by a standard error in a comparison, where errors of what both logs show
+    hide what is more; else its special case is enough until it replaces that (`asked_for`)."""
+    compares = judge.evidence.reference_rows is not None
     now = judge.verdict(always + hypothesis)
     own, others = hypothesis[place], hypothesis[:place] + hypothesis[place + 1 :]
     without = judge.verdict(always + others)
@@ -175,7 +178,7 @@ def rivals(
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
         if refused:
             why, equal = f"{refused} (it {why})", False
-        elif equal and clash(c, own) and excess >= -max(error, LEAST_DIFFERENCE):
+        elif equal and clash(c, own) and not (compares and excess < -max(error, LEAST_DIFFERENCE)):
             why, equal = f"is the more general effect, but {own.effect.title} is enough for these data", False
         elif equal and own.effect.group == "standard" and c.effect.coupled:
             why, equal = (

@@ -91,10 +91,11 @@ def test_rivals_of_what_is_there_are_rejected(dry):
     assert ("coulomb_friction", 1) not in why
 
 
-def test_a_general_effect_that_is_better_is_a_rival(dry, dropping):
-    """Coulomb friction in the place of a friction that drops is not enough for the data: the drop is its equal at
-    least. Without a drop it is none."""
+def test_a_general_effect_that_is_better_is_a_rival(dry, dropping, monkeypatch):
+    """Beside a reference Coulomb friction in the place of a friction that drops is not enough for the data: the drop is
+    its equal at least. Without a drop it is none."""
     for (evidence, judge), better in ((dry, False), (dropping, True)):
+        monkeypatch.setattr(evidence, "reference_rows", np.zeros(len(evidence.role), bool))
         made = naming.rivals(judge, (), (candidate(evidence, "coulomb_friction", 1),), 0, evidence.candidates)
         (drop,) = (r for r in made if r.candidate.effect.name == "stribeck_friction")
         assert drop.equal == better
