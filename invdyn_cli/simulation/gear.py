@@ -126,7 +126,7 @@ class Stops:
         every = enumerate(zip(arm.motor[arm.geared], arm.gear, gears, strict=True))
         self._rubbing = [(k, *one) for k, one in every if one[-1].link_coulomb or one[-1].link_damping]
         self.drag = np.zeros(len(gears))
-        self._model, self._data = arm.model, data
+        self._model, self._data, self._gears = arm.model, data, arm.gear
         self._step = float(arm.model.opt.timestep)
         for _, gear in self._teeth:
             most = gear.rotor * (RESOLVED / self._step) ** 2
@@ -138,8 +138,9 @@ class Stops:
         return bool(self._plays or self._teeth or self._rubbing)
 
     def look_ahead(self) -> None:
-        """Set the limits and the forces of teeth for the next step."""
+        """Set the limits, and the forces of teeth and of the links' friction, for the next step."""
         model, h = self._model, self._step
+        self._data.qfrc_applied[self._gears] = 0.0
         for dof, gear in self._teeth:
             q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
             deep = q - np.clip(q, -gear.gap / 2, gear.gap / 2)
@@ -147,10 +148,8 @@ class Stops:
             self._data.qfrc_applied[dof] = -push if deep * push > 0 else 0.0
         for k, motor, dof, gear in self._rubbing:
             speed = float(self._data.qvel[motor] + self._data.qvel[dof])
-            toothless = not (gear.gap and gear.stiffness)
             drag = -gear.link_coulomb * np.tanh(speed / SLIDING) - gear.link_damping * speed
-            self._data.qfrc_applied[dof] = drag + (0.0 if toothless else self._data.qfrc_applied[dof])
-            self._data.qfrc_applied[motor] += drag
+            self._data.qfrc_applied[[motor, dof]] += drag
             self.drag[k] = drag
         for dof, half in self._plays:
             q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])

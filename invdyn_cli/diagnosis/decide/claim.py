@@ -196,7 +196,7 @@ class Claim:
     def window(self) -> float:
         """The length of its window, as a multiple of what the interval of an edge leaves open, at least; infinite for
         what lasts. An edge that a rest hides does not count: friction then bears what comes and goes."""
-        place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
+        place = self._number
         if self.candidate.when is None or place is None:
             return np.inf
         evidence, when = self.inquiry.evidence, self.whole.acting[place].when
@@ -212,7 +212,7 @@ class Claim:
 
     def _ends(self, name: str) -> np.ndarray:
         """(2, …) the ends of a parameter's interval; infinite for none."""
-        place = next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
+        place = self._number
         if not name or place is None:
             return np.full(2, np.inf)
         return np.array(intervals(self.inquiry.evidence, self.whole)[place][name][1:], float)
@@ -237,6 +237,11 @@ class Claim:
         """What the exact formulas leave (R, n) without it, the others staying as they are, and with it."""
         others = [a for a in self.whole.acting if a.key != self.key]
         return self.inquiry.model.without(self.whole, others), self.whole.residual
+
+    @property
+    def _number(self) -> int | None:
+        """Its number among the exact effects, None where the refinement dropped it."""
+        return next((k for k, a in enumerate(self.whole.acting) if a.key == self.key), None)
 
     @property
     def _own(self) -> np.ndarray:

@@ -8,8 +8,8 @@ UNKNOWN = ("unknown",)
 """The alternative of a finding that may be of an effect which is not in the catalogue."""
 
 BEYOND = 3.0
-"""An effect is named if it saves this many times the variance of what is no noise on its joints and stays unexplained,
-or of what a learner still predicts there; else it is "or unknown"."""
+"""An effect is named if it saves this many times the variance that stays unexplained on its joints, noise not counted,
+and this many times what a learner still predicts there; else it is "or unknown"."""
 
 
 def or_else(found: Finding, *others: tuple[str, ...], advice: str = "") -> Finding:

@@ -201,7 +201,7 @@ def _doubted(
         more += [(e.for_a_time,) for e in alike if e.for_a_time in effects]
     if acting.effect is not candidate.effect and bodies.may_be_payload(sized.wanted[i]):
         more.append((candidate.effect.name,))
-    doubtful = acting.effect.group != "standard" and over_unknown(claimed) < BEYOND
+    doubtful = acting.effect.group != "standard" and finding.evidence["gain_over_unexplained"] < BEYOND
     no_body = i in sized.costs and sized.costs[i] > NO_BODY * claimed.evidence
     if doubtful or no_body or _is_vague(finding) or not held_out(evidence):
         more.append(UNKNOWN)

@@ -78,8 +78,8 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     claims = [f for f in diagnosis.findings if f.status in CLAIMS]
     units = units_of(diagnosis)
-    usual_unit = Counter(units.values()).most_common(1)[0][0]
-    apart = [j for j, unit in units.items() if unit != usual_unit]
+    ((unit, _),) = Counter(units.values()).most_common(1)
+    apart = [joint for joint, own in units.items() if own != unit]
     before, after = (
         np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
         for table in diagnosis.details.get(SINCE, (diagnosis.baseline, diagnosis.extended))
@@ -91,7 +91,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         first = "No cause was found: the held-out RMS error of the nominal model"
         if compares:
             first = "No change since the reference has a name: the held-out RMS error of one model of both logs"
-        return f"{first} is {before:.3g} {usual_unit} over {over}. {rest or 'The residual looks like noise.'}"
+        return f"{first} is {before:.3g} {unit} over {over}. {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     new = [f for f in claims if compares and f.window is not None]
     shown = [f for f in claims if not any(f is x for x in (*usual, *new))]
@@ -112,7 +112,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         if new:
             changed.append(f"For a time in this log, and not in the reference: {_listed(_grouped(new, titles))}.")
         first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
-    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {usual_unit} over {over}."
+    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {unit} over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     doubt = " One of these effects may be one that is not in the catalogue."
