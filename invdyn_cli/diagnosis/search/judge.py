@@ -24,8 +24,8 @@ FARTHEST = 1.5
 """Largest change of a channel's parameter, in prior standard deviations, up to which its torque is linear enough."""
 
 CANCELLED = 3.0
-"""Largest torque of an effect on a joint, as a multiple of the RMS of the nominal model's residual there: a larger one
-can only be cancelled by other effects, and then neither is known."""
+"""Largest torque of an effect on a joint, as a multiple of the RMS of the nominal model's residual there (beside a
+reference: of what its model leaves): a larger one can only be cancelled by other effects, and then neither is known."""
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -244,7 +244,8 @@ class HypothesisScorer:
         """Why the coefficients of a hypothesis are physically impossible, "" if they are possible; effects that are
         always in it may have any values."""
         others = [c for c in hypothesis if c not in self._always]
-        for candidate, own in shared_out(hypothesis, theta):
+        shares = list(shared_out(hypothesis, theta))
+        for candidate, own in shares:
             if candidate in self._always:
                 continue
             if why := self.impossible(candidate, own) or falls_beside_its_like(candidate, own, others):
@@ -253,7 +254,7 @@ class HypothesisScorer:
                 continue
             if self._mostly_there(candidate) and self._worth(candidate, own) < self._least(candidate):
                 return f"{candidate.effect.title}: smaller than the errors of clocks and filters"
-            if any(self._size(candidate, own, j) > CANCELLED * self._left(j) for j in candidate.columns):
+            if self._is_cancelled(candidate, own, shares):
                 return f"{candidate.effect.title}: so large that other effects would have to cancel most of it"
         return ""
 
@@ -287,9 +288,27 @@ class HypothesisScorer:
         factors = np.concatenate([np.ones(len(candidate.columns[j][0])), own])
         return float(np.sqrt(max(factors @ self.grams.square(candidate, j) @ factors, 0.0)))
 
-    def _left(self, j: int) -> float:
-        """The same for the nominal model's residual on that joint, noise included."""
-        return float(np.sqrt(self.grams.totals[j][0, 0]))
+    def _is_cancelled(
+        self, candidate: Candidate, own: np.ndarray, shares: Sequence[tuple[Candidate, np.ndarray]]
+    ) -> bool:
+        """Whether its torque on a joint is so large that other effects cancel most of it. What is always there may do
+        so beside a reference, which determines it: what has gone since is in both."""
+        large = [j for j in candidate.columns if self._size(candidate, own, j) > CANCELLED * self._left(j, ())]
+        if self.evidence.reference_rows is not None:
+            there = [(c, x) for c, x in shares if c in self._always]
+            large = [j for j in large if self._size(candidate, own, j) > CANCELLED * self._left(j, there)]
+        return bool(large)
+
+    def _left(self, j: int, shares: Sequence[tuple[Candidate, np.ndarray]]) -> float:
+        """The same for the nominal model's residual on that joint, noise included, without the torques of `shares`."""
+        at, factors = [0], [1.0]
+        for c, own in shares:
+            if j in c.columns:
+                fixed, free = c.columns[j]
+                at += [*fixed, *free]
+                factors += [-1.0] * len(fixed) + list(-own)
+        gram = self.grams.totals[j][np.ix_(at, at)]
+        return float(np.sqrt(max(np.array(factors) @ gram @ np.array(factors), 0.0)))
 
     def freedom(self, candidate: Candidate) -> float:
         """Effective number of coefficients of a candidate, as far as the data determine them."""
