@@ -1,5 +1,7 @@
 """Losses are those of a direct least squares on the rows; the search finds what was put in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -152,6 +154,20 @@ def test_what_others_would_have_to_take_back_is_refused(evidence, judge):
     left = np.sqrt(np.mean(evidence.tables[1][evidence.role == 0, 0] ** 2))
     assert "cancel most of it" in judge.refused((offset,), np.array([10 * left]))
     assert judge.refused((offset,), np.array([left])) == ""
+
+
+def test_beside_a_reference_what_both_logs_show_may_be_taken_back(evidence, judge):
+    """What a reference alone shows, and what has gone since, cancel each other in the later log: an offset ten times
+    the residual is possible beside a drag of that size which is always there, and impossible beside none."""
+    drag, offset = candidate(evidence, "viscous_friction", 1), candidate(evidence, "torque_offset", 1)
+    compared = replace(evidence, reference_rows=np.zeros(len(evidence.role), bool))
+    beside = HypothesisScorer(compared, judge.rows, WEIGHTS, 0.03 * np.ones(3), always=(drag,))
+    beside.refresh()
+    left, speed = (
+        np.sqrt(np.mean(evidence.tables[1][evidence.role == 0, column] ** 2)) for column in (0, drag.columns[1][1][0])
+    )
+    assert beside.refused((drag, offset), np.array([10 * left / speed, -10 * left])) == ""
+    assert "cancel most of it" in beside.refused((drag, offset), np.array([0.0, -10 * left]))
 
 
 @pytest.mark.parametrize("name", HYPOTHESES)
