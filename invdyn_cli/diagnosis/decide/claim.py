@@ -10,7 +10,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow, slow_saved, slow_share
 from invdyn_cli.diagnosis.decide.gain import gains_of
-from invdyn_cli.diagnosis.decide.intervals import intervals
+from invdyn_cli.diagnosis.decide.intervals import with_edges
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
@@ -215,7 +215,8 @@ class Claim:
         place = self._number
         if not name or place is None:
             return np.full(2, np.inf)
-        return np.array(intervals(self.inquiry.evidence, self.whole)[place][name][1:], float)
+        own = with_edges(self.inquiry.evidence, self.inquiry.model, self.whole, self.inquiry.noise.weights)[place]
+        return np.array(own[name][1:], float)
 
     @cached_property
     def share_of_residual(self) -> float:

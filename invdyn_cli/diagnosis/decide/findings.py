@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
 from invdyn_cli.diagnosis.decide.doubt import BEYOND, UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
-from invdyn_cli.diagnosis.decide.intervals import intervals, reach
+from invdyn_cli.diagnosis.decide.intervals import intervals, reach, with_edges
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, over_unknown, supported
@@ -148,7 +148,8 @@ def sizes(inquiry: Inquiry, whole: Refined, unsure: Hypothesis) -> Sized:
     wanted = intervals(evidence, whole)
     whole, notes, costs = realisable(evidence, model, whole, bodies.link_names(evidence.robot))
     whole, rested = resting.edges(evidence, model, whole)
-    ends = [{**known, **at_rest} for known, at_rest in zip(intervals(evidence, whole), rested, strict=True)]
+    shown = with_edges(evidence, model, whole, inquiry.noise.weights)
+    ends = [{**known, **at_rest} for known, at_rest in zip(shown, rested, strict=True)]
     return Sized(whole, wanted, ends, notes, costs)
 
 

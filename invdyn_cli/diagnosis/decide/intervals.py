@@ -7,8 +7,9 @@ import numpy as np
 import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.diagnosis.search.composed import Refined
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES, with_parameters
+from invdyn_cli.diagnosis.search.edges import possible
 from invdyn_cli.effects.composition import EffectInstance
 
 BOUNDLESS = 1e100
@@ -45,6 +46,17 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
             error = np.hypot(reach(away[1:], away[0], share), 2 * _systematic(evidence, a, name, value))
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
+    return out
+
+
+def with_edges(evidence: Evidence, model: Model, refined: Refined, weights: np.ndarray) -> list[dict[str, tuple]]:
+    """`intervals`; no edge of a window lies where the rows in between exclude it (`edges.possible`)."""
+    out = intervals(evidence, refined)
+    for row, a, limits in zip(out, refined.acting, possible(evidence, model, refined, weights), strict=True):
+        for name, (earliest, latest) in limits.items():
+            value, low, high = row[name]
+            least = 2 * _systematic(evidence, a, name, value)
+            row[name] = value, max(low, earliest - least), min(high, latest + least)
     return out
 
 

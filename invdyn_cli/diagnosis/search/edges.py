@@ -11,16 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
+from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.effects.composition import EffectInstance
 
 REACH = 0.25
 """Share of a window's length by which its edges move at most in one step."""
 
+BEYOND = 9.0
+"""Difference of the loss from that at the best position, in noise variances, above which an edge is excluded: three
+standard errors."""
 
-def summed(
-    evidence: Evidence, acting: Sequence[EffectInstance], squares: Callable[[Sequence[EffectInstance]], np.ndarray]
-) -> tuple[EffectInstance, ...]:
+Squares = Callable[[Sequence[EffectInstance]], np.ndarray]
+"""The weighted squares (R,) that effects leave of every row."""
+
+
+def summed(evidence: Evidence, acting: Sequence[EffectInstance], squares: Squares) -> tuple[EffectInstance, ...]:
     """Effects with the edges of their windows where the sums say, one window after the other.
 
     Args:
@@ -30,10 +36,8 @@ def summed(
     for number, one in enumerate(acting):
         if one.when is None:
             continue
-        there = replace(one, when=one.when._replace(start=-np.inf, end=np.inf))
-        before, behind = acting[:number], acting[number + 1 :]
         at = names == one.when.trajectory
-        saved = (squares([*before, *behind]) - squares([*before, there, *behind]))[at]
+        saved = _saved(acting, number, squares)[at]
         t, total = evidence.on_rows("t")[at], np.append(0.0, np.cumsum(saved))
         times = np.concatenate([t[:1], (t[1:] + t[:-1]) / 2, t[-1:]])
         reach = REACH * (one.when.end - one.when.start)
@@ -45,6 +49,42 @@ def summed(
                 found[name] = float(times[near[np.lexsort((away[near], sign * total[near]))[0]]])
         acting[number] = replace(one, when=one.when._replace(**found))
     return tuple(acting)
+
+
+def _saved(acting: Sequence[EffectInstance], number: int, squares: Squares) -> np.ndarray:
+    """(R,) what an effect that is there all the time saves of every row's squares."""
+    one, before, behind = acting[number], acting[:number], acting[number + 1 :]
+    assert one.when is not None
+    always = replace(one, when=one.when._replace(start=-np.inf, end=np.inf))
+    return squares([*before, *behind]) - squares([*before, always, *behind])
+
+
+def possible(
+    evidence: Evidence, model: Model, refined: Refined, weights: np.ndarray
+) -> list[dict[str, tuple[float, float]]]:
+    """For each effect {edge: (earliest, latest)} [s] of its window: an edge anywhere else contradicts the rows between
+    it and the one that was found. Where the torque is near zero at an edge, its slope does not tell that.
+
+    Args:
+        weights: (n,) 1 / (noise variance x autocorrelation time) of every row.
+    """
+
+    def squares(there: Sequence[EffectInstance]) -> np.ndarray:
+        return np.sum(weights * evidence.valid * model.without(refined, there) ** 2, axis=1)
+
+    out: list[dict[str, tuple[float, float]]] = [{} for _ in refined.acting]
+    for number, one in enumerate(refined.acting):
+        if one.when is None:
+            continue
+        at = evidence.trajectory == one.when.trajectory
+        saved, t = _saved(refined.acting, number, squares)[at], evidence.on_rows("t")[at]
+        for name, sign in zip(EDGES, (1.0, -1.0), strict=True):
+            edge = getattr(one.when, name)
+            before, behind = t < edge, t >= edge
+            early = t[before][-sign * np.cumsum(saved[before][::-1])[::-1] <= BEYOND]
+            late = t[behind][sign * np.cumsum(saved[behind]) <= BEYOND]
+            out[number][name] = float(min([edge, *early])), float(max([edge, *late]))
+    return out
 
 
 def within(acting: Sequence[EffectInstance], labels, move: np.ndarray) -> np.ndarray:
