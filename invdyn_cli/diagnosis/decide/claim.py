@@ -10,10 +10,9 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, judged, shared_out, slow, slow_saved, slow_share
 from invdyn_cli.diagnosis.decide.gain import gains_of
-from invdyn_cli.diagnosis.decide.intervals import with_edges
-from invdyn_cli.diagnosis.search import naming, resting
+from invdyn_cli.diagnosis.decide.intervals import intervals
+from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
-from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.further import acting_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
@@ -192,19 +191,6 @@ class Claim:
         ends = self._ends(name)
         return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
 
-    @cached_property
-    def window(self) -> float:
-        """The length of its window, as a multiple of what the interval of an edge leaves open, at least; infinite for
-        what lasts. An edge that a rest hides does not count: friction then bears what comes and goes."""
-        place = self._number
-        if self.candidate.when is None or place is None:
-            return np.inf
-        evidence, when = self.inquiry.evidence, self.whole.acting[place].when
-        assert when is not None
-        rested = resting.edges(evidence, self.inquiry.model, self.whole)[1][place]
-        shown = [np.ptp(self._ends(edge)) for edge in EDGES if edge not in rested]
-        return (when.end - when.start) / max(shown, default=0.0) if shown else np.inf
-
     def _evidence(self, always: Hypothesis) -> float:
         """`evidence` beside what is `always` there."""
         judge, others = self.inquiry.judge, self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]
@@ -215,8 +201,7 @@ class Claim:
         place = self._number
         if not name or place is None:
             return np.full(2, np.inf)
-        own = with_edges(self.inquiry.evidence, self.inquiry.model, self.whole, self.inquiry.noise.weights)[place]
-        return np.array(own[name][1:], float)
+        return np.array(intervals(self.inquiry.evidence, self.whole)[place][name][1:], float)
 
     @cached_property
     def share_of_residual(self) -> float:

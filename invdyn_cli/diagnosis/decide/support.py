@@ -99,12 +99,6 @@ REFUSALS = (
         "least size by its interval", lambda x: x.size, np.nextafter(0, 1), lambda _: "its 95 % interval contains zero"
     ),
     Refusal(
-        "length of its window over what its edges leave open",
-        lambda x: x.window,
-        1.0,
-        lambda _: "the log does not tell when it came or went",
-    ),
-    Refusal(
         "gain over the residual",
         lambda x: x.share_of_residual,
         MIN_SHARE_OF_RESIDUAL,

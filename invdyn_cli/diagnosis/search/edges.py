@@ -80,7 +80,8 @@ def possible(
         saved, t = _saved(refined.acting, number, squares)[at], evidence.on_rows("t")[at]
         for name, sign in zip(EDGES, (1.0, -1.0), strict=True):
             edge = getattr(one.when, name)
-            before, behind = t < edge, t >= edge
+            own = t <= one.when.end if name == "start" else t >= one.when.start  # a window has some length
+            before, behind = own & (t < edge), own & (t >= edge)
             early = t[before][-sign * np.cumsum(saved[before][::-1])[::-1] <= BEYOND]
             late = t[behind][sign * np.cumsum(saved[behind]) <= BEYOND]
             out[number][name] = float(min([edge, *early])), float(max([edge, *late]))

@@ -7,7 +7,6 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import judged
 from invdyn_cli.diagnosis.decide import claim, support
-from invdyn_cli.diagnosis.search.coordinates import EDGES
 from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.diagnosis.search.naming import Rival
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -140,28 +139,6 @@ def test_least_sizes(name, ends, least, monkeypatch):
     told = np.full(2, np.inf) if ends is None else np.array(ends, float)
     monkeypatch.setattr(claim.Claim, "_ends", lambda _, asked: told if asked else np.full(2, np.inf))
     assert one.size == pytest.approx(least)
-
-
-@pytest.mark.parametrize(
-    ("open_for", "rested", "length"),
-    [((0.5, 0.1), (), 2.0), ((0.5, 50.0), (), 0.02), ((0.5, 50.0), ("end",), 2.0), ((9, 9), ("start", "end"), np.inf)],
-)
-def test_an_event_came_and_went_at_some_time(open_for, rested, length, monkeypatch):
-    """The window of 1 s of an event is compared with the less certain of its edges, unless a rest hides that one."""
-    one = of_coulomb(rubbed(20.0))
-    when = TimeWindow("run", 2.0, 3.0)
-    own, place = replace(one.candidate, when=when), one.place
-    acting = tuple(replace(a, when=when) if a.key == one.key else a for a in one.whole.acting)
-    hidden = [{edge: (0.0, 0.0, 0.0) for edge in rested} if a.when else {} for a in acting]
-    event = replace(
-        one,
-        hypothesis=(*one.hypothesis[:place], own, *one.hypothesis[place + 1 :]),
-        whole=replace(one.whole, acting=acting),
-    )
-    ends = {edge: np.array([0.0, x]) for edge, x in zip(EDGES, open_for, strict=True)}
-    monkeypatch.setattr(claim.Claim, "_ends", lambda _, edge: ends[edge])
-    monkeypatch.setattr(claim.resting, "edges", lambda *_: (event.whole, hidden))
-    assert event.window == pytest.approx(length) and one.window == np.inf
 
 
 @pytest.mark.parametrize(("own", "refused"), [(-20.0, True), (-5.0, False), (1.0, False)])

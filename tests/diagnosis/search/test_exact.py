@@ -1,6 +1,7 @@
 """Parameters refined together as the formulas stand, and intervals that hold the truth as often as they say."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from scipy.signal import lfilter
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.decide.intervals import intervals
-from invdyn_cli.diagnosis.search.composed import Model
+from invdyn_cli.diagnosis.search.composed import Model, Refined
+from invdyn_cli.diagnosis.search.edges import possible
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
@@ -197,6 +199,24 @@ def test_an_edge_stays_near_its_window():
         assert refined.acting[0].parameters["gain"] == pytest.approx(0.7, rel=0.01)
         assert refined.acting[0].when is not None
         assert refined.acting[0].when[1:3] == pytest.approx((14.0, 22.0), abs=0.02)
+
+
+def test_an_edge_may_be_where_its_torque_is_zero(still):
+    """A torque of 10 standard deviations of the noise from 14 s on, none from 20 to 25 s, and 10 again, which is not
+    logged from 25 s on: its window begins at 14 s and ends somewhere between 20 and 25 s."""
+    t, rows = still.on_rows("t"), np.ones((len(still.role), 3))
+    torque = 10 * ((t < 20) | (t > 25))
+    logged = torque * ((t > 14) & (t < 25))
+
+    def without(_, there):
+        acts = sum((t > a.when.start) & (t < a.when.end) for a in there)
+        return (logged - torque * acts)[:, None] * rows
+
+    one = EffectInstance(EFFECTS["torque_gain_change"], 1, {"gain": 0.8}, TimeWindow("run", 14.0, 22.0, 0))
+    refined = Refined((one,), np.zeros(0), [], (), np.zeros((0, 0)), 0 * rows)
+    (found,) = possible(still, SimpleNamespace(without=without), refined, np.ones(3))
+    assert found["start"] == pytest.approx((14, 14), abs=2 * np.diff(t).max())
+    assert found["end"] == pytest.approx((20, 25), abs=2 * np.diff(t).max())
 
 
 def test_intervals_are_as_wide_as_recordings_scatter():
