@@ -15,7 +15,7 @@ from invdyn_cli.effects.actuator import TorqueGainError
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import LogError, listed
-from invdyn_cli.interfaces import AbstractEffect, Progress, silent
+from invdyn_cli.interfaces import AbstractCheck, AbstractEffect, Progress, silent
 from invdyn_cli.log import Log, Window
 from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import Preparation, Recording, prepare
@@ -109,10 +109,12 @@ def prepared(
     options: Options,
     effects: Mapping[str, AbstractEffect],
     progress: Progress = silent,
+    checks: Sequence[AbstractCheck] = doctor.CHECKS,
 ) -> Case | Diagnosis:
-    """The case of a log, or why it cannot be diagnosed. Arguments and errors as `pipeline.diagnose`'s."""
+    """The case of a log, or why it cannot be diagnosed. Arguments and errors as `pipeline.diagnose`'s; `checks` correct
+    the log."""
     gained, log, reference = _gained(log, reference, robot, windows, options)
-    log, examination = doctor.correct(log, robot, change=options.correct)
+    log, examination = doctor.correct(log, robot, checks, change=options.correct)
     if not examination.usable:
         return _unusable(examination, () if options.correct else (AS_RECORDED,))
     notes = doctor.done(examination)
@@ -125,7 +127,7 @@ def prepared(
     progress(0.1, "checked")
     split = windows is not None
     if reference is not None:
-        log, windows, more = _beside(log, reference, robot, windows, options)
+        log, windows, more = _beside(log, reference, robot, windows, options, checks)
         notes += more
     pool = {name: e for name, e in effects.items() if name not in log.compensated}
     if "reference" in (windows or {}):
@@ -234,9 +236,9 @@ def _typical_inertia(robot: Robot) -> np.ndarray:
     return inertia
 
 
-def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options):
+def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options, checks: Sequence[AbstractCheck]):
     """The log with the reference's trajectories beside its own, in a role of their own."""
-    reference, examination = doctor.correct(reference, robot, change=options.correct)
+    reference, examination = doctor.correct(reference, robot, checks, change=options.correct)
     if not examination.usable:
         failed = [c.seen for c in examination.checks if c.severity == "fail"]
         raise LogError(f"the reference log fails its checks: {listed(failed)}", advice="another data.reference")

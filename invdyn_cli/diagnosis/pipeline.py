@@ -9,17 +9,19 @@ import numpy as np
 from invdyn_cli import compiled
 from invdyn_cli.diagnosis import extension, gains, repeats, since, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
+from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence, held_out, judged
 from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, unexplained, wording
 from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
+from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError
-from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
+from invdyn_cli.interfaces import AbstractCheck, AbstractEffect, AbstractModel, Progress, silent
 from invdyn_cli.log import Log, Window
 from invdyn_cli.maths import metrics
 from invdyn_cli.maths.threads import one_blas_thread
@@ -58,8 +60,9 @@ def diagnose(
     """
     compiled.drop_many()
     options = options or Options()
-    with one_blas_thread():
-        case = prepared(log, robot, windows, reference, options, effects, progress)
+
+    def asked(checks: Sequence[AbstractCheck], progress: Progress) -> Diagnosis:
+        case = prepared(log, robot, windows, reference, options, effects, progress, checks)
         if isinstance(case, Diagnosis):
             return case
         found = searched(case, progress)
@@ -68,6 +71,14 @@ def diagnose(
             case = case.with_transition(gradual)
             found = searched(case, lambda done, note: progress(0.7, f"{note}, friction that changes side gradually"))
         return decided(case, *found, options, learner, seed, progress)
+
+    with one_blas_thread():
+        first = asked(CHECKS, progress)
+        if not lateness.shifted_wrongly(first.findings, effects, first.examination, robot.dofs):
+            return first
+        untimed = [check for check in CHECKS if check.name != TimeOffset.name]
+        again = asked(untimed, lambda done, note: progress(0.9, f"again, torques at the times of the log: {note}"))
+        return replace(again, notes=(lateness.NOT_SHIFTED, *again.notes))
 
 
 def _gradual(inquiry: Inquiry, columns: standard.Columns) -> tuple[float, ...]:

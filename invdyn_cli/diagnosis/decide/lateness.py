@@ -12,23 +12,42 @@ from invdyn_cli.types import Examination, Finding, Quantity
 TAKEN_BACK = 0.25
 """Share of a shift of all torques by which a joint's delay that takes it back may differ from it."""
 
+NOT_SHIFTED = (
+    "The torques stay at the times of the log: after the shift that a check suggests, half of the joints or more were "
+    "late by as much."
+)
+
 
 def taken_back(
     found: Sequence[Finding], effects: Mapping[str, AbstractEffect], examination: Examination
 ) -> tuple[Finding, ...]:
     """The findings; a delay that takes back the shift by which the torques of all joints were corrected is ambiguous:
     other joints may have told that shift by what they have beside it."""
+    advice = "diagnose the log with correct=false: the shift of all torques, which this takes back, may be wrong"
+    return tuple(
+        doubt.or_else(one, doubt.UNKNOWN, advice=advice)
+        if one.status == "named" and _takes_back(one, effects, examination)
+        else one
+        for one in found
+    )
+
+
+def shifted_wrongly(
+    found: Sequence[Finding], effects: Mapping[str, AbstractEffect], examination: Examination, joints: int
+) -> bool:
+    """Whether the delays of half of the joints, and of two at least, take back the shift of all torques: what the arm
+    has beside its nominal model, a payload say, had told that shift."""
+    claimed = [f for f in found if f.status in ("named", "ambiguous") and f.window is None]
+    back = {f.joint for f in claimed if _takes_back(f, effects, examination)}
+    return len(back) >= max(2, joints / 2)
+
+
+def _takes_back(one: Finding, effects: Mapping[str, AbstractEffect], examination: Examination) -> bool:
+    """Whether it is a delay as large as the shift by which all torques were corrected."""
     checks = [c for c in examination.checks if c.check == TimeOffset.name and c.joint is None]
     shifts = [float(c.value) for c in checks if c.severity in ("warn", "fail") and c.value is not None]
-    advice = "diagnose the log with correct=false: the shift of all torques, which this takes back, may be wrong"
-    out = []
-    for one in found:
-        delay = one.parameters.get(effects[one.effect].late_by) if one.status == "named" else None
-        value = None if delay is None else delay.value
-        if value is not None and any(abs(value - shift) < TAKEN_BACK * abs(shift) for shift in shifts):
-            one = doubt.or_else(one, doubt.UNKNOWN, advice=advice)
-        out.append(one)
-    return tuple(out)
+    delay = one.parameters.get(effects[one.effect].late_by)
+    return delay is not None and any(abs(delay.value - shift) < TAKEN_BACK * abs(shift) for shift in shifts)
 
 
 def note_of(found: Sequence[Finding], effects: Mapping[str, AbstractEffect]) -> tuple[str, ...]:

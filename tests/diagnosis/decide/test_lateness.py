@@ -1,10 +1,14 @@
 """Delays of single joints that are perhaps one delay of all torques."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
+from invdyn_cli.diagnosis import pipeline
 from invdyn_cli.diagnosis.decide import lateness
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.types import Check, Examination, Finding, Quantity
+from invdyn_cli.types import Check, Diagnosis, Examination, Finding, Quantity
 
 
 def late(joint: str, delay: float, reach: float, **more) -> Finding:
@@ -40,3 +44,43 @@ def test_a_delay_that_takes_back_a_shift_is_in_doubt(delay, status):
     (told,) = lateness.taken_back([found], EFFECTS, shifted)
     assert told.status == status
     assert ("correct=false" in told.advice) == (status == "ambiguous")
+
+
+@pytest.mark.parametrize(
+    ("delays", "joints", "wrongly"),
+    [
+        ((-0.0055, -0.0058, -0.0056), 6, True),
+        ((-0.0055, -0.0058), 6, False),
+        ((-0.0055,), 1, False),
+        ((0.0055, 0.0056), 3, False),
+        ((-0.0055, -0.0056), 3, True),
+    ],
+)
+def test_half_of_the_joints_say_that_all_were_shifted_wrongly(delays, joints, wrongly):
+    """All torques were moved by 5.6 ms: where half of the joints, two at least, are late by as much, the shift was
+    wrong; delays of a few joints, or the other way, do not tell that."""
+    shifted = Examination(True, (Check("time_offset", "warn", value=-0.0056),), {})
+    found = [late(f"j{k}", x, 0.001) for k, x in enumerate(delays)]
+    assert lateness.shifted_wrongly(found, EFFECTS, shifted, joints) is wrongly
+    sound = Examination(True, (Check("time_offset", "ok", value=-0.0056),), {})
+    assert not lateness.shifted_wrongly(found, EFFECTS, sound, joints)
+
+
+def test_after_a_wrong_shift_the_log_is_asked_again_without_it(monkeypatch):
+    """The second answer is given, with a note, where the first takes back the shift; else the first one is."""
+    log: Any = None
+    robot: Any = SimpleNamespace(dofs=2)
+
+    def answered(*given):
+        shifts = any(check.name == "time_offset" for check in given[-1])
+        checks = (Check("time_offset", "warn", value=-0.0056),) if shifts else ()
+        found = tuple(late(f"j{k}", delay, 0.001) for k in range(2)) if shifts else ()
+        return Diagnosis("explained", Examination(True, checks, {}), found, {}, {}, None, {})
+
+    monkeypatch.setattr(pipeline, "prepared", answered)
+    delay = -0.0055
+    again = pipeline.diagnose(log, robot)
+    assert again.findings == () and again.notes == (lateness.NOT_SHIFTED,)
+    delay = 0.02
+    first = pipeline.diagnose(log, robot)
+    assert len(first.findings) == 2 and first.notes == ()
