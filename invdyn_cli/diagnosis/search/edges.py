@@ -84,7 +84,7 @@ def possible(
             before, behind = own & (t < edge), own & (t >= edge)
             early = t[before][-sign * np.cumsum(saved[before][::-1])[::-1] <= BEYOND]
             late = t[behind][sign * np.cumsum(saved[behind]) <= BEYOND]
-            out[number][name] = float(min([edge, *early])), float(max([edge, *late]))
+            out[number][name] = float(min([edge, *early[:1]])), float(max([edge, *late[-1:]]))
     return out
 
 

@@ -15,15 +15,12 @@ from invdyn_cli.diagnosis.columns.candidates import passing_columns, passing_tor
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates
+from invdyn_cli.diagnosis.search.edges import BEYOND
 from invdyn_cli.effects.composition import EffectInstance, joint_terms
 from invdyn_cli.interfaces import JointState
 
 SHORTEST = 0.05
 """[s] Shortest rest that hides an edge: a shorter one is bridged by the rows on both sides."""
-
-BEYOND = 9.0
-"""Difference of the cost from that at the best position, in noise variances, above which an edge is excluded: three
-standard errors."""
 
 ANSWER = 0.05
 """[s] Time in which a controller compensates what friction no longer balances: an edge is that much earlier than its
