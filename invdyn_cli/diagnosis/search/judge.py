@@ -244,8 +244,7 @@ class HypothesisScorer:
         """Why the coefficients of a hypothesis are physically impossible, "" if they are possible; effects that are
         always in it may have any values."""
         others = [c for c in hypothesis if c not in self._always]
-        shares = list(shared_out(hypothesis, theta))
-        for candidate, own in shares:
+        for candidate, own in shared_out(hypothesis, theta):
             if candidate in self._always:
                 continue
             if why := self.impossible(candidate, own) or falls_beside_its_like(candidate, own, others):
@@ -254,7 +253,7 @@ class HypothesisScorer:
                 continue
             if self._mostly_there(candidate) and self._worth(candidate, own) < self._least(candidate):
                 return f"{candidate.effect.title}: smaller than the errors of clocks and filters"
-            if self._is_cancelled(candidate, own, shares):
+            if self._is_cancelled(candidate, own, hypothesis, theta):
                 return f"{candidate.effect.title}: so large that other effects would have to cancel most of it"
         return ""
 
@@ -289,26 +288,23 @@ class HypothesisScorer:
         return float(np.sqrt(max(factors @ self.grams.square(candidate, j) @ factors, 0.0)))
 
     def _is_cancelled(
-        self, candidate: Candidate, own: np.ndarray, shares: Sequence[tuple[Candidate, np.ndarray]]
+        self, candidate: Candidate, own: np.ndarray, hypothesis: Sequence[Candidate], theta: np.ndarray
     ) -> bool:
         """Whether its torque on a joint is so large that other effects cancel most of it. What is always there may do
         so beside a reference, which determines it: what has gone since is in both."""
-        large = [j for j in candidate.columns if self._size(candidate, own, j) > CANCELLED * self._left(j, ())]
-        if self.evidence.reference_rows is not None:
-            there = [(c, x) for c, x in shares if c in self._always]
-            large = [j for j in large if self._size(candidate, own, j) > CANCELLED * self._left(j, there)]
+        large = [j for j in candidate.columns if self._size(candidate, own, j) > CANCELLED * self._left(j, (), theta)]
+        if large and self.evidence.reference_rows is not None:
+            shares = [(c, x) for c, x in shared_out(hypothesis, theta) if c in self._always]
+            there, known = [c for c, _ in shares], np.concatenate([np.zeros(0), *(x for _, x in shares)])
+            large = [j for j in large if self._size(candidate, own, j) > CANCELLED * self._left(j, there, known)]
         return bool(large)
 
-    def _left(self, j: int, shares: Sequence[tuple[Candidate, np.ndarray]]) -> float:
-        """The same for the nominal model's residual on that joint, noise included, without the torques of `shares`."""
-        at, factors = [0], [1.0]
-        for c, own in shares:
-            if j in c.columns:
-                fixed, free = c.columns[j]
-                at += [*fixed, *free]
-                factors += [-1.0] * len(fixed) + list(-own)
-        gram = self.grams.totals[j][np.ix_(at, at)]
-        return float(np.sqrt(max(np.array(factors) @ gram @ np.array(factors), 0.0)))
+    def _left(self, j: int, there: Sequence[Candidate], theta: np.ndarray) -> float:
+        """The same for what these candidates leave of the nominal model's residual on that joint, noise included."""
+        fixed, free, place = columns_of(there, j)
+        factors = np.concatenate([[1.0], -np.ones(len(fixed)), -theta[place]])
+        at = [0, *fixed, *free]
+        return float(np.sqrt(max(factors @ self.grams.totals[j][np.ix_(at, at)] @ factors, 0.0)))
 
     def freedom(self, candidate: Candidate) -> float:
         """Effective number of coefficients of a candidate, as far as the data determine them."""
