@@ -30,6 +30,9 @@ FEW = 2.0
 """Number of blocks that share an effect's squares on the held-out rows evenly, below which these do not judge it: of a
 gear's play they have one impact or two, and a model of the load that was not fitted there has it some ms off."""
 
+MISSED = -np.log(0.025)
+"""The same for the 95 % interval of a gain: of the draws of blocks behind it, 2.5 % take none of 3.7 blocks."""
+
 AWAY, QUIET, LOUD = 1.0, 3.0, 10.0
 """[s] for which a joint that rests must have the torque that it would have without an effect, for this to have been
 away: what is then left is at most QUIET times the noise, and the effect would make LOUD times."""
@@ -71,8 +74,13 @@ class Claim:
     @cached_property
     def rows(self) -> np.ndarray:
         """(R,) bool on which it is judged."""
-        evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
-        return _judging(evidence, (((self.after - self.before) * evidence.valid) ** 2) @ weights)
+        return _judging(self.inquiry.evidence, self._squares)
+
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        """(R,) squares of what it makes, in noise variances."""
+        made = (self.after - self.before) * self.inquiry.evidence.valid
+        return made**2 @ self.inquiry.noise.weights
 
     @cached_property
     def saved(self) -> np.ndarray:
@@ -101,9 +109,10 @@ class Claim:
     @property
     def least_gain(self) -> float:
         """[N m; N] by how much it lowers the held-out error of a joint at least, by the 95 % interval of the report, on
-        the joint where that is most; infinite where no joint's error is another, and for what comes and goes: draws of
-        blocks of time often miss it."""
-        if self.candidate.when is not None:
+        the joint where that is most; infinite where no joint's error is another, and for what acts for a time or in
+        few blocks: the draws of blocks behind that interval often miss it."""
+        rows = judged(self.inquiry.evidence)
+        if self.candidate.when is not None or _blocks(self.inquiry.evidence, rows, self._squares) < MISSED:
             return np.inf
         return max((one.interval95[0] for one in self.gains.values()), default=np.inf)
 
@@ -238,9 +247,15 @@ def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
     """Rows (R,) bool on which an effect with these squares (R,) is judged: the held-out ones, or all if it hardly acts
     on those, or in FEW blocks."""
     rows = judged(evidence)
-    blocks = np.bincount(evidence.block[rows], squares[rows])
-    often = blocks.sum() ** 2 >= FEW * np.sum(blocks**2)
+    often = _blocks(evidence, rows, squares) >= FEW
     return rows if often and np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
+
+
+def _blocks(evidence: Evidence, rows: np.ndarray, squares: np.ndarray) -> float:
+    """In how many blocks an effect with these squares (R,) acts on these rows (R,) bool: the number of blocks that
+    would share them evenly."""
+    blocks = np.bincount(evidence.block[rows], squares[rows])
+    return float(blocks.sum() ** 2 / max(np.sum(blocks**2), 1e-300))
 
 
 def refitted(inquiry: Inquiry, acting: Sequence[EffectInstance], rows: np.ndarray) -> Refined:

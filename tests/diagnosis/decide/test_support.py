@@ -118,6 +118,18 @@ def test_a_claim_surely_gains(even):
     assert support.refusal(brief, gains) is None  # draws of blocks often miss it
 
 
+def test_what_acts_in_one_block_surely_gains():
+    """A drive that saturates once is claimed: most draws of blocks lack the one in which it does, and the interval of
+    its gain then begins at zero."""
+    one = of_coulomb(rubbed(60.0))
+    block = one.inquiry.evidence.block
+    once = block == block[judged(one.inquiry.evidence)][0]
+    one.__dict__["before"] = one.after + 10.0 * once[:, None]  # cached: made up here
+    assert all(gain.interval95[0] <= 0 for gain in one.gains.values())
+    gains = [x for x in support.REFUSALS if x.name.startswith("least gain")]
+    assert support.refusal(one, gains) is None
+
+
 @pytest.mark.parametrize(
     ("name", "ends", "least"),
     [
