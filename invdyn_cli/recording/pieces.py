@@ -5,7 +5,7 @@ role to another.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,9 @@ CLEAR, SPEED_OVER = 0.1, 0.05
 SPEED_OVER [s]: a joint rests below four times that noise (`columns.evidence`), and one of 14 bits that moves at 0.05
 rad/s would rest all of the time."""
 
+LONGER = 1.05
+"""A part of a trajectory is longer than the filters need by this factor: it has some samples fewer than its time."""
+
 ANSWER = 5
 """Number of samples of positions to which a controller's torque is assumed to react immediately."""
 
@@ -51,6 +54,7 @@ class Preparation:
             which this leaves a joint without motion to learn from is first divided into parts (`selection.divided`).
         longest: [s] length of log that is used; of a longer log, evenly spread stretches.
         stretch: [s] length of such a stretch, about; less where joints move one after the other (`thinning`).
+        shortest: [s] length of the shortest part into which a trajectory is divided; longer where the filters need it.
     """
 
     rate: float = 250.0
@@ -61,6 +65,7 @@ class Preparation:
     train_share: float = 0.7
     longest: float = 270.0
     stretch: float = 20.0
+    shortest: float = 6.0
 
 
 REAL, PLAIN, HIGHEST, SPECTRUM = 100.0, 10.0, 55.0, 2.0
@@ -271,8 +276,12 @@ def prepare(
             pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
     if windows is None and len(log.trajectories) > 1 and not any(piece.role == "test" for piece in pieces):
         return prepare(log, inertia, _by_trajectory(log, options), options, highest)
+    length = needed(rate, min(cutoffs)) / rate
+    if windows is None and not any(piece.role == "test" for piece in pieces):
+        longer = replace(options, shortest=LONGER * length / (1 - options.train_share))
+        if options.shortest < longer.shortest < max(raw.t[-1] - raw.t[0] for raw in log.trajectories):
+            return prepare(log, inertia, None, longer, highest)
     if not any(piece.role == "train" for piece in pieces):
-        length = needed(rate, min(cutoffs)) / rate
         raise LogError(f"no uninterrupted stretch of the log is long enough; {length:.2g} s are needed")
     if len(pieces) < len(cut):
         notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
@@ -318,7 +327,7 @@ def _roles(
 ) -> list[tuple[str, float, float]]:
     """Roles and stretches of a trajectory [s], in the order of time."""
     if windows is None:
-        return divided(raw, options.train_share)
+        return divided(raw, options.train_share, options.shortest)
     asked = [(role, a, b) for role in ROLES for name, a, b in windows.get(role, ()) if name == raw.name]
     return sorted(asked, key=lambda stretch: stretch[1])
 

@@ -17,10 +17,10 @@ from invdyn_cli.recording.rows import taken
 
 SETS = ("train", "validation", "test")
 
-LEARNED, JUDGED, STILL, SHORTEST, STEP = 0.4, 0.1, 0.01, 6.0, 0.25
+LEARNED, JUDGED, STILL, STEP = 0.4, 0.1, 0.01, 0.25
 """Shares of a joint's distance that should be in the training and in the held-out data; share of the largest distance
-of all joints, below which a joint rests; the shortest part [s] of a trajectory that is divided; and the time [s]
-between the positions from which distances are computed: noise adds little to them."""
+of all joints, below which a joint rests; and the time [s] between the positions from which distances are computed:
+noise adds little to them."""
 
 _SECONDS = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*"
 _WINDOWED = re.compile(rf"\s*([^\[\]]+?)\s*\[{_SECONDS}:{_SECONDS}\]\s*")
@@ -151,11 +151,11 @@ def windows(
     return {role: [(x.key, x.start, x.end) for x in parts] for role, parts in roles.items()}
 
 
-def divided(raw: RawTrajectory, train_share: float) -> list[tuple[str, float, float]]:
+def divided(raw: RawTrajectory, train_share: float, shortest: float) -> list[tuple[str, float, float]]:
     """(role, start, end) [s] of a trajectory of which nothing was selected, in the order of time: the first share for
     training, the rest held out. Where a joint would cover less than LEARNED of its distance in training, or less than
     JUDGED in what is held out, because joints move one after the other, this is done in each of the fewest equal parts
-    for which it is enough, or most."""
+    for which it is enough, or most; none is shorter than `shortest` [s]."""
     length = raw.t[-1] - raw.t[0]
     t = np.arange(0, length, STEP)
     distance = np.abs(np.diff(raw.q[np.searchsorted(raw.t, raw.t[0] + t)], axis=0))
@@ -168,7 +168,7 @@ def divided(raw: RawTrajectory, train_share: float) -> list[tuple[str, float, fl
         shares = [distance[x].sum(axis=0)[moves] / total[moves] for x in (training, ~training)]
         return float(np.min([np.min(x / y, initial=1.0) for x, y in zip(shares, (LEARNED, JUDGED), strict=True)]))
 
-    tried = range(1, 1 + max(1, int(length / SHORTEST)))
+    tried = range(1, 1 + max(1, int(length / shortest)))
     parts = next((k for k in tried if enough(k) >= 1), None) or max(tried, key=enough)
     ends = np.linspace(raw.t[0], raw.t[-1], 1 + parts)
     cuts = ends[:-1] + train_share * np.diff(ends)

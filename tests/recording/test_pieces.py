@@ -116,6 +116,13 @@ def test_of_joints_that_move_one_after_the_other_all_are_judged():
     assert np.all(ways[0] > 0.05 * ways[1])
 
 
+@pytest.mark.parametrize("seconds", [33.0, 36.0])
+def test_parts_of_a_trajectory_are_as_long_as_the_filters_need(seconds):
+    """Five parts would hold out 2 s each, and a low-pass of 2.5 Hz needs more: then there are fewer."""
+    pieces = recording_of(log_of(raw(*in_turn(seconds))), cutoffs=(2.5,)).pieces
+    assert {p.role for p in pieces} == {"train", "test"}
+
+
 def test_pieces_of_a_trajectory_are_in_the_order_of_time():
     """Also where what judges was chosen before what learns, and where joints move one after the other."""
     windows = {"train": [("run", 12.0, np.inf)], "test": [("run", -np.inf, 12.0)]}

@@ -53,10 +53,14 @@ def summed(evidence: Evidence, acting: Sequence[EffectInstance], squares: Square
 
 def _saved(acting: Sequence[EffectInstance], number: int, squares: Squares) -> np.ndarray:
     """(R,) what an effect that is there all the time saves of every row's squares."""
-    one, before, behind = acting[number], acting[:number], acting[number + 1 :]
+    before, behind = acting[:number], acting[number + 1 :]
+    return squares([*before, *behind]) - squares([*before, lasting(acting[number]), *behind])
+
+
+def lasting(one: EffectInstance) -> EffectInstance:
+    """An effect in a time window as it would be all the time."""
     assert one.when is not None
-    always = replace(one, when=one.when._replace(start=-np.inf, end=np.inf))
-    return squares([*before, *behind]) - squares([*before, always, *behind])
+    return replace(one, when=one.when._replace(start=-np.inf, end=np.inf))
 
 
 def possible(

@@ -11,11 +11,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.candidates import passing_columns, passing_torque
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.composed import Model, Refined
-from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates
-from invdyn_cli.diagnosis.search.edges import BEYOND
+from invdyn_cli.diagnosis.search.coordinates import EDGES
+from invdyn_cli.diagnosis.search.edges import BEYOND, lasting
 from invdyn_cli.effects.composition import EffectInstance, joint_terms
 from invdyn_cli.interfaces import JointState
 
@@ -35,10 +34,10 @@ def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, 
     (value, lower, upper)} of these."""
     acting, known, left = list(refined.acting), [{} for _ in refined.acting], _left(evidence, refined)
     for i, one in enumerate(refined.acting):
-        factors = coordinates(evidence, one)
-        if one.when is None or factors is None:
+        if one.when is None:
             continue
-        always = np.tensordot(factors, passing_columns(evidence, one.effect, one.joint, None), 1).T
+        others = refined.acting[:i] + refined.acting[i + 1 :]
+        always = model.without(refined, others) - model.without(refined, (*others, lasting(one)))
         telling = np.any(evidence.valid & (np.abs(always) > left), axis=1)
         for edge in EDGES:
             rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
@@ -79,19 +78,20 @@ def _bearable(
     one, others = refined.acting[place], [a for k, a in enumerate(refined.acting) if k != place]
     assert one.when is not None
     left = _left(evidence, refined)
-    loads = passing_torque(evidence, replace(one, when=None), np.array(coordinates(evidence, one)))
-    bare = [model.unfiltered([a for a in others if a.effect.point != "torque"], j) for j in range(evidence.dofs)]
+    moving = [a for a in others if a.effect.point != "torque"]
+    ways = [[model.unfiltered(x, j) for j in range(evidence.dofs)] for x in (moving, [*moving, lasting(one)])]
     times, asked = [], []
     for number, piece in enumerate(evidence.recording.pieces):
         at = (piece.t >= start) & (piece.t <= end) & (piece.trajectory == one.when.trajectory)
         if not at.any():
             continue
-        borne = np.array([x[number] for x in bare])
+        borne = [np.array([x[number] for x in way]) for way in ways]  # without the effect, and with it
         parents, states = evidence.robot.parents, evidence.states[number]
         low, high = np.array([_levels(others, j, states, parents) for j in range(evidence.dofs)]).swapaxes(0, 1)
-        noise = np.hypot(left, 1.05 * np.median(np.abs(np.diff(borne)), axis=1))[:, None]  # white noise, its answer too
+        white = 1.05 * np.median(np.abs(np.diff(borne[0])), axis=1)  # noise, and the answer to it
+        noise = np.hypot(left, white)[:, None]
         slack = MARGIN * (high - low) / 2 + 2 * left[:, None]
-        over = [np.maximum(np.maximum(x - high, low - x) - slack, 0.0) / noise for x in (borne, borne - loads[number])]
+        over = [np.maximum(np.maximum(x - high, low - x) - slack, 0.0) / noise for x in borne]
         times.append(piece.t[at])
         asked.append(np.sum(np.square(over)[:, :, at], axis=1))
     if not times:  # a gap of the log

@@ -97,3 +97,22 @@ def test_an_edge_in_motion_is_left_alone():
     """The end of the window is in the middle of a move, and is not known from a rest."""
     _, known, _ = taken(0, 0.2, stays=False)
     assert "end" not in known
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_drive_that_gets_weak_at_rest_is_timed(seed):
+    """A drive that must hold its link against gravity logs more torque from the moment at which it gives less."""
+    draw = np.random.default_rng(seed)
+    t, m = stepping(draw)
+    came, gain = 2 * (MOVE + REST) + MOVE + draw.uniform(0.5, 1.5), draw.uniform(0.6, 0.85)
+    log = raw(t, m, torque=0.02, seed=seed)
+    log.tau[t >= came, 1] /= gain
+    evidence = evidence_of(log_of(log), ["torque_gain_change"], cutoffs=(20.0,))
+    when = TimeWindow(evidence.recording.pieces[0].trajectory, 2 * (MOVE + REST) + MOVE + 0.1, float(t[-1]), 0)
+    acting = (EffectInstance(EFFECTS["torque_gain_change"], 1, {"gain": gain}, when),)
+    none = np.zeros((2, 0))
+    _, known = edges(
+        evidence, Model(evidence), Refined(acting, none[0], (), (), none, Model(evidence).residual(acting))
+    )
+    value, low, high = known[0]["start"]
+    assert low <= came <= high and high - low < 0.1 and low <= value <= high
