@@ -71,7 +71,7 @@ def closed_pipe() -> int:
     """Say that the reader of stdout (head, less) has gone; the exit code."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python flushes stdout once more at its end
     with suppress(OSError):
-        print("invdyn: the reader of its output has gone; files that were written stay", file=sys.stderr)
+        print("invdyn: the output pipe was closed; files already written are kept", file=sys.stderr)
     return 2
 
 

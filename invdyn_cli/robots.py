@@ -218,7 +218,7 @@ def _up_to(model: pin.Model, tip: str) -> list[int]:
         links = [x.name for x in model.frames if x.type == pin.FrameType.BODY]
         raise RobotError(f"robot.tip={tip!r} is not a link or joint{closest(str(tip), links)}; links: {listed(links)}")
     if last == 0:
-        raise RobotError(f"no joint moves between the base and robot.tip={tip}", advice="a link farther out")
+        raise RobotError(f"no moving joint between the base and robot.tip={tip}", advice="a link farther out")
     return list(model.supports[last])[1:]
 
 

@@ -68,9 +68,9 @@ def check_model(model: AbstractModel, dataset: Dataset, *, key: jax.Array | None
     _claim(said.shape == each.shape, f"{who}.predict gives {said.shape} for a motion {each.shape}")
     if model.has_memory:
         rows = [model.predict(fit, samples[slice(row, row + 1)]) for row in range(len(samples))]
-        _close(f"{who}.predict and apply on every first sample", np.concatenate(rows), each, torque)
+        _close(f"{who}.predict and apply on each sample alone", np.concatenate(rows), each, torque)
         half = model.predict(fit, samples[slice(0, len(samples) // 2)])
-        _close(f"{who}.predict with and without the samples that follow", half, said[: len(half)], torque)
+        _close(f"{who}.predict with and without later samples", half, said[: len(half)], torque)
     else:
         _close(f"{who}.predict and apply on every sample", said, each, torque)
     members = model.members(fit)

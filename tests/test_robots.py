@@ -352,7 +352,7 @@ REFUSED = {
     "a joint twice": (ARM, {"joints": ["j1", "j1"]}, "twice"),
     "no joints": (ARM, {"joints": []}, "empty"),
     "unknown tip": (ARM, {"tip": "l44"}, "did you mean 'l4'"),
-    "tip at the base": (ARM, {"tip": "base"}, "no joint moves between"),
+    "tip at the base": (ARM, {"tip": "base"}, "no moving joint between"),
     "tip and joints": (ARM, {"tip": "l4", "joints": ["j1"]}, "one of them"),
     "dofs": (ARM, {"dofs": 5}, "robot.dofs=5; allowed: 1 to 4"),
     "dofs zero": (ARM, {"dofs": 0}, "robot.dofs=0; allowed: 1 to 4"),

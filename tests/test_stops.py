@@ -236,7 +236,7 @@ def test_a_closed_pipe(verb, folder):
     process.stdout = None
     _, errors = process.communicate()
     assert process.returncode == 2 and errors.splitlines() == [
-        "invdyn: the reader of its output has gone; files that were written stay"
+        "invdyn: the output pipe was closed; files already written are kept"
     ]
     assert not list(broken(folder))
 

@@ -144,7 +144,7 @@ def design(
         if len(sides) < 2:
             raise UsageError(f"{len(sides)} cause to distinguish; allowed: two or more")
     if not questions:
-        raise UsageError("nothing to distinguish; allowed: two causes or more")
+        raise UsageError("0 causes to distinguish; allowed: two or more")
     if not np.isfinite(duration) or duration < 5.0:
         raise UsageError(f"duration={duration:g} s; allowed: from 5 s")
     draw = np.random.default_rng(seed)

@@ -187,7 +187,7 @@ def _hides(log: Diagnosed, finding: Finding) -> bool:
 
 
 def _unless_hidden(before: Diagnosed, finding: Finding) -> str:
-    return f" (the log before, {before.log}, could not have shown it)" if _hides(before, finding) else ""
+    return f" (not detectable in the log before, {before.log})" if _hides(before, finding) else ""
 
 
 def _told(finding: Finding) -> str:

@@ -142,7 +142,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
     if not path:
         if header is None:
             raise UsageError(
-                "robot=from_log, but these data bring no robot", advice="robot=apollo_arm, or robot=urdf robot.path=…"
+                "robot=from_log, but these data name no robot", advice="robot=apollo_arm, or robot=urdf robot.path=…"
             )
         return None
     joints = node.joints

@@ -62,7 +62,7 @@ def test_what_is_no_change():
     ]
     assert fleet.change_lines(logs) == []
     [told] = fleet.change_lines([logs[2], log(3, "d.h5", Finding("backlash", "joint1", "named"), payload())])
-    assert told.endswith("new: backlash on joint1 (the log before, c.h5, could not have shown it)")
+    assert told.endswith("new: backlash on joint1 (not detectable in the log before, c.h5)")
 
 
 @pytest.mark.parametrize(

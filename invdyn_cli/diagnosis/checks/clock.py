@@ -71,7 +71,7 @@ class Duplicates(AbstractCheck):
                         raw.name,
                         value=int(stuck.sum()),
                         threshold=0,
-                        seen=f"in {stuck.sum()} of {len(stuck)} rows the clock stands still or runs backwards, "
+                        seen=f"in {stuck.sum()} of {len(stuck)} rows the time stamp does not increase, "
                         f"first in row {np.argmax(stuck)}",
                         meaning="rows were written twice, or out of order",
                         advice="the logger's time stamps; stamp where the sample is taken",

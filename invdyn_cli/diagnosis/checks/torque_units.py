@@ -169,7 +169,7 @@ class TorqueUnits(AbstractCheck):
                 continue
             by[slice(None) if check.joint is None else log.joints.index(check.joint)] = check.threshold["factor"]
             of = f" of {check.joint}" if check.joint else ""
-            notes.append(f"torques{of} divided by {check.threshold['factor']:g}, {check.meaning.split(':')[0]}")
+            notes.append(f"torques{of} divided by {check.threshold['factor']:g}: {check.meaning.split(':')[0]}")
         return (each(log, lambda raw: replace(raw, tau=raw.tau / by)), notes) if notes else (log, [])
 
     def _without_gains(self, ratios: dict[str, float]) -> Check:

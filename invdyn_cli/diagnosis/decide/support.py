@@ -110,7 +110,7 @@ REFUSALS = (
         "loss with an impossible effect in its place",
         lambda x: x.beaten,
         -naming.LEAST_DIFFERENCE,
-        lambda _: "another effect, of an impossible size, would explain the data better",
+        lambda _: "another effect explains the data better, but its size is physically impossible",
     ),
 )
 """What a claim must reach, in this order."""

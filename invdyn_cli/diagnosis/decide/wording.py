@@ -72,7 +72,7 @@ def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     """
     still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
     said = _summary(diagnosis, titles)
-    return f"{said} Not assessed, because they hardly move in this log: {', '.join(still)}." if still else said
+    return f"{said} Not assessed (too little motion in this log): {', '.join(still)}." if still else said
 
 
 def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
