@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out, judged
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
 from invdyn_cli.diagnosis.decide.doubt import BEYOND, UNKNOWN, or_else
@@ -218,6 +218,8 @@ def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
     said = ()
     if not held_out(inquiry.evidence):
         said = ("No stretch of the log is long enough to be held out: all errors are those on the training data.",)
+    elif still := _still(inquiry.evidence):
+        said = (f"The held-out data contain no motion of {', '.join(still)}: gains there are those on the training data.",)
     if inquiry.evidence.reference_rows is not None:
         said += (
             "Sizes and gains are those of changes since the reference; standard terms and the extended model are those "
@@ -226,6 +228,12 @@ def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
     elif len(inquiry.always) > len(inquiry.wear):
         said += ("All errors include the known effects. The extended model does not include them.",)
     return said
+
+
+def _still(evidence: Evidence) -> list[str]:
+    """The joints that move in the training data alone."""
+    moves, held = evidence.valid.any(axis=0), (evidence.valid & judged(evidence)[:, None]).any(axis=0)
+    return [evidence.robot.joints[j] for j in np.flatnonzero(moves & ~held)]
 
 
 def _special_cases(

@@ -13,9 +13,10 @@ DRAWS = 1000
 
 def gain_of(evidence: Evidence, j: int, before: np.ndarray, after: np.ndarray) -> Gain | None:
     """Held-out error of a joint, where it moves, from the residuals (R, n) before and after; None where it is the same.
-    What friction holds at rest is no gain and no loss. The interval comes from blocks drawn with replacement."""
-    rows = judged(evidence)
-    rows = own if np.any(own := rows & evidence.valid[:, j]) else rows
+    What friction holds at rest is no gain and no loss: of a joint that rests in all that is held out, it is the error
+    where it moves elsewhere. The interval comes from blocks drawn with replacement."""
+    held, moves = judged(evidence), evidence.valid[:, j]
+    rows = next((x for x in (held & moves, moves) if x.any()), held)
     numbers, of = np.unique(evidence.block[rows], return_inverse=True)
     draws = np.random.default_rng(0).multinomial(len(numbers), [1 / len(numbers)] * len(numbers), size=DRAWS)
     b, a, tau = (x[rows, j] for x in (before, after, evidence.tau))

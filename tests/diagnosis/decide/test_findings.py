@@ -7,11 +7,13 @@ from typing import cast
 import numpy as np
 import pytest
 
+from invdyn_cli.diagnosis.columns.evidence import held_out
 from invdyn_cli.diagnosis.decide.findings import _special_cases, perhaps_stribeck
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Finding
 from tests.diagnosis.analytic import candidate, evidence_of, judged, log_of, moved, raw
 
@@ -22,6 +24,17 @@ def test_rest_is_no_gain_and_no_loss():
     resting = np.arange(len(evidence.role)) % 3 == 0
     evidence = replace(evidence, valid=evidence.valid & ~resting[:, None])
     before, after = (np.where(evidence.valid, x, y) for x, y in ((2.0, 5.0), (1.0, 50.0)))
+    gain = gain_of(evidence, 0, before, after)
+    assert gain is not None and (gain.rmse_before, gain.rmse_after) == pytest.approx((2.0, 1.0))
+
+
+def test_a_joint_that_rests_in_all_that_is_held_out():
+    """Residuals of 2 and 1 N m where a joint moves, all of it training data, and 5 N m at rest: what an effect there is
+    worth is that where it moves."""
+    evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), ())
+    assert held_out(evidence)
+    evidence = replace(evidence, valid=evidence.valid & ~(evidence.role == ROLES.index("test"))[:, None])
+    before, after = (np.where(evidence.valid, x, 5.0) for x in (2.0, 1.0))
     gain = gain_of(evidence, 0, before, after)
     assert gain is not None and (gain.rmse_before, gain.rmse_after) == pytest.approx((2.0, 1.0))
 
