@@ -219,7 +219,9 @@ def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:
     if not held_out(inquiry.evidence):
         said = ("No stretch of the log is long enough to be held out: all errors are those on the training data.",)
     elif still := _still(inquiry.evidence):
-        said = (f"The held-out data contain no motion of {', '.join(still)}: gains there are those on the training data.",)
+        said = (
+            f"The held-out data contain no motion of {', '.join(still)}: gains there are those on the training data.",
+        )
     if inquiry.evidence.reference_rows is not None:
         said += (
             "Sizes and gains are those of changes since the reference; standard terms and the extended model are those "
