@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis import Options
 from invdyn_cli.diagnosis.case import Case, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
-from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, supported
+from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal, supported
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS

@@ -13,7 +13,7 @@ from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence, held_out, judged
 from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, unexplained, wording
-from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
+from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal
 from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire

@@ -12,7 +12,7 @@ from experiments.confusion import claims
 from experiments.worn import COUNTS, STANDARD, drawn, spoken
 from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis import diagnose, standard, wear
-from invdyn_cli.diagnosis.decide.support import REFUSALS, supported
+from invdyn_cli.diagnosis.decide.refusals import REFUSALS, supported
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.inquiry import inquire

@@ -18,7 +18,7 @@ from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach, with_edges
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
-from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal, over_unknown, supported
+from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal, over_unknown, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES

@@ -8,7 +8,7 @@ import pytest
 from experiments.arms import random_robot
 from invdyn_cli.diagnosis.case import Options, prepared
 from invdyn_cli.diagnosis.decide import findings
-from invdyn_cli.diagnosis.decide.support import REFUSALS, Refusal
+from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal
 from invdyn_cli.diagnosis.decide.unclaimed import together, unclaimed
 from invdyn_cli.diagnosis.pipeline import decided, searched
 from invdyn_cli.effects.catalogue import EFFECTS

@@ -7,7 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import trial_at
-from invdyn_cli.diagnosis.decide import claim, support
+from invdyn_cli.diagnosis.decide import claim, refusals
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.inquiry import inquire
@@ -51,7 +51,7 @@ def test_a_log_that_is_late_is_a_negative_delay():
     )
     told = claim.Claim(inquiry, inquiry.hypothesis, 0, whole, after)
     assert 0 < told.delay <= late  # the least that it may be, of either sign
-    assert support.refusal(told) is None
+    assert refusals.refusal(told) is None
 
 
 def test_a_log_that_was_filtered_is_a_negative_lag():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import judged
-from invdyn_cli.diagnosis.decide import claim, support
+from invdyn_cli.diagnosis.decide import claim, refusals
 from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.diagnosis.search.naming import Rival
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -29,9 +29,9 @@ def test_a_delay_that_was_never_refined_is_judged():
     every = np.ones_like(inquiry.judge.rows)
     whole, after = claim.exactly(inquiry, hypothesis, inquiry.whole, every), claim.left(inquiry, hypothesis)
     one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, whole, after)
-    why = support.refusal(one)
+    why = refusals.refusal(one)
     assert why is not None and why.why(one) == ""
-    _, kept, _, said = support.supported(replace(inquiry, hypothesis=hypothesis))
+    _, kept, _, said = refusals.supported(replace(inquiry, hypothesis=hypothesis))
     assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)
 
 
@@ -59,7 +59,7 @@ def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
     inquiry = inquire(evidence, {"joint_spring": EFFECTS["joint_spring"]}, (), 3, compares=False)
     (found,) = inquiry.hypothesis
     one = claim.Claim(inquiry, (found,), 0, inquiry.whole, claim.left(inquiry, (found,)))
-    assert found.key == ("joint_spring", 1) and support.refusal(one) is None
+    assert found.key == ("joint_spring", 1) and refusals.refusal(one) is None
     assert ("torque_ripple" in {r.candidate.effect.name for r in one.rivals if r.equal}) is alike
     robot = replace(evidence.robot, prismatic=np.array([False, True, False]))
     slide = replace(one, inquiry=replace(inquiry, evidence=replace(evidence, robot=robot)))
@@ -89,7 +89,7 @@ def test_what_an_impossible_effect_explains_better_has_no_name(excess, error, re
     one = of_coulomb(rubbed(20.0))
     other = Rival(one.candidate, excess, error, False, "", {}, impossible=True)
     one.__dict__["rivals"] = [other, replace(other, excess=-500.0, impossible=False)]  # cached: made up here
-    row = support.refusal(one)
+    row = refusals.refusal(one)
     assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
 
 
@@ -98,7 +98,7 @@ def test_a_claim_has_a_size(ends, refused, monkeypatch):
     """A true effect is claimed unless its interval contains zero."""
     one = of_coulomb(rubbed(20.0))
     monkeypatch.setattr(claim.Claim, "_ends", lambda _, name: np.array(ends) if name else np.full(2, np.inf))
-    row = support.refusal(one)
+    row = refusals.refusal(one)
     assert (row is not None and "zero" in row.why(one)) == refused and (row is None) == (not refused)
 
 
@@ -109,13 +109,13 @@ def test_a_claim_surely_gains(even):
     one = of_coulomb(rubbed(20.0))
     worse = (one.inquiry.evidence.block % 2 > 0) & even
     one.__dict__["before"] = one.after * np.sqrt(np.where(worse, 0.4, 1.6))[:, None]  # cached: made up here
-    gains = [x for x in support.REFUSALS if x.name.startswith("least gain")]
-    assert (support.refusal(one, gains) is not None) == even
+    gains = [x for x in refusals.REFUSALS if x.name.startswith("least gain")]
+    assert (refusals.refusal(one, gains) is not None) == even
     passing = replace(one.candidate, when=TimeWindow("run", 2.0, 3.0))
     passes = tuple(passing if c is one.candidate else c for c in one.hypothesis)
     brief = replace(one, hypothesis=passes)
     brief.__dict__["before"] = one.before
-    assert support.refusal(brief, gains) is None  # draws of blocks often miss it
+    assert refusals.refusal(brief, gains) is None  # draws of blocks often miss it
 
 
 def test_what_acts_in_one_block_surely_gains():
@@ -126,8 +126,8 @@ def test_what_acts_in_one_block_surely_gains():
     once = block == block[judged(one.inquiry.evidence)][0]
     one.__dict__["before"] = one.after + 10.0 * once[:, None]  # cached: made up here
     assert all(gain.interval95[0] <= 0 for gain in one.gains.values())
-    gains = [x for x in support.REFUSALS if x.name.startswith("least gain")]
-    assert support.refusal(one, gains) is None
+    gains = [x for x in refusals.REFUSALS if x.name.startswith("least gain")]
+    assert refusals.refusal(one, gains) is None
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_an_effect_of_a_joint_does_not_make_that_joint_worse(own, refused):
     one = of_coulomb(rubbed(20.0))
     variances = 1 / one.inquiry.noise.weights
     one.__dict__["saved"] = variances * np.array([own, 100.0, *np.zeros(len(variances) - 2)])  # cached: made up here
-    row = support.refusal(one, [x for x in support.REFUSALS if x.name.startswith("gain on")])
+    row = refusals.refusal(one, [x for x in refusals.REFUSALS if x.name.startswith("gain on")])
     assert (row is not None) == refused and one.gain > 0
 
 
@@ -180,7 +180,7 @@ def test_an_effect_has_one_size(true, expected):
     one = replace(one, after=after)
     one.__dict__["before"] = before  # cached: what the search left is replaced by what is made up here
     assert one.slow_gain == pytest.approx(expected, abs=0.35)  # three standard deviations of the blocks are added
-    assert (one.slow_gain < support.ONE_SIZE) == (true < 1)
+    assert (one.slow_gain < refusals.ONE_SIZE) == (true < 1)
 
 
 @pytest.mark.parametrize(("slow", "fast"), [(1.0, 3.0), (1.0, 1.0), (3.0, 1.0)])
