@@ -168,7 +168,7 @@ def divided(raw: RawTrajectory, train_share: float, shortest: float) -> list[tup
         shares = [distance[x].sum(axis=0)[moves] / total[moves] for x in (training, ~training)]
         return float(np.min([np.min(x / y, initial=1.0) for x, y in zip(shares, (LEARNED, JUDGED), strict=True)]))
 
-    tried = range(1, 1 + max(1, int(length / shortest)))
+    tried = range(1, 1 + max(1, int(length / max(shortest, STEP))))
     parts = next((k for k in tried if enough(k) >= 1), None) or max(tried, key=enough)
     ends = np.linspace(raw.t[0], raw.t[-1], 1 + parts)
     cuts = ends[:-1] + train_share * np.diff(ends)
