@@ -1,5 +1,5 @@
-"""The information in autocorrelated residuals: integrated autocorrelation time, and covariance from blocks of
-scores."""
+"""The information in autocorrelated residuals: integrated autocorrelation time, covariance from blocks of scores, and
+the number of blocks that share something."""
 
 import numpy as np
 import scipy
@@ -29,6 +29,12 @@ def _correlation(x: np.ndarray) -> np.ndarray:
     power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
     correlation = np.fft.irfft(power)[: len(x)]
     return correlation / correlation[0] if correlation[0] > 0 else np.eye(1, len(x))[0]
+
+
+def effective_number(shares: np.ndarray) -> float:
+    """How many of some equal shares would be as uneven as these shares (k,): k if all are equal, 1 if one has all (Kish
+    1965, the effective sample size of weights); 0 if there is nothing to share."""
+    return float(shares.sum() ** 2 / max(np.sum(shares**2), 1e-300))
 
 
 def merge_blocks(scores: np.ndarray, size: int) -> np.ndarray:

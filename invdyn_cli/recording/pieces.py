@@ -274,13 +274,13 @@ def prepare(
     for name, role, t, q, tau in cut:
         if len(t) // step > needed(rate, min(cutoffs)):
             pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
-    if windows is None and len(log.trajectories) > 1 and not any(piece.role == "test" for piece in pieces):
-        return prepare(log, inertia, _by_trajectory(log, options), options, highest)
     length = needed(rate, min(cutoffs)) / rate
     if windows is None and not any(piece.role == "test" for piece in pieces):
-        longer = replace(options, shortest=LONGER * length / (1 - options.train_share))
-        if options.shortest < longer.shortest < max(raw.t[-1] - raw.t[0] for raw in log.trajectories):
-            return prepare(log, inertia, None, longer, highest)
+        if len(log.trajectories) > 1:
+            return prepare(log, inertia, _by_trajectory(log, options), options, highest)
+        shortest = LONGER * length / (1 - options.train_share)
+        if options.shortest < shortest < max(np.ptp(raw.t) for raw in log.trajectories):
+            return prepare(log, inertia, None, replace(options, shortest=shortest), highest)
     if not any(piece.role == "train" for piece in pieces):
         raise LogError(f"no uninterrupted stretch of the log is long enough; {length:.2g} s are needed")
     if len(pieces) < len(cut):

@@ -101,3 +101,12 @@ def test_coherence_tells_what_all_stretches_say():
     common = [statistics.coherence(draw.normal(size=(40, 4)) + 0.5)[2] < 0.05 for _ in range(100)]
     assert 0.02 < np.mean(none) < 0.09 and np.mean(common) > 0.95
     assert statistics.coherence(np.ones((1, 2)))[2] == 1.0 and statistics.coherence(np.zeros((5, 2)))[2] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("shares", "number"),
+    [([3.0, 3.0, 3.0, 3.0], 4.0), ([0.0, 7.0, 0.0], 1.0), ([2.0, 2.0, 0.0], 2.0), ([0.0, 0.0], 0.0)],
+)
+def test_the_number_of_equal_shares(shares, number):
+    """Equal shares count in full, whatever their size, and those of nothing not at all."""
+    assert statistics.effective_number(np.array(shares)) == pytest.approx(number)

@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.search.further import acting_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, strain
 from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.maths.statistics import effective_number
 from invdyn_cli.types import Gain
 
 FELT = 0.1
@@ -111,8 +112,7 @@ class Claim:
         """[N m; N] by how much it lowers the held-out error of a joint at least, by the 95 % interval of the report, on
         the joint where that is most; infinite where no joint's error is another, and for what acts for a time or in
         few blocks: the draws of blocks behind that interval often miss it."""
-        rows = judged(self.inquiry.evidence)
-        if self.candidate.when is not None or _blocks(self.inquiry.evidence, rows, self._squares) < MISSED:
+        if self.candidate.when is not None or _blocks(self.inquiry.evidence, self._squares) < MISSED:
             return np.inf
         return max((one.interval95[0] for one in self.gains.values()), default=np.inf)
 
@@ -247,15 +247,14 @@ def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:
     """Rows (R,) bool on which an effect with these squares (R,) is judged: the held-out ones, or all if it hardly acts
     on those, or in FEW blocks."""
     rows = judged(evidence)
-    often = _blocks(evidence, rows, squares) >= FEW
+    often = _blocks(evidence, squares) >= FEW
     return rows if often and np.mean(squares[rows]) >= RARE * np.mean(squares) else np.ones_like(rows)
 
 
-def _blocks(evidence: Evidence, rows: np.ndarray, squares: np.ndarray) -> float:
-    """In how many blocks an effect with these squares (R,) acts on these rows (R,) bool: the number of blocks that
-    would share them evenly."""
-    blocks = np.bincount(evidence.block[rows], squares[rows])
-    return float(blocks.sum() ** 2 / max(np.sum(blocks**2), 1e-300))
+def _blocks(evidence: Evidence, squares: np.ndarray) -> float:
+    """In how many blocks of the held-out rows an effect with these squares (R,) acts."""
+    rows = judged(evidence)
+    return effective_number(np.bincount(evidence.block[rows], squares[rows]))
 
 
 def refitted(inquiry: Inquiry, acting: Sequence[EffectInstance], rows: np.ndarray) -> Refined:

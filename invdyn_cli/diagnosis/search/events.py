@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.maths.statistics import effective_number
 from invdyn_cli.recording.pieces import ROLES
 
 GRID, CELL = 120, 0.1
@@ -237,7 +238,7 @@ def _window(
 def _spread(gained: np.ndarray) -> float:
     """Over which share of a window the gain is spread: 1 if it is uniform, less for impacts."""
     parts = np.array([x.sum() for x in np.array_split(gained, PARTS)])
-    return float(parts.sum() ** 2 / max(PARTS * np.sum(parts**2), 1e-300))
+    return effective_number(parts) / PARTS
 
 
 def _sharpened(windowed: Windowed, a: int, b: int, time: np.ndarray, reach: float) -> tuple[int, int]:

@@ -42,7 +42,7 @@ def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, 
         for edge in EDGES:
             rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
             if rest is not None:
-                low, high = _bearable(evidence, model, refined, i, edge, *rest)
+                low, high = _bearable(evidence, model, one, others, left, edge, rest)
                 at_end = [x for x in ends if low <= x <= high]  # what may have been there from the start, or still is
                 known[i][edge] = (at_end[0] if at_end else (low + high) / 2, low, high)
         when = one.when._replace(**{edge: value for edge, (value, *_) in known[i].items()})
@@ -72,14 +72,20 @@ def _rest(
 
 
 def _bearable(
-    evidence: Evidence, model: Model, refined: Refined, place: int, edge: str, start: float, end: float
+    evidence: Evidence,
+    model: Model,
+    one: EffectInstance,
+    others: Sequence[EffectInstance],
+    left: np.ndarray,
+    edge: str,
+    rest: tuple[float, float],
 ) -> tuple[float, float]:
-    """From when to when [s] within a rest an edge asks no more of any joint's friction than it can bear."""
-    one, others = refined.acting[place], [a for k, a in enumerate(refined.acting) if k != place]
+    """From when to when [s] within a rest an edge asks no more of any joint's friction than it can bear; all effects
+    leave `left` (n,)."""
     assert one.when is not None
-    left = _left(evidence, refined)
-    moving = [a for a in others if a.effect.point != "torque"]
-    ways = [[model.unfiltered(x, j) for j in range(evidence.dofs)] for x in (moving, [*moving, lasting(one)])]
+    start, end = rest
+    smooth = [a for a in others if a.effect.point != "torque"]  # friction may have any value at rest: `_levels`
+    ways = [[model.unfiltered(x, j) for j in range(evidence.dofs)] for x in (smooth, [*smooth, lasting(one)])]
     times, asked = [], []
     for number, piece in enumerate(evidence.recording.pieces):
         at = (piece.t >= start) & (piece.t <= end) & (piece.trajectory == one.when.trajectory)
