@@ -54,6 +54,7 @@ def is_sized(case: Case, gap: float) -> bool:
     return bool(0.7 * gap < case.gear.parameters["gap"] < 1.3 * most)
 
 
+@pytest.mark.benchmark  # play behind which the link rubs, below, is harder to see
 def test_play_is_seen_before_links_make_up_for_it(tmp_path):
     """Play of 3 to 22 mrad beside link errors of up to 8 %, on three arms: at least two (a load that hardly changes its
     sign shows none) with its joint and its size; no other gear."""
