@@ -14,7 +14,7 @@ import yaml
 from matplotlib.figure import Figure
 
 from experiments.grand_comparison_figures import curves, error_against_time
-from invdyn_cli import compiled, experiment
+from invdyn_cli import experiment, leftovers
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.errors import InvdynError, UsageError
 from invdyn_cli.interfaces import AbstractModel, AbstractSource
@@ -119,7 +119,7 @@ class GrandComparison(AbstractExperiment):
     ) -> Iterable[Measured]:
         """The learning curve of a model, then all rows with several seeds; what fails is a row with its reason."""
         jax.config.update("jax_enable_x64", True)
-        compiled.drop_many()
+        leftovers.clear()
         train, test = loaded(name, data, samples)
         try:
             made = composed(model)

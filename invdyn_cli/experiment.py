@@ -10,7 +10,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from invdyn_cli import compiled
+from invdyn_cli import leftovers
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource, Progress, silent
 from invdyn_cli.maths import metrics
@@ -52,7 +52,7 @@ def run(
         UsageError: if the source or the model needs a robot and there is none.
         LogError: if the source's log cannot be used as asked.
     """
-    compiled.drop_many()
+    leftovers.clear()
     model = adaptation.extended(model)
     if robot is None and (source.needs_robot or model.needs_robot):
         who = "this data source" if source.needs_robot else f"the model {type(model).__name__}"

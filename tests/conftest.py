@@ -25,9 +25,9 @@ beartype_packages([f"invdyn_cli.{name}" for name in CHECKED], conf=BeartypeConf(
 @pytest.fixture(autouse=True, scope="module")
 def few_compiled_programs():
     """A worker runs thousands of tests, and compiles for most of them."""
-    from invdyn_cli import compiled
+    from invdyn_cli import leftovers
 
-    compiled.drop_many()
+    leftovers.drop_programs()
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli import compiled
+from invdyn_cli import leftovers
 from invdyn_cli.diagnosis import extension, gains, repeats, since, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
 from invdyn_cli.diagnosis.search.judge import Hypothesis
+from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError
@@ -58,7 +59,7 @@ def diagnose(
         UsageError: for options that make no sense.
         RobotError: if the robot has other joints than the log.
     """
-    compiled.drop_many()
+    leftovers.clear()
     options = options or Options()
 
     def asked(checks: Sequence[AbstractCheck], progress: Progress) -> Diagnosis:
@@ -94,8 +95,11 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     progress(0.5, "search")
     side = case.log.torque_side
 
-    def asked(evidence: Evidence, links: Hypothesis = (), start: Hypothesis = ()) -> Inquiry:
-        return inquire(evidence, case.effects, case.allowed, case.most, case.compares, side, case.split, links, start)
+    def asked(
+        evidence: Evidence, links: Hypothesis = (), start: Hypothesis = (), heard: Noise | None = None
+    ) -> Inquiry:
+        options = (case.effects, case.allowed, case.most, case.compares, side, case.split)
+        return inquire(evidence, *options, links, start, heard)
 
     columns = case.columns
     fitted = None if case.compares else wear.plain(columns, yielding.left(columns, case.gear))
@@ -111,7 +115,11 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     if fitted is not None:
         progress(0.65, "search with link errors")
         again = asked(*wear.beside(columns, fitted, inquiry.noise.weights, inquiry.chosen.acting))
-        inquiry = again if wear.is_worn(again, inquiry.hypothesis) else inquiry
+        worn = wear.is_worn(again, inquiry.hypothesis)
+        if worn and np.any(again.noise.plainly_below(inquiry.noise)):
+            inquiry = asked(case.evidence, heard=again.noise)
+            worn = wear.is_worn(again, inquiry.hypothesis)
+        inquiry = again if worn else inquiry
     return inquiry, columns
 
 

@@ -91,7 +91,10 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         first = "No cause was found: the held-out RMS error of the nominal model"
         if compares:
             first = "No change since the reference has a name: the held-out RMS error of one model of both logs"
-        return f"{first} is {before:.3g} {unit} over {over}. {rest or 'The residual looks like noise.'}"
+        written = ""
+        if after < before and not compares:
+            written = f", and {after:.3g} {unit} with the unclaimed links and standard terms of the written model"
+        return f"{first} is {before:.3g} {unit} over {over}{written}. {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     new = [f for f in claims if compares and f.window is not None]
     shown = [f for f in claims if not any(f is x for x in (*usual, *new))]

@@ -107,6 +107,7 @@ def inquire(
     parted: bool = True,
     wear: Hypothesis = (),
     start: Hypothesis = (),
+    heard: Noise | None = None,
 ) -> Inquiry:
     """What acts always, and then what comes and goes beside it.
 
@@ -120,6 +121,7 @@ def inquire(
         wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
             rotor of every joint; none of these is looked for.
         start: trials of what lasts, from which the search starts as well as from nothing.
+        heard: noise that another hypothesis leaves: a model of all columns may leave far more on a short log.
     """
     everywhere = [] if compares else events.places(evidence, effects, side)  # first what both logs show
     gears = [c for c in evidence.candidates if c.effect.yields]
@@ -132,7 +134,7 @@ def inquire(
         if windows and not parted:
             evidence = events.interleaved(evidence, windows)
         taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
-        one = _searched(taken, effects, allowed, most, compares, starts, rounds, wear)
+        one = _searched(taken, effects, allowed, most, compares, starts, rounds, wear, heard)
         numbers = {c.when.number for c in one.hypothesis if c.when is not None}
         return one, {when: own for when, own in windows.items() if when.number in numbers}
 
@@ -199,12 +201,14 @@ def _searched(
     starts: Sequence[Hypothesis],
     rounds: int,
     wear: Hypothesis,
+    heard: Noise | None,
 ) -> Inquiry:
     """Search from each of `starts`, refine the best, search again with the nonlinear parameters that were found, some
     rounds at most."""
     new = evidence.role == ROLES.index("train")
     choosing = new | (evidence.role == ROLES.index("reference"))
     measured = _measured(evidence, effects, new, choosing, wear)
+    measured = measured if heard is None else noise.no_more(measured, heard)
     pool = list(evidence.candidates)
     declared = known.allowed_for(pool, allowed)
     pool = [c for c in pool if not known.is_allowed(c, allowed)]

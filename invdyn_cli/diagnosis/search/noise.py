@@ -51,6 +51,10 @@ class Noise:
         """1 / (variance x autocorrelation time), (n,); 0 for a joint that never moves."""
         return np.where(self.deviation > 0, 1 / np.maximum(self.deviation**2 * self.time, 1e-300), 0.0)
 
+    def plainly_below(self, other: "Noise") -> np.ndarray:
+        """(n,) whether this is known and plainly smaller."""
+        return (self.deviation > 0) & (self.deviation < PLAINLY * other.deviation)
+
 
 def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
     """The noise of the chosen rows (R,) bool."""
@@ -97,6 +101,13 @@ def beside(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, least: No
     return Noise(deviation, time, residual)
 
 
+def no_more(measured: Noise, heard: Noise) -> Noise:
+    """What was measured, but what was heard on the joints where that is plainly smaller."""
+    less = heard.plainly_below(measured)
+    deviation = np.where(less, heard.deviation, measured.deviation)
+    return replace(measured, deviation=deviation, time=np.where(less, heard.time, measured.time))
+
+
 def quieter(evidence: Evidence, residual: np.ndarray, rows: np.ndarray, than: Noise) -> Noise | None:
     """The noise that a model's residual (R, n) has on the chosen rows, for joints on which it is plainly smaller `than`
     what was measured without that model, as beside a drive that gives less for a time; None if it is on no joint."""
@@ -140,10 +151,7 @@ def measure_beside(evidence: Evidence, rows: np.ndarray) -> Noise:
     for own in np.array_split(np.flatnonzero(rows), STRETCHES):
         stretch = np.zeros_like(rows)
         stretch[own] = True
-        one = measure(evidence, stretch)
-        better = (one.deviation > 0) & (one.deviation < PLAINLY * quietest.deviation)
-        deviation = np.where(better, one.deviation, quietest.deviation)
-        quietest = replace(quietest, deviation=deviation, time=np.where(better, one.time, quietest.time))
+        quietest = no_more(quietest, measure(evidence, stretch))
     return quietest
 
 

@@ -37,3 +37,14 @@ def test_an_error_has_one_unit(slides, said):
     still = dict.fromkeys(errors, 0.0)
     diagnosis = Diagnosis("nothing_found", Examination(True, (), {}), (), errors, errors, None, still, standard=units)
     assert said in summary(diagnosis, {})
+
+
+@pytest.mark.parametrize(
+    ("rmse", "said"),
+    [(0.01, "is 3 N m over all joints, and 0.01 N m with the unclaimed links"), (3.0, "is 3 N m over all joints.")],
+)
+def test_what_is_written_though_nothing_is_claimed_is_said(rmse, said):
+    """Where links that are all a little off explain a log, no cause has a name, but the written model is far better."""
+    before, after = {"x": {"rmse": 3.0}}, {"x": {"rmse": rmse}}
+    diagnosis = Diagnosis("nothing_found", Examination(True, (), {}), (), before, after, None, {"x": 0.0})
+    assert said in summary(diagnosis, {})
