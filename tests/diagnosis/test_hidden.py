@@ -197,6 +197,15 @@ def test_a_load_on_an_arm_with_friction(seed):
     np.testing.assert_allclose(window, case.hidden[0].parameters["window"], atol=0.05)
 
 
+@pytest.mark.benchmark
+def test_a_rest_parts_no_event():
+    """A drive that is weak until the log's end rests once meanwhile: that is one window and not two that meet there."""
+    case = draw_case(831003, ["torque_gain_change"])
+    (found,) = claims(diagnose(case.log, case.robot))
+    assert (found.effect, found.joint, found.status) == ("torque_gain_change", case.hidden[0].joint, "named")
+    assert found.window == pytest.approx(case.hidden[0].parameters["window"], abs=0.05)
+
+
 @pytest.mark.benchmark  # a drive that does so at times is in `make confusion`
 def test_a_drive_that_is_always_at_its_limit():
     """A controller that asks for ever more than the drive gives: the limit, a few percent of what is asked for, is that

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 
@@ -335,6 +336,10 @@ class _Search:
             weights, around = self.noise.weights, self._around(hypothesis)
             fixed = (self.judge, model, self.effects, around)
             hypothesis, chosen, close = distinguish(*fixed, hypothesis, chosen, self.barred)
+            joined = self._joined(hypothesis, chosen)
+            if joined is not None:
+                hypothesis = joined
+                continue
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)
             hypothesis = tuple(trial_at(evidence, a) if edges else c for c, a, edges in found)
@@ -346,6 +351,24 @@ class _Search:
                 searched = (evidence, self.judge, model, self.noise, self.always, hypothesis, self.pool)
                 return Inquiry(*searched, chosen, whole, close, self.usual)
             hypothesis = self._simplified(self._without(odd, hypothesis))
+
+    def _joined(self, hypothesis: Hypothesis, chosen: Refined) -> Hypothesis | None:
+        """A hypothesis with one window in the place of two of one effect, if it does no worse: a rest in the middle of
+        an event says nothing of it. None if no two do."""
+        for i, k in permutations(range(len(hypothesis)), 2):
+            one, other = chosen.acting[i], chosen.acting[k]
+            if one.when is None or other.when is None or (one.effect, one.joint) != (other.effect, other.joint):
+                continue
+            if one.when.trajectory != other.when.trajectory or one.when.start > other.when.start:
+                continue
+            both = tuple(trial_at(self.evidence, a) for a in (one, other))
+            whole = trial_at(self.evidence, replace(one, when=one.when._replace(end=max(one.when.end, other.when.end))))
+            self._add([*both, whole])
+            rest = tuple(c for n, c in enumerate(hypothesis) if n not in (i, k))
+            around = self._around(hypothesis)
+            if self.judge.loss((*around, *rest, whole)) <= self.judge.loss((*around, *rest, *both)):
+                return (*rest, whole)
+        return None
 
     def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:
         return feigned(self.judge, self._around(hypothesis), hypothesis) if self.usual else set()
