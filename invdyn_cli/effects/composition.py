@@ -32,12 +32,18 @@ position."""
 
 class TimeWindow(NamedTuple):
     """The window in which an effect acts: trajectory, start and end [s] from its first sample; `number` distinguishes
-    several such effects of a log."""
+    several such effects of a log. In the windows `again`, too, the same acts."""
 
     trajectory: str
     start: float
     end: float
     number: int = 0
+    again: tuple["TimeWindow", ...] = ()
+
+    @property
+    def each(self) -> tuple["TimeWindow", ...]:
+        """This window and the others, one by one."""
+        return self._replace(again=()), *self.again
 
 
 LEAST = 1e-3
@@ -82,8 +88,11 @@ def weight(when: TimeWindow | None, stretch: Span) -> np.ndarray | float:
         return 1.0
     if stretch.trajectory != when.trajectory:
         return 0.0
-    begun, over = ((stretch.t - x) * stretch.rate + 0.5 for x in (when.start, when.end))
-    return np.clip(begun, 0, 1) - np.clip(over, 0, 1)
+    share = np.zeros(len(stretch.t))
+    for one in when.each:
+        begun, over = ((stretch.t - x) * stretch.rate + 0.5 for x in (one.start, one.end))
+        share += np.clip(begun, 0, 1) - np.clip(over, 0, 1)
+    return share
 
 
 def changed(robot: Robot, acting: Sequence[EffectInstance], motion: Motion) -> tuple[Robot, Motion]:

@@ -108,6 +108,14 @@ def period_of(q: np.ndarray, qd: np.ndarray) -> float:
     return max(float(steps @ speed) / squares, 1e-6) if squares > 0 else 1e-3
 
 
+def _windows(one: EffectInstance) -> dict[str, Any]:
+    """When an effect acts, as extended_model.json has it; empty for one that always acts."""
+    if one.when is None:
+        return {}
+    first, *others = [[w.start, w.end] for w in one.when.each]
+    return {"trajectory": one.when.trajectory, "window": first, **({"again": others} if others else {})}
+
+
 def as_dict(model: ExtendedModel) -> dict[str, Any]:
     """What extended_model.json holds."""
     robot = {f.name: _plain(getattr(model.robot, f.name)) for f in fields(Robot) if f.name != "urdf"}
@@ -120,7 +128,7 @@ def as_dict(model: ExtendedModel) -> dict[str, Any]:
                 "acts_on": one.effect.point,
                 "joint": None if one.joint is None else model.robot.joints[one.joint],
                 **driver_name(one, model.robot),
-                **({} if one.when is None else {"trajectory": one.when.trajectory, "window": list(one.when[1:3])}),
+                **_windows(one),
                 "parameters": {
                     name: {
                         "value": _plain(value),
@@ -169,6 +177,8 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
             if effects[name].passing:
                 start, end = row["window"]
                 when = TimeWindow(row["trajectory"], float(start), float(end), number)
+                again = [when._replace(start=float(a), end=float(b)) for a, b in row.get("again", ())]
+                when = when._replace(again=tuple(again))
             acting.append(EffectInstance(effects[name], joint, parameters, when))
             ends = {k: v["interval95"] for k, v in row["parameters"].items() if v.get("interval95")}
             intervals.append({k: (parameters[k], *(_numbers(x) for x in pair)) for k, pair in ends.items()})

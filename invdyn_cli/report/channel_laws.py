@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from invdyn_cli.report.canvas import BLACK, GREY, INK, MEASURED, PREDICTED, SAMPLES
 from invdyn_cli.report.exhibits import Exhibit, recordings
 from invdyn_cli.report.laws import cloud, joint_name, law, mark, name_axes, scalar
+from invdyn_cli.report.wording import windows
 
 
 def over_nominal(axes: Axes, exhibit: Exhibit) -> None:
@@ -85,5 +86,5 @@ def in_window(exhibit: Exhibit) -> np.ndarray:
     finding, signals = exhibit.finding, exhibit.signals
     if finding.window is None:
         return np.zeros(len(signals.t), bool)
-    inside = (signals.t >= finding.window[0]) & (signals.t <= finding.window[1])
+    inside = np.any([(signals.t >= start) & (signals.t <= end) for start, end in windows(finding)], axis=0)
     return inside & (signals.trajectory == finding.trajectory) if finding.trajectory is not None else inside

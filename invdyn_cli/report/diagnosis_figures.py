@@ -39,7 +39,7 @@ from invdyn_cli.report.quantities import best_gain
 from invdyn_cli.report.replay_figure import REPLAY, replay_figure
 from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_figure
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import headline_of, picture, place, rivals_of, shortened, text_of
+from invdyn_cli.report.wording import headline_of, picture, place, rivals_of, shortened, text_of, windows
 from invdyn_cli.types import Diagnosis
 
 OVERVIEW = "overview"
@@ -251,5 +251,8 @@ def _two_curves(axes: Axes, t: np.ndarray, y: np.ndarray, term: np.ndarray, leas
 
 
 def _shade(axes: Axes, exhibit: Exhibit) -> None:
-    if exhibit.finding.window is not None:
-        axes.axvspan(*exhibit.finding.window, color=ORANGE, alpha=BAND, lw=0, label="window of the finding", zorder=0)
+    shown, label = axes.get_xlim(), "window of the finding"
+    for window in windows(exhibit.finding):
+        axes.axvspan(*window, color=ORANGE, alpha=BAND, lw=0, label=label, zorder=0)
+        label = "_"  # one entry of the legend is enough
+    axes.set_xlim(shown)

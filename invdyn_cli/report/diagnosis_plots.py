@@ -9,7 +9,7 @@ from invdyn_cli.report.exhibits import as_numpy
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import claims, joints_of, words
+from invdyn_cli.report.wording import claims, joints_of, windows, words
 from invdyn_cli.types import Diagnosis
 
 MOST_TURNS = 20
@@ -64,7 +64,7 @@ def _windows(diagnosis: Diagnosis, trajectory: np.ndarray, t: np.ndarray, joint:
     for x in claims(diagnosis):
         if x.window is None or x.joint not in (None, joint):
             continue
-        inside = (t >= x.window[0]) & (t <= x.window[1])
+        inside = np.any([(t >= start) & (t <= end) for start, end in windows(x)], axis=0)
         if x.trajectory is not None:
             inside &= trajectory == x.trajectory
         rows = np.flatnonzero(inside)

@@ -8,6 +8,7 @@ from typing import Any
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import CLAIMS, PREDICTABLE, in_table
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.errors import listed
 from invdyn_cli.log import CHANNELS
 from invdyn_cli.report.quantities import quantity_text, unit_text
 from invdyn_cli.report.tables import significant
@@ -120,12 +121,16 @@ def place(finding: Finding) -> str:
     return finding.joint or "whole arm"
 
 
+def windows(finding: Finding) -> list[tuple[float, float]]:
+    """All windows in which an effect acts, [] for one that always acts."""
+    again = [(start, end) for start, end in finding.evidence.get("again", ())]
+    return [] if finding.window is None else sorted([finding.window, *again])
+
+
 def when(finding: Finding) -> str:
-    """A time window such as '8.00 to 14.0 s of trajectory_1'; empty for an effect that always acts."""
-    if finding.window is None:
-        return ""
-    start, end = map(significant, finding.window)
-    return f"{start} to {end} s" + (f" of {finding.trajectory}" if finding.trajectory else "")
+    """Time windows such as '8.00 to 14.0 s of trajectory_1'; empty for an effect that always acts."""
+    spans = [f"{significant(start)} to {significant(end)} s" for start, end in windows(finding)]
+    return listed(spans) + (f" of {finding.trajectory}" if spans and finding.trajectory else "")
 
 
 def estimates(finding: Finding) -> list[str]:

@@ -277,14 +277,15 @@ def _term(inquiry: Inquiry, acting: Sequence[EffectInstance], i: int) -> np.ndar
 
 
 def _timed(finding: Finding, acting: EffectInstance, ends: Mapping[str, tuple]) -> Finding:
-    """A finding with its window, seconds from the trajectory's first sample."""
+    """A finding with its window, seconds from the trajectory's first sample; with several, with the first of them."""
     assert acting.when is not None
     edges = [[plain(x) for x in ends[name][1:]] for name in EDGES]
+    again = {"again": [[w.start, w.end] for w in acting.when.again]} if acting.when.again else {}
     return replace(
         finding,
         trajectory=acting.when.trajectory,
         window=(acting.when.start, acting.when.end),
-        evidence={**finding.evidence, "window_interval95": edges},
+        evidence={**finding.evidence, "window_interval95": edges, **again},
     )
 
 

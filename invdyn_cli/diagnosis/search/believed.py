@@ -29,6 +29,11 @@ those with the largest gain at the smallest noise, if they are possible; and how
 anomaly that is missing makes the noise of its joint so large that nothing is gained there."""
 
 
+FARTHER = 30.0
+"""Twice the logarithm of the likelihood by which links that are farther off than those of URDFs usually are must do
+better: they take up most of what an anomaly does."""
+
+
 @dataclass(frozen=True)
 class Belief:
     """Links with a share, the anomalies beside them, and the noise that both leave; `cost`: what they must gain, as
@@ -92,7 +97,8 @@ def believed(
         left = beside(evidence, evidence.residual(every, theta), rows, noise)
         bodies = (links, *(c for c in found if c.effect.load))
         by_volume = volume(scorer, bodies) - PRICE_OF_COEFFICIENT * sum(map(scorer.freedom, bodies[1:]))
-        cost = precision_of(every) @ theta**2 + scorer.price(found) + by_volume
+        unusual = FARTHER * bool(np.any(links.precision < 1))
+        cost = precision_of(every) @ theta**2 + scorer.price(found) + by_volume + unusual
         return Belief(links, found, left, float(cost))
 
     def best(of: Iterable[Belief]) -> Belief:

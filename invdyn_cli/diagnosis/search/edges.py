@@ -13,7 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
-from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 
 REACH = 0.25
 """Share of a window's length by which its edges move at most in one step."""
@@ -40,15 +40,22 @@ def summed(evidence: Evidence, acting: Sequence[EffectInstance], squares: Square
         saved = _saved(acting, number, squares)[at]
         t, total = evidence.on_rows("t")[at], np.append(0.0, np.cumsum(saved))
         times = np.concatenate([t[:1], (t[1:] + t[:-1]) / 2, t[-1:]])
-        reach = REACH * (one.when.end - one.when.start)
-        found = {}
-        for name, sign in zip(EDGES, (1.0, -1.0), strict=True):
-            away = np.abs(times - getattr(one.when, name))
-            near = np.flatnonzero(away <= reach)
-            if len(near):  # among rows that do not count the nearest
-                found[name] = float(times[near[np.lexsort((away[near], sign * total[near]))[0]]])
-        acting[number] = replace(one, when=one.when._replace(**found))
+        moved = []
+        for when in one.when.each:
+            found, reach = {}, REACH * (when.end - when.start)
+            for name, sign in zip(EDGES, (1.0, -1.0), strict=True):
+                away = np.abs(times - getattr(when, name))
+                near = np.flatnonzero(away <= reach)
+                if len(near):  # among rows that do not count the nearest
+                    found[name] = float(times[near[np.lexsort((away[near], sign * total[near]))[0]]])
+            moved.append(when._replace(**found))
+        acting[number] = replace(one, when=together(moved))
     return tuple(acting)
+
+
+def together(windows: Sequence[TimeWindow]) -> TimeWindow:
+    """The windows of one effect as one."""
+    return windows[0]._replace(again=tuple(windows[1:]))
 
 
 def _saved(acting: Sequence[EffectInstance], number: int, squares: Squares) -> np.ndarray:
@@ -60,7 +67,7 @@ def _saved(acting: Sequence[EffectInstance], number: int, squares: Squares) -> n
 def lasting(one: EffectInstance) -> EffectInstance:
     """An effect in a time window as it would be all the time."""
     assert one.when is not None
-    return replace(one, when=one.when._replace(start=-np.inf, end=np.inf))
+    return replace(one, when=one.when._replace(start=-np.inf, end=np.inf, again=()))
 
 
 def possible(

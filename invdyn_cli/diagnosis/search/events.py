@@ -43,8 +43,8 @@ and the like leave pulses."""
 MOST, ROUNDS = 3, 3
 """Number of windows that are searched in one residual, and of repetitions with the found ones removed."""
 
-SAME = 0.05
-"""[s] Difference of the edges, in sum, up to which two windows count as the same."""
+SAME = SHORTEST / 2
+"""[s] Difference of the edges, in sum, up to which two windows count as the same: what differs is no event."""
 
 EDGE = 1.0
 """[s] A window whose edge is nearer to an end of its trajectory begins or ends there; one that does both is no
@@ -138,7 +138,7 @@ def proposed(
 
 
 def _alike(one: TimeWindow, other: TimeWindow) -> bool:
-    """Whether two windows are the same, except for the last row or two at their edges."""
+    """Whether two windows are the same, except for some rows at their edges."""
     apart = abs(one.start - other.start) + abs(one.end - other.end)
     return one.trajectory == other.trajectory and apart < SAME
 

@@ -14,6 +14,7 @@ from invdyn_cli.diagnosis.search import events, naming, noise, resting
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
+from invdyn_cli.diagnosis.search.edges import together
 from invdyn_cli.diagnosis.search.equations import solved
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.exact import refine
@@ -136,13 +137,13 @@ def inquire(
             evidence = events.interleaved(evidence, windows)
         taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
         one = _searched(taken, effects, allowed, most, compares, starts, rounds, wear, heard)
-        numbers = {c.when.number for c in one.hypothesis if c.when is not None}
+        numbers = {w.number for c in one.hypothesis if c.when is not None for w in c.when.each}
         return one, {when: own for when, own in windows.items() if when.number in numbers}
 
     def proposed(inquiry: Inquiry, held: Windows) -> Windows:
         """All windows anew, now that the rest is known."""
         acting = inquiry.whole.acting
-        refined = [a.when for a in acting if a.when is not None]
+        refined = [w for a in acting if a.when is not None for w in a.when.each]
         residuals = [inquiry.whole.residual]
         if refined:
             residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))
@@ -159,10 +160,11 @@ def inquire(
     inquiry: Inquiry | None = None
     held: Windows = {}
     found: Windows = {}
-    if everywhere:
-        found = (
-            standing_out(evidence, everywhere, allowed, most, wear) if wear else at_first(evidence, everywhere, most)
-        )
+    begun: Hypothesis = ()
+    if everywhere and wear:
+        found, begun = standing_out(evidence, everywhere, allowed, most, wear, parted)
+    elif everywhere:
+        found = at_first(evidence, everywhere, most)
     if found and not wear:  # what a gear carries is known when what comes and goes is
         inquiry, held = looked(evidence, found, [], [()], 1)
         if held:
@@ -172,6 +174,7 @@ def inquire(
     for turn in range(1 + events.ROUNDS - bool(held)):
         starts = [*([inquiry.hypothesis] if inquiry else []), *([start] if start and not turn else [])]
         starts += [()] if compares or not turn else []
+        starts += [begun] if begun else []
         again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
         if turn and inquiry and kept.keys() == held.keys():
             inquiry = again  # no window more, but what lasts is known better
@@ -181,7 +184,8 @@ def inquire(
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else proposed(inquiry, held)
         if found and wear:
-            found = asked_for(evidence, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
+            apart = evidence if parted else events.interleaved(evidence, {**held, **found})
+            found, begun = asked_for(apart, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
         if not found:
             break
     assert inquiry is not None
@@ -342,7 +346,9 @@ class _Search:
                 continue
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)
-            hypothesis = tuple(trial_at(evidence, a) if edges else c for c, a, edges in found)
+            hypothesis = tuple(
+                trial_at(evidence, a) if edges or (a.when and a.when.again) else c for c, a, edges in found
+            )
             self.judge.refresh()
             whole = refine(evidence, model, chosen.acting, np.ones_like(self.choosing), weights, around)
             odd = {key for one in (chosen, whole) for key in unlikely(evidence, model, self.noise, one)}
@@ -353,21 +359,26 @@ class _Search:
             hypothesis = self._simplified(self._without(odd, hypothesis))
 
     def _joined(self, hypothesis: Hypothesis, chosen: Refined) -> Hypothesis | None:
-        """A hypothesis with one window in the place of two of one effect, if it does no worse: a rest in the middle of
-        an event says nothing of it. None if no two do."""
+        """A hypothesis with one effect in the place of two that come and go, if that does no worse: one all the time
+        from the first to the last, because a rest in the middle of an event says nothing of it, or the same effect
+        twice, as a load that is taken up again. None if no two may be one."""
         for i, k in permutations(range(len(hypothesis)), 2):
             one, other = chosen.acting[i], chosen.acting[k]
-            if one.when is None or other.when is None or (one.effect, one.joint) != (other.effect, other.joint):
+            if one.when is None or other.when is None or one.when.trajectory != other.when.trajectory:
                 continue
-            if one.when.trajectory != other.when.trajectory or one.when.start > other.when.start:
-                continue
-            both = tuple(trial_at(self.evidence, a) for a in (one, other))
-            whole = trial_at(self.evidence, replace(one, when=one.when._replace(end=max(one.when.end, other.when.end))))
-            self._add([*both, whole])
+            twice = together(sorted((*one.when.each, *other.when.each), key=lambda when: when.start))
+            whole = one.when._replace(end=max(one.when.end, other.when.end))
+            ways = [twice]
+            if (one.effect, one.joint) == (other.effect, other.joint) and one.when.start < other.when.start:
+                ways = [whole, twice]
+            both = [trial_at(self.evidence, a) for a in (one, other)]
+            trials = [trial_at(self.evidence, replace(one, when=when)) for when in ways]
+            self._add([*both, *trials])
             rest = tuple(c for n, c in enumerate(hypothesis) if n not in (i, k))
-            around = self._around(hypothesis)
-            if self.judge.loss((*around, *rest, whole)) <= self.judge.loss((*around, *rest, *both)):
-                return (*rest, whole)
+            every = (*self._around(hypothesis), *rest)
+            best = min(trials, key=lambda c: self.judge.loss((*every, c)))
+            if self.judge.loss((*every, best)) <= self.judge.loss((*every, *both)):
+                return (*rest, best)
         return None
 
     def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:

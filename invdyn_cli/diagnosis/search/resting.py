@@ -14,7 +14,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
-from invdyn_cli.diagnosis.search.edges import BEYOND, lasting
+from invdyn_cli.diagnosis.search.edges import BEYOND, lasting, together
 from invdyn_cli.effects.composition import EffectInstance, joint_terms
 from invdyn_cli.interfaces import JointState
 
@@ -31,7 +31,7 @@ MARGIN = 0.1
 
 def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, list[dict[str, tuple]]]:
     """The same with every edge that falls into a rest in the middle of where it can be; and for each effect {edge:
-    (value, lower, upper)} of these."""
+    (value, lower, upper)} of these, in the first of its windows."""
     acting, known, left = list(refined.acting), [{} for _ in refined.acting], _left(evidence, refined)
     for i, one in enumerate(refined.acting):
         if one.when is None:
@@ -39,15 +39,32 @@ def edges(evidence: Evidence, model: Model, refined: Refined) -> tuple[Refined, 
         others = refined.acting[:i] + refined.acting[i + 1 :]
         always = model.without(refined, others) - model.without(refined, (*others, lasting(one)))
         telling = np.any(evidence.valid & (np.abs(always) > left), axis=1)
-        for edge in EDGES:
-            rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
-            if rest is not None:
-                low, high = _bearable(evidence, model, one, others, left, edge, rest)
-                at_end = [x for x in ends if low <= x <= high]  # what may have been there from the start, or still is
-                known[i][edge] = (at_end[0] if at_end else (low + high) / 2, low, high)
-        when = one.when._replace(**{edge: value for edge, (value, *_) in known[i].items()})
-        acting[i] = replace(one, when=when)
+        found = [_placed(evidence, model, replace(one, when=w), others, left, telling) for w in one.when.each]
+        moved = [
+            w._replace(**{edge: value for edge, (value, *_) in own.items()})
+            for w, own in zip(one.when.each, found, strict=True)
+        ]
+        acting[i], known[i] = replace(one, when=together(moved)), found[0]
     return replace(refined, acting=tuple(acting)), known
+
+
+def _placed(
+    evidence: Evidence,
+    model: Model,
+    one: EffectInstance,
+    others: Sequence[EffectInstance],
+    left: np.ndarray,
+    telling: np.ndarray,
+) -> dict[str, tuple]:
+    """{edge: (value, lower, upper)} of the edges of an effect's window that fall into rests."""
+    known = {}
+    for edge in EDGES:
+        rest, ends = _rest(evidence, one, getattr(one.when, edge), telling)
+        if rest is not None:
+            low, high = _bearable(evidence, model, one, others, left, edge, rest)
+            at_end = [x for x in ends if low <= x <= high]  # what may have been there from the start, or still is
+            known[edge] = (at_end[0] if at_end else (low + high) / 2, low, high)
+    return known
 
 
 def _left(evidence: Evidence, refined: Refined) -> np.ndarray:

@@ -112,7 +112,7 @@ def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate], instead: bool
     there = {(e.joint, e.effect.name) for e in hypothesis}
     special = {(e.joint, name) for e in hypothesis for name in e.effect.contains}
     taken = special if instead else special | there
-    windows = {e.when.number for e in hypothesis if e.when is not None}
+    windows = {w.number for e in hypothesis if e.when is not None for w in e.when.each}
     late = {e.joint for e in hypothesis if e.effect.late_by}
     return [
         c
@@ -121,7 +121,7 @@ def free_beside(hypothesis: Hypothesis, pool: Sequence[Candidate], instead: bool
         and (c.joint, c.effect.name) not in special
         and not any((c.joint, name) in taken for name in c.effect.contains)
         and not (c.effect.late_by and c.joint in late)
-        and (c.when is None or c.when.number not in windows)
+        and (c.when is None or windows.isdisjoint(w.number for w in c.when.each))
     ]
 
 

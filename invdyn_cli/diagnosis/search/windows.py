@@ -41,14 +41,20 @@ def standing_out(
     allowed: Sequence[tuple[str, int | None]],
     most: int,
     wear: Hypothesis,
-) -> Windows:
-    """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts."""
+    parted: bool,
+) -> tuple[Windows, Hypothesis]:
+    """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts; and
+    the hypothesis that does."""
     rows = evidence.role == ROLES.index("train")
     measured = noise.measure_beside(evidence, rows)
     left = left_by_standard(evidence, measured, rows, wear)
     beside = (*terms_of(evidence.candidates, wear), *wear)
     found = events.proposed(evidence, everywhere, [left], measured, lasting=beside)
-    return asked_for(evidence, found, {}, measured, allowed, most, wear, ()) if found else {}
+    if not found:
+        return {}, ()
+    return asked_for(
+        evidence if parted else events.interleaved(evidence, found), found, {}, measured, allowed, most, wear, ()
+    )
 
 
 def asked_for(
@@ -60,14 +66,20 @@ def asked_for(
     most: int,
     wear: Hypothesis,
     start: Hypothesis,
-) -> Windows:
-    """The windows among those found that the evidence asks for, beside what lasts and windows that are held."""
+) -> tuple[Windows, Hypothesis]:
+    """The windows among those found that the evidence asks for, beside what lasts and windows that are held; and the
+    hypothesis that does. What comes and goes several times leaves most of the noise as long as one of its windows is
+    missing: all at once are a start, too."""
     pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
     always = (*evidence.given, *known.allowed_for(pool, allowed), *terms_of(pool, wear))
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
     rows = evidence.role == ROLES.index("train")
-    begun = believed(evidence, rows, measured, always, wear[0], pool, [start], most)[0].found
-    return {when: own for when, own in found.items() if any(c.when == when for c in begun)}
+    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, (*always, wear[0]), True)
+    judge.refresh()
+    every = [(*start, *own) for own in zip(*found.values(), strict=True)] if len(found) > 1 else []
+    starts = [start, *sorted(every, key=lambda one: judge.loss((*judge.always, *one)))[:1]]
+    begun = believed(evidence, rows, measured, always, wear[0], pool, starts, most)[0].found
+    return {when: own for when, own in found.items() if any(c.when == when for c in begun)}, begun
 
 
 def _outdoes(judge: HypothesisScorer, passing: Sequence[Candidate], lasting: Sequence[Candidate]) -> bool:

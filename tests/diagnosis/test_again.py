@@ -1,0 +1,60 @@
+"""What comes and goes several times is one effect: a load that an arm takes up again and again."""
+
+import numpy as np
+import pytest
+
+from experiments.arms import random_arm
+from experiments.confusion import claims
+from invdyn_cli.diagnosis import diagnose
+from invdyn_cli.effects.composition import Span, TimeWindow, weight
+from invdyn_cli.effects.description import as_dict, from_dict
+from invdyn_cli.report.wording import when, windows
+from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.hidden import Hidden
+from invdyn_cli.simulation.plant import record
+from invdyn_cli.simulation.references import Multisine
+from invdyn_cli.simulation.sensors import Noise
+
+
+def test_a_weight_has_all_windows():
+    """One in each window, zero between, nothing in another trajectory."""
+    both = TimeWindow("a", 1.0, 2.0, 0, (TimeWindow("a", 4.0, 5.0, 1),))
+    t = np.arange(0, 6, 0.5)
+    assert list(t[np.asarray(weight(both, Span("a", t, 2.0))) == 1]) == [1.5, 4.5]
+    assert not np.any(weight(both, Span("b", t, 2.0)))
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def carried(request, tmp_path_factory):
+    """An arm with friction takes up a load twice, drawn at random: load, windows, diagnosis."""
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    draw = np.random.default_rng([request.param, 77])
+    path.write_text(random_arm(np.random.default_rng(request.param), 3))
+    robot = load_urdf(path)
+    load = {"mass": float(draw.uniform(0.3, 0.8)), "com": draw.uniform(-0.05, 0.05, 3).tolist()}
+    starts = np.array([4.0, 19.0]) + draw.uniform(0, 3, 2)
+    ends = starts + draw.uniform(4, 7, 2)
+    hidden = [Hidden("coulomb_friction", joint, {"coulomb": 0.8}) for joint in robot.joints]
+    hidden += [Hidden("viscous_friction", joint, {"damping": 0.5}) for joint in robot.joints]
+    spans = [[float(a), float(b)] for a, b in zip(starts, ends, strict=True)]
+    hidden += [Hidden("payload_change", None, {**load, "window": span}) for span in spans]
+    log = record(robot, [Multisine(base=0.1)], hidden, noise=Noise(position=1e-5, torque=0.02), duration=32.0, seed=3)
+    return load, spans, diagnose(log, robot)
+
+
+def test_a_load_that_is_taken_up_twice_is_one(carried):
+    """One finding with both windows, edges within 50 ms, mass within 5 %; friction besides, and nothing else."""
+    load, spans, diagnosis = carried
+    (found,) = [x for x in claims(diagnosis) if x.group != "standard"]
+    assert (found.effect, found.status) == ("payload_change", "named")
+    assert np.allclose(windows(found), spans, atol=0.05)
+    assert when(found).count(" to ") == 2
+    assert found.parameters["mass"].value == pytest.approx(load["mass"], rel=0.05)
+
+
+def test_the_written_model_has_both_windows(carried):
+    """As it is written and read back."""
+    _, spans, diagnosis = carried
+    model = from_dict(as_dict(diagnosis.model))
+    (one,) = [a for a in model.acting if a.when is not None]
+    assert np.allclose(sorted([w.start, w.end] for w in one.when.each), spans, atol=0.05)
