@@ -8,7 +8,6 @@ from typing import Any
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import CLAIMS, PREDICTABLE, in_table
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.errors import listed
 from invdyn_cli.log import CHANNELS
 from invdyn_cli.report.quantities import quantity_text, unit_text
 from invdyn_cli.report.tables import significant
@@ -130,7 +129,7 @@ def windows(finding: Finding) -> list[tuple[float, float]]:
 def when(finding: Finding) -> str:
     """Time windows such as '8.00 to 14.0 s of trajectory_1'; empty for an effect that always acts."""
     spans = [f"{significant(start)} to {significant(end)} s" for start, end in windows(finding)]
-    return listed(spans) + (f" of {finding.trajectory}" if spans and finding.trajectory else "")
+    return ", ".join(spans) + (f" of {finding.trajectory}" if spans and finding.trajectory else "")
 
 
 def estimates(finding: Finding) -> list[str]:

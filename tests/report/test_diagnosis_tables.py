@@ -97,7 +97,9 @@ def test_a_window_is_told():
     gain = {"gain": Quantity(0.8, "-", (0.79, 0.81))}
     finding = Finding("torque_gain_change", "joint2", "named", parameters=gain)
     timed = replace(finding, trajectory="trajectory_1", window=(8.0, 14.0))
+    again = replace(timed, evidence={"again": [[20.0, 25.0]]})
     assert (when(finding), when(timed)) == ("", "8.00 to 14.0 s of trajectory_1")
+    assert when(again) == "8.00 to 14.0 s, 20.0 to 25.0 s of trajectory_1"
     text = printed(finding_table(replace(make_diagnosis(), findings=(timed,))))
     assert "8.00 to 14.0 s of trajectory_1" in " ".join(text.split())
     said = headline_of(timed).replace("\N{NO-BREAK SPACE}", " ")
