@@ -16,9 +16,10 @@ from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, une
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal
 from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
-from invdyn_cli.diagnosis.search.inquiry import Inquiry, inquire
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError

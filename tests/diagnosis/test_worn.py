@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis import diagnose, standard, wear
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, supported
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.believed import believed
-from invdyn_cli.diagnosis.search.inquiry import inquire
+from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.rigid import rigid_torque

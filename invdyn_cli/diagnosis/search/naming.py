@@ -194,8 +194,9 @@ def rivals(
 
 
 def _timed(candidate: Candidate) -> float:
-    """The price of a window: it was chosen among many, and has two edges."""
-    return 0.0 if candidate.when is None else PRICE_OF_EFFECT + 2 * PRICE_OF_COEFFICIENT
+    """The price of its windows: each was chosen among many, and has two edges."""
+    count = 0 if candidate.when is None else len(candidate.when.each)
+    return count * (PRICE_OF_EFFECT + 2 * PRICE_OF_COEFFICIENT)
 
 
 def chance(step: np.ndarray, extra: float) -> float:

@@ -7,8 +7,8 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import judged
 from invdyn_cli.diagnosis.decide import claim, refusals
-from invdyn_cli.diagnosis.search.inquiry import inquire
 from invdyn_cli.diagnosis.search.naming import Rival
+from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.types import Motion

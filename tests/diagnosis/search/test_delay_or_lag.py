@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.decide import claim, refusals
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.exact import refine
-from invdyn_cli.diagnosis.search.inquiry import inquire
+from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.hidden import Hidden

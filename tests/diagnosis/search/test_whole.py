@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from invdyn_cli.diagnosis.search.inquiry import inquire
+from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from tests.diagnosis.analytic import FRICTIONS, evidence_of, log_of, moved, on, raw
 

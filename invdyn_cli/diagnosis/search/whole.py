@@ -1,0 +1,198 @@
+"""The search as a whole: what acts always, and then what comes and goes beside it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn_cli.diagnosis import known
+from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search import events, noise
+from invdyn_cli.diagnosis.search.believed import believed
+from invdyn_cli.diagnosis.search.composed import Model
+from invdyn_cli.diagnosis.search.equations import solved
+from invdyn_cli.diagnosis.search.events import Windows
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.diagnosis.search.settling import ROUNDS, WORTH, Search, begin
+from invdyn_cli.diagnosis.search.shared_part import precision_of
+from invdyn_cli.diagnosis.search.slopes import Slopes
+from invdyn_cli.diagnosis.search.windows import asked_for, at_first, left_by_standard, standing_out, terms_of
+from invdyn_cli.effects.transmission import TorqueRipple
+from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.recording.pieces import ROLES
+
+
+def inquire(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    compares: bool,
+    side: str = "unknown",
+    parted: bool = True,
+    wear: Hypothesis = (),
+    start: Hypothesis = (),
+    heard: Noise | None = None,
+) -> Inquiry:
+    """What acts always, and then what comes and goes beside it.
+
+    Args:
+        effects: the causes to look for.
+        allowed: (effect, joint or None for all) that are allowed for and not reported.
+        most: effects at most.
+        compares: whether the recording has a reference beside it.
+        side: the torque's.
+        parted: whether a user said what chooses and what judges; it then stays so.
+        wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
+            rotor of every joint; none of these is looked for.
+        start: trials of what lasts, from which the search starts as well as from nothing.
+        heard: noise that another hypothesis leaves: a model of all columns may leave far more on a short log.
+    """
+    everywhere = [] if compares else events.places(evidence, effects, side)  # first what both logs show
+    gears = [c for c in evidence.candidates if c.effect.yields]
+
+    def looked(
+        evidence: Evidence, windows: Windows, gears: Sequence[Candidate], starts: Sequence[Hypothesis], rounds: int
+    ) -> tuple[Inquiry, Windows]:
+        """What a search among what lasts, these gears and windows came to; and the windows that it made use of."""
+        lasting = [c for c in evidence.candidates if c.when is None and not c.effect.yields]
+        if windows and not parted:
+            evidence = events.interleaved(evidence, windows)
+        taken = replace(evidence, candidates=[*lasting, *gears, *(c for own in windows.values() for c in own)])
+        one = _searched(taken, effects, allowed, most, compares, starts, rounds, wear, heard)
+        numbers = {w.number for c in one.hypothesis if c.when is not None for w in c.when.each}
+        return one, {when: own for when, own in windows.items() if when.number in numbers}
+
+    def proposed(inquiry: Inquiry, held: Windows) -> Windows:
+        """All windows anew, now that the rest is known."""
+        acting = inquiry.whole.acting
+        refined = [w for a in acting if a.when is not None for w in a.when.each]
+        residuals = [inquiry.whole.residual]
+        if refined:
+            residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))
+        lasting = [c for c in inquiry.hypothesis if c.when is None]
+        beside = (*inquiry.beside(lasting), *lasting)
+        places, measured = everywhere or events.places(inquiry.evidence, effects, side), inquiry.noise
+        made = events.proposed(inquiry.evidence, places, residuals, measured, [*held, *refined], beside)
+        if compares:  # what lasts may have taken the place of what comes and goes
+            common, seen = inquiry.always, [*held, *refined, *made]
+            left = [inquiry.evidence.residual(common, inquiry.judge.quick(common)[1])]
+            made |= events.proposed(inquiry.evidence, places, left, measured, seen, common, events.LARGE)
+        return made
+
+    inquiry: Inquiry | None = None
+    held: Windows = {}
+    found: Windows = {}
+    begun: Hypothesis = ()
+    if everywhere and wear:
+        found, begun = standing_out(evidence, everywhere, allowed, most, wear, parted)
+    elif everywhere:
+        found = at_first(evidence, everywhere, most)
+    if found and not wear:  # what a gear carries is known when what comes and goes is
+        inquiry, held = looked(evidence, found, [], [()], 1)
+        if held:
+            evidence, found = inquiry.evidence, proposed(inquiry, held)
+        else:
+            inquiry, found = None, {}
+    for turn in range(1 + events.ROUNDS - bool(held)):
+        starts = [*([inquiry.hypothesis] if inquiry else []), *([start] if start and not turn else [])]
+        starts += [()] if compares or not turn else []
+        starts += [begun] if begun else []
+        again, kept = looked(evidence, {**held, **found}, gears, starts, ROUNDS + evidence.dofs)
+        if turn and inquiry and kept.keys() == held.keys():
+            inquiry = again  # no window more, but what lasts is known better
+            break
+        full = bool(held or found) and len(again.hypothesis) >= most  # and nobody knows what is missing
+        idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
+        inquiry, evidence, held = again, again.evidence, kept
+        found = {} if full or idle else proposed(inquiry, held)
+        if found and wear:
+            apart = evidence if parted else events.interleaved(evidence, {**held, **found})
+            found, begun = asked_for(apart, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
+        if not found:
+            break
+    assert inquiry is not None
+    return inquiry
+
+
+def _left(inquiry: Inquiry, other: Inquiry) -> float:
+    """Squares that an inquiry leaves of all data, in another's noise variances."""
+    return float(np.sum((inquiry.whole.residual * inquiry.evidence.valid) ** 2 @ other.noise.weights))
+
+
+def _searched(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    allowed: Sequence[tuple[str, int | None]],
+    most: int,
+    compares: bool,
+    starts: Sequence[Hypothesis],
+    rounds: int,
+    wear: Hypothesis,
+    heard: Noise | None,
+) -> Inquiry:
+    """Search from each of `starts`, refine the best, search again with the nonlinear parameters that were found, some
+    rounds at most."""
+    new = evidence.role == ROLES.index("train")
+    choosing = new | (evidence.role == ROLES.index("reference"))
+    measured = _measured(evidence, effects, new, choosing, wear)
+    measured = measured if heard is None else noise.no_more(measured, heard)
+    pool = list(evidence.candidates)
+    declared = known.allowed_for(pool, allowed)
+    pool = [c for c in pool if not known.is_allowed(c, allowed)]
+    if compares and evidence.reference_rows is None:
+        known.compare(evidence, pool, ROLES.index("reference"))
+        _scale_what_both_show(evidence, (*evidence.given, *declared), pool, measured.weights)
+    always = (*evidence.given, *declared)
+    usual: Hypothesis = ()
+    if wear:
+        usual = terms_of(pool, wear)
+        pool = [c for c in pool if c.effect.group != "standard"]
+        begun, pool = believed(evidence, choosing, measured, (*always, *usual), wear[0], pool, starts, most)
+        usual, starts, measured = (*usual, begun.links), [begun.found], begun.noise
+        always += usual
+    last = evidence.dofs - 1  # the last link's error has the payload's columns: a name for both is found afterwards
+    if any(c.effect.load for c in pool):
+        pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
+    pool += [c for start in starts for c in start if c not in pool]
+    judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
+    judge.refresh()
+    one = Search(evidence, effects, choosing, measured, always, usual, most, judge, Model(evidence), pool)
+    return one.finished(begin(judge, pool, always, starts, most), rounds)
+
+
+def _scale_what_both_show(
+    evidence: Evidence, always: Hypothesis, pool: Sequence[Candidate], weights: np.ndarray
+) -> None:
+    """Add to the columns of gains what the reference shows beside the nominal model, friction above all: a gain that
+    came since scales that, too; one in a window of time is to do so as well."""
+    before = evidence.reference_rows
+    assert before is not None
+    shown, scale = Slopes.free(evidence, always), np.sqrt(weights) * (before[:, None] & evidence.valid)
+    own = shown.weighed(scale)
+    theta = solved(own.normal(), own.moment(evidence.residual((), np.zeros(0)) * scale), precision_of(always))
+    evidence.shown = torque = shown.torque(theta)
+    for c in pool:
+        if c.effect.factor and c.joint is not None:
+            (column,) = c.columns[c.joint][1]
+            evidence.tables[c.joint][~before, column] += torque[~before, c.joint]
+
+
+def _measured(
+    evidence: Evidence,
+    effects: Mapping[str, AbstractEffect],
+    new: np.ndarray,
+    choosing: np.ndarray,
+    wear: Hypothesis,
+) -> Noise:
+    """The noise; ripples that stand out of it are no noise, and become candidates of the evidence."""
+    measured = noise.measure(evidence, new)  # what has changed since a reference is no noise
+    ripple = effects.get(TorqueRipple.name)
+    if not isinstance(ripple, TorqueRipple) or any(c.effect is ripple for c in evidence.candidates):
+        return measured
+    terms = left_by_standard(evidence, measured, choosing, wear) if wear else noise.left_by_terms(evidence, choosing)
+    lines = noise.ripples(evidence, measured, [terms] if wear else [measured.residual, terms], choosing, ripple)
+    evidence.candidates += lines
+    return noise.measure(evidence, new) if lines else measured
