@@ -29,7 +29,7 @@ def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: R
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:
     """Whether an effect with these parameters can be distinguished from others that look like it."""
     one = refined.acting[place]
-    if (one.when is not None and _lasts(evidence, one.when)) or _at_a_bound(one):
+    if (one.when is not None and _lasts(evidence, one.when)) or _at_a_bound(one) or one.effect.refuse(one.parameters):
         return False
     if not one.effect.invertible:
         return _is_a_limit(evidence, model, measured, refined, place)

@@ -1,6 +1,7 @@
 """Windows to begin with: what comes and goes, before anything else is known, or beside the standard model."""
 
 from collections.abc import Sequence
+from itertools import islice
 
 import numpy as np
 
@@ -77,7 +78,9 @@ def asked_for(
     judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, (*always, wear[0]), True)
     judge.refresh()
     every = [(*start, *own) for own in zip(*found.values(), strict=True)] if len(found) > 1 else []
-    starts = [start, *sorted(every, key=lambda one: judge.loss((*judge.always, *one)))[:1]]
+    every.sort(key=lambda one: judge.loss((*judge.always, *one)))
+    possible = (one for one in every if not judge.refused(whole := (*judge.always, *one), judge.quick(whole)[1]))
+    starts = [start, *islice(possible, 1)]
     begun = believed(evidence, rows, measured, always, wear[0], pool, starts, most)[0].found
     return {when: own for when, own in found.items() if any(c.when == when for c in begun)}, begun
 

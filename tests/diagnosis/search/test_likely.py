@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.effects.composition import EffectInstance, TimeWindow
 from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 
@@ -32,3 +32,14 @@ def test_what_ends_at_its_bound_is_not_believed(name, parameters, odd):
     noise = Noise(np.ones(3), np.ones(3), np.zeros((1, 3)))
     found = unlikely(evidence, Model(evidence), noise, cast(Any, refined))
     assert found == ({(name, 1)} if odd else set())
+
+
+@pytest.mark.parametrize(("mass", "odd"), [(-0.1, True), (0.1, False)])
+def test_a_body_that_came_has_a_mass(mass, odd):
+    """Its columns may take up a force that it cannot make, with less than no mass on all rows together."""
+    evidence = evidence_of(log_of(raw(*moved())), ["payload_change"])
+    body = {"mass": mass, "com": np.array([0.0, 0.0, 0.1]), "inertia": np.zeros(6)}
+    one = EffectInstance(EFFECTS["payload_change"], None, body, TimeWindow("run", 5.0, 15.0))
+    noise = Noise(np.ones(3), np.ones(3), np.zeros((1, 3)))
+    found = unlikely(evidence, Model(evidence), noise, cast(Any, SimpleNamespace(acting=[one], labels=())))
+    assert found == ({one.key} if odd else set())
