@@ -41,5 +41,8 @@ def test_a_body_that_came_has_a_mass(mass, odd):
     body = {"mass": mass, "com": np.array([0.0, 0.0, 0.1]), "inertia": np.zeros(6)}
     one = EffectInstance(EFFECTS["payload_change"], None, body, TimeWindow("run", 5.0, 15.0))
     noise = Noise(np.ones(3), np.ones(3), np.zeros((1, 3)))
-    found = unlikely(evidence, Model(evidence), noise, cast(Any, SimpleNamespace(acting=[one], labels=())))
+    labels = [(0, "", k) for k in range(10)]
+    theta = np.array(one.effect.coefficients(body, evidence.robot, None))
+    refined = SimpleNamespace(acting=[one], labels=labels, theta=theta, unknown=np.eye(10), replicas=[])
+    found = unlikely(evidence, Model(evidence), noise, cast(Any, refined))
     assert found == ({one.key} if odd else set())
