@@ -71,8 +71,8 @@ def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:
 def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
     """Whether a hypothesis beside the standard model does better than another without. Links, all of them a little off
     or some of them by themselves, are paid for as by the marginal likelihood, by the volume that the log leaves of what
-    was believed of them (MacKay 1992); other standard terms by their coefficients. Where several links would be wrong
-    by themselves, what clocks and filters leave (`judge.RELEVANT`) is no evidence that they are."""
+    was believed of them (MacKay 1992); other standard terms by their coefficients. What clocks and filters leave
+    (`judge.RELEVANT`) is no evidence that all links are off, nor that several are wrong by themselves."""
     judge, apart = inquiry.judge, inquiry.always[: len(inquiry.always) - len(inquiry.wear)]
     judge.refresh()
 
@@ -82,8 +82,9 @@ def is_worn(inquiry: Inquiry, other: Hypothesis) -> bool:
         return judge.loss((*always, *hypothesis)) - judge.price(standard) + volume(judge, links) + terms
 
     found = tuple(c for c in other if c.effect.group == "standard")
-    spared = judge.least[None] if sum(c.effect is LINK for c in found) > 1 else 0.0
-    return loss(inquiry.always, inquiry.hypothesis, inquiry.wear) < loss(apart, other, found) + spared
+    gain = loss(apart, other, found) - loss(inquiry.always, inquiry.hypothesis, inquiry.wear)
+    several = sum(c.effect is LINK for c in found) > 1
+    return gain > (-judge.least[None] if several else judge.least[None])
 
 
 def of(columns: Columns, inquiry: Inquiry) -> Standard | None:
