@@ -109,8 +109,8 @@ def inquire(
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else proposed(inquiry, held)
         if found and wear:
-            apart = evidence if parted else events.interleaved(evidence, {**held, **found})
-            found, begun = asked_for(apart, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis)
+            beside = (inquiry.noise, allowed, most, wear, inquiry.hypothesis, parted)
+            found, begun = asked_for(evidence, found, held, *beside)
         if not found:
             break
     assert inquiry is not None

@@ -51,11 +51,7 @@ def standing_out(
     left = left_by_standard(evidence, measured, rows, wear)
     beside = (*terms_of(evidence.candidates, wear), *wear)
     found = events.proposed(evidence, everywhere, [left], measured, lasting=beside)
-    if not found:
-        return {}, ()
-    return asked_for(
-        evidence if parted else events.interleaved(evidence, found), found, {}, measured, allowed, most, wear, ()
-    )
+    return asked_for(evidence, found, {}, measured, allowed, most, wear, (), parted) if found else ({}, ())
 
 
 def asked_for(
@@ -67,10 +63,13 @@ def asked_for(
     most: int,
     wear: Hypothesis,
     start: Hypothesis,
+    parted: bool,
 ) -> tuple[Windows, Hypothesis]:
     """The windows among those found that the evidence asks for, beside what lasts and windows that are held; and the
     hypothesis that does. What comes and goes several times leaves most of the noise as long as one of its windows is
     missing: all at once are a start, too."""
+    if not parted:
+        evidence = events.interleaved(evidence, {**held, **found})
     pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
     always = (*evidence.given, *known.allowed_for(pool, allowed), *terms_of(pool, wear))
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
