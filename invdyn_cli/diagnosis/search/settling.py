@@ -127,19 +127,20 @@ class Search:
             if one.when is None or other.when is None or one.when.trajectory != other.when.trajectory:
                 continue
             windows = sorted((*one.when.each, *other.when.each), key=lambda when: when.start)
-            ways = [together(windows)] if all(a.end <= b.start for a, b in pairwise(windows)) else []
+            ways = []
             if (one.effect, one.joint) == (other.effect, other.joint) and len(windows) == 2:
                 ways.append(windows[0]._replace(end=max(when.end for when in windows)))
-            if not ways:
-                continue
-            both = [trial_at(self.evidence, a) for a in (one, other)]
+            if all(a.end <= b.start for a, b in pairwise(windows)):
+                ways.append(together(windows))
+            both = tuple(trial_at(self.evidence, a) for a in (one, other))
             trials = [trial_at(self.evidence, replace(one, when=when)) for when in ways]
             self._add([*both, *trials])
             rest = tuple(c for n, c in enumerate(hypothesis) if n not in (i, k))
             every = (*self._around(hypothesis), *rest)
-            best = min(trials, key=lambda c: self.judge.loss((*every, c)))
-            if self.judge.loss((*every, best)) <= self.judge.loss((*every, *both)):
-                return (*rest, best)
+            most = self.judge.loss((*every, *both))
+            for trial in trials:
+                if self.judge.loss((*every, trial)) <= most:
+                    return (*rest, trial)
         return None
 
     def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:
