@@ -66,8 +66,8 @@ def asked_for(
     parted: bool,
 ) -> tuple[Windows, Hypothesis]:
     """The windows among those found that the evidence asks for, beside what lasts and windows that are held; and the
-    hypothesis that does. What comes and goes several times leaves most of the noise as long as one of its windows is
-    missing: all at once are a start, too."""
+    hypothesis that does. A load that comes and goes several times leaves most of the noise as long as one of its
+    windows is missing: all at once are a start, too."""
     if not parted:
         evidence = events.interleaved(evidence, {**held, **found})
     pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
@@ -76,7 +76,8 @@ def asked_for(
     rows = evidence.role == ROLES.index("train")
     judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, (*always, wear[0]), True)
     judge.refresh()
-    every = [(*start, *own) for own in zip(*found.values(), strict=True)] if len(found) > 1 else []
+    loads = [[c for c in own if c.effect.load] for own in found.values()]
+    every = [(*start, *own) for own in zip(*loads, strict=True)] if len(found) > 1 else []
     every.sort(key=lambda one: judge.loss((*judge.always, *one)))
     possible = (one for one in every if not judge.refused(whole := (*judge.always, *one), judge.quick(whole)[1]))
     starts = [start, *islice(possible, 1)]
