@@ -119,9 +119,9 @@ class Search:
             hypothesis = self._simplified(self._without(odd, hypothesis))
 
     def _joined(self, hypothesis: Hypothesis, chosen: Refined) -> Hypothesis | None:
-        """A hypothesis with one effect in the place of two that come and go, if that does no worse: one all the time
-        from the first to the last, because a rest in the middle of an event says nothing of it, or the same effect
-        twice, as a load that is taken up again. None if no two may be one."""
+        """A hypothesis with one effect in the place of two that come and go, if that does no worse; None if no two may
+        be one. It acts from the start of the first window to the end of the second, because a rest in between says
+        nothing of it; or in both windows, as a load does that is picked up in every cycle."""
         for i, k in permutations(range(len(hypothesis)), 2):
             one, other = chosen.acting[i], chosen.acting[k]
             if one.when is None or other.when is None or one.when.trajectory != other.when.trajectory:

@@ -109,8 +109,9 @@ def inquire(
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else proposed(inquiry, held)
         if found and wear:
-            beside = (inquiry.noise, allowed, most, wear, inquiry.hypothesis, parted)
-            found, begun = asked_for(evidence, found, held, *beside)
+            found, begun = asked_for(
+                evidence, found, held, inquiry.noise, allowed, most, wear, inquiry.hypothesis, parted
+            )
         if not found:
             break
     assert inquiry is not None
