@@ -94,7 +94,8 @@ class Evidence:
         given: part of every hypothesis, and no finding.
         loaded: effects whose candidates depend on the torque that a joint transmits, made or not.
         reference_rows: (R,) those of a reference, on which the columns of changes vanish, where there is one.
-        shown: (R, n) what the reference shows beside the nominal model.
+        shown: (R, n) friction above all, which a drive's gain in a window of time scales, too: what the reference shows
+            beside the nominal model, or without one what each joint's standard terms explain.
         dragged: of a joint, parameters of a gear whose link has friction of its own, tried beside none.
     """
 

@@ -37,7 +37,7 @@ WITHIN = 0.2
 """The same of what is left in the window beyond noise: what comes and goes is there all the time between."""
 
 EVEN = 0.35
-"""Share of the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
+"""Share of the time that its joints move in the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
 and the like leave pulses."""
 
 MOST, ROUNDS = 3, 3
@@ -228,7 +228,8 @@ def _window(
             continue
         gained = of_joints.sum(axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
-        if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(gained) > EVEN:
+        told = gained[moves[a:b].any(axis=1)]
+        if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(told) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
             end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
             best = value, TimeWindow(str(name), float(start), float(end)), after

@@ -50,7 +50,11 @@ def inquire(
         start: trials of what lasts, from which the search starts as well as from nothing.
         heard: noise that another hypothesis leaves: a model of all columns may leave far more on a short log.
     """
-    everywhere = [] if compares else events.places(evidence, effects, side)  # first what both logs show
+    everywhere = []  # in a comparison first what both logs show
+    if not compares:
+        nominal, rows = evidence.residual((), np.zeros(0)), evidence.role == ROLES.index("train")
+        evidence = replace(evidence, shown=nominal - noise.left_by_terms(evidence, rows))
+        everywhere = events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.yields]
 
     def looked(
