@@ -126,6 +126,15 @@ def test_a_blow_is_no_window():
     assert not looked_for(seen(blow))
 
 
+def test_a_rest_is_no_part_of_a_window():
+    """A drive is weak for six seconds, in the first and the last of which alone its joint moves."""
+    evidence = seen(within(gain, (2.0, 8.0)))
+    t = evidence.on_rows("t")
+    evidence.valid[:, 1] = (t < 3.0) | (t > 7.0)
+    found = looked_for(evidence, passing={"torque_gain_change": EFFECTS["torque_gain_change"]})
+    assert any((when.start, when.end) == pytest.approx((2.0, 8.0), abs=0.05) for when in found)
+
+
 def test_a_contact_stands_where_it_differs():
     """Every joint at which a force would be felt differently from those behind it is a place, and a payload and a gain
     of each joint; a torque that was taken behind the gear knows no gain of the drive, if the effect says so."""
