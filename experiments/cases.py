@@ -35,6 +35,7 @@ class Case:
     """A log, the robot that everybody believes it is of, what was hidden, and by how much it is above the noise.
 
     `share` is the largest ratio, over joints, of the RMS torque that the hidden effects make to that of the noise.
+    `faint` are those of a worn arm of which little is left beyond what every arm has.
     """
 
     robot: Robot
@@ -42,6 +43,7 @@ class Case:
     hidden: tuple[Hidden, ...]
     share: float
     said: str
+    faint: tuple[Hidden, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -199,7 +199,8 @@ def drawn(seed: int, name: str) -> Drawn:
 
 
 def several(seed: int, names: Sequence[str]) -> Case:
-    """A log with these anomalies at once, each on a joint of its own and by itself above LOUD times the noise."""
+    """A log with these anomalies at once, each on a joint of its own and by itself above LOUD times the noise; `faint`
+    are those that are not, beyond their joint's standard terms."""
     for attempt in range(ATTEMPTS):
         draw = np.random.default_rng([seed, attempt, zlib.crc32("+".join(names).encode()), 9])
         scene, worn = _scene(draw)
@@ -209,9 +210,11 @@ def several(seed: int, names: Sequence[str]) -> Case:
                 anomalies.append(sized(draw, scene, name, [x.joint for x in anomalies]))
             record, hiss, said = _recorder(draw, scene, anomalies)
             twin = record(worn)
-            faintest = min(_loudness(scene, record([*worn, x]), twin, x, worn, hiss)[0] for x in anomalies)
-            if faintest > LOUD:
-                return Case(scene.robot, record([*worn, *anomalies]), tuple(anomalies), faintest, said)
+            times, beyond = np.transpose([_loudness(scene, record([*worn, x]), twin, x, worn, hiss) for x in anomalies])
+            if times.min() > LOUD:
+                faint = tuple(x for x, own in zip(anomalies, beyond, strict=True) if own <= LOUD)
+                log = record([*worn, *anomalies])
+                return Case(scene.robot, log, tuple(anomalies), float(times.min()), said, faint)
         except (UsageError, ValueError):  # no joint is free, or an arm that loses control
             continue
     raise RuntimeError(f"no loud, stable case from seed {seed} for {names}")

@@ -25,7 +25,7 @@ from experiments.cases import inverse_dynamics
 from experiments.detection import ENOUGH, HIGHEST, STEP, climb, is_found
 from experiments.excite import Excite, Settled, least_distance, open_finding
 from experiments.latency import WARM
-from experiments.multiple import Counted, f1
+from experiments.multiple import Counted, f1, loud
 from experiments.real_diagnosis import JOBS
 from experiments.replay import NOT_HELD, Replay, Replayed, names_of
 from experiments.worn import spoken
@@ -366,6 +366,8 @@ def test_f1_counts_pairs():
     """Two of three found and one claim beside them: precision and recall 2/3."""
     one = Counted("three", 0, ("a@1", "b@2", "c@3"), ("a@1", "b@2", "d@3"), ("c@3",), ("d@3",), 1.0)
     assert f1([one]) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
+    without = loud(replace(one, faint=("b@2", "c@3")))  # one of them found
+    assert f1([without]) == pytest.approx((2 / 3, 1 / 2, 1.0))
 
 
 def test_a_standard_term_is_no_anomaly():
