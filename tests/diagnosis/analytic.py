@@ -46,6 +46,12 @@ def nothing(t: np.ndarray, m: Motion) -> np.ndarray:
     return np.zeros_like(m.q)
 
 
+def beyond(robot: Robot, other: Robot, m: Motion) -> np.ndarray:
+    """(T, n) torque that another robot needs for a motion beyond this one's."""
+    needed, nominal = (inverse_dynamics(x, m.q, m.qd, m.qdd) for x in (other, robot))
+    return needed - nominal
+
+
 def moved(seconds: float = 40.0, rate: float = 500.0, seed: int = 0, late: float = 0.0) -> tuple[np.ndarray, Motion]:
     """t (T,) and sums of sines at t + `late`."""
     t = np.arange(round(seconds * rate)) / rate

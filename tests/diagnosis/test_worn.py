@@ -18,16 +18,14 @@ from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
-from invdyn_cli.types import Motion
 from tests.commands import usually
-from tests.diagnosis.analytic import arm, evidence_of, in_turn, log_of, moved, on, raw
+from tests.diagnosis.analytic import arm, beyond, evidence_of, in_turn, log_of, moved, on, raw
 
 NAMES = ("coulomb_friction", "link_inertia_error")
 
@@ -79,12 +77,6 @@ def beside(robot, off, draw, *terms):
     other = replace(robot, inertial=robot.inertial + scale)
 
     return lambda t, m: sum(term(t, m) for term in terms) + beyond(robot, other, m)
-
-
-def beyond(robot, other, m):
-    """(T, n) torque that another robot needs for a motion beyond this one's."""
-    needed, nominal = (rigid_torque(x, Motion(m.q.T, m.qd.T, m.qdd.T)).T for x in (other, robot))
-    return needed - nominal
 
 
 @pytest.mark.parametrize("off", [0.0, 0.08])

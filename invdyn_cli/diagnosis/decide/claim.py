@@ -50,6 +50,7 @@ class Claim:
         hypothesis: all candidates; this one is number `place`.
         whole: their exact parameters, refined on all rows.
         after: (R, n) what the hypothesis leaves.
+        beside: candidates that were refused while nothing spoke against this one: what they explain, no rival is to.
     """
 
     inquiry: Inquiry
@@ -57,6 +58,7 @@ class Claim:
     place: int
     whole: Refined
     after: np.ndarray
+    beside: Hypothesis = ()
 
     @property
     def candidate(self) -> Candidate:
@@ -148,7 +150,8 @@ class Claim:
         alike = own.effect.looks_like(evidence.robot, own.joint)
         like = [kind_of(effect).candidate(evidence, effect, own.joint, at) for effect, at in alike]
         inquiry.judge.refresh()
-        return naming.rivals(inquiry.judge, inquiry.always, self.hypothesis, self.place, [*inquiry.pool, *like])
+        every = (*self.hypothesis, *self.beside)
+        return naming.rivals(inquiry.judge, inquiry.always, every, self.place, [*inquiry.pool, *like])
 
     @cached_property
     def beaten(self) -> float:

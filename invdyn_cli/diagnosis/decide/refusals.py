@@ -124,13 +124,16 @@ def supported(
     equally well gets no sentence, because it is chance which of them was tried. First comes the inquiry that they are
     of: where USUAL_LINKS refuse one, the others are judged beside such links, too."""
     hypothesis, whole, said = inquiry.hypothesis, inquiry.whole, []
+    beside: dict[tuple, Hypothesis] = {}  # of a candidate that nothing spoke against, those that were refused
     while True:
         whole, after = exactly(inquiry, hypothesis, whole, np.ones_like(inquiry.judge.rows)), left(inquiry, hypothesis)
-        claims = [Claim(inquiry, hypothesis, i, whole, after) for i in range(len(hypothesis))]
+        claims = [Claim(inquiry, hypothesis, i, whole, after, beside.get(c.key, ())) for i, c in enumerate(hypothesis)]
         refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
         if refused:
             worst, row = min(refused, key=lambda x: x[0].evidence if inquiry.wear else x[0].gain)
             place, why = worst.place, row.why(worst)
+            for other in {x.key for x in claims} - {x.key for x, _ in refused}:
+                beside[other] = (*beside.get(other, ()), worst.candidate)
             inquiry = inquiry.beside_usual_links() if row is USUAL_LINKS else inquiry
             if why and not any(r.equal for r in worst.rivals):
                 name = _titled(inquiry, worst.candidate)

@@ -85,16 +85,13 @@ def _simplified(
         for c in pool:
             if clash(general, c) and not any(c.key == e.key for e in hypothesis):
                 simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
-                step = _lost(judge, always, simpler, hypothesis)
-                extra = PRICE_OF_COEFFICIENT * (judge.freedom(c) - judge.freedom(general))
+                step, extra = _lost(judge, always, simpler, hypothesis)
                 if not asked_for(step, extra) or chance(step, extra) > DOUBT:
                     return _simplified(judge, always, simpler, pool)
         if general.effect.changes_inertials and general.effect.of_joint:
             # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
             for simpler in _split(hypothesis, i, pool):
-                more = sum(map(judge.freedom, simpler)) - sum(map(judge.freedom, hypothesis))
-                as_well = _as_well(_lost(judge, always, simpler, hypothesis), PRICE_OF_COEFFICIENT * more)
-                if as_well and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
+                if _as_well(*_lost(judge, always, simpler, hypothesis)) and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
                     return _simplified(judge, always, simpler, pool)
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
                 if judge.freedom(one) < judge.freedom(general) + (0.5 if _is_usual(one) else -1):
@@ -120,9 +117,15 @@ def _is_usual(c: Candidate) -> bool:
     return c.effect.group == "standard" and c.effect.is_local
 
 
-def _lost(judge: HypothesisScorer, always: Hypothesis, other: Hypothesis, hypothesis: Hypothesis) -> np.ndarray:
-    """What another hypothesis leaves more in each block (B,)."""
-    return judge.verdict(always + other).blocks - judge.verdict(always + hypothesis).blocks
+def _lost(
+    judge: HypothesisScorer, always: Hypothesis, other: Hypothesis, hypothesis: Hypothesis
+) -> tuple[np.ndarray, float]:
+    """What another hypothesis leaves more in each block (B,), and what it costs more: its coefficients, and links that
+    must be farther off."""
+    one, now = judge.verdict(always + other), judge.verdict(always + hypothesis)
+    more = sum(map(judge.freedom, other)) - sum(map(judge.freedom, hypothesis))
+    dearer = strain(always, one.theta) - strain(always, now.theta)
+    return one.blocks - now.blocks, PRICE_OF_COEFFICIENT * more + dearer
 
 
 def _as_well(step: np.ndarray, extra: float) -> bool:

@@ -12,7 +12,7 @@ from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.types import Motion
-from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
+from tests.diagnosis.analytic import arm, beyond, candidate, evidence_of, log_of, moved, on, raw
 
 
 def test_a_delay_that_was_never_refined_is_judged():
@@ -64,6 +64,26 @@ def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
     robot = replace(evidence.robot, prismatic=np.array([False, True, False]))
     slide = replace(one, inquiry=replace(inquiry, evidence=replace(evidence, robot=robot)))
     assert "torque_ripple" not in {r.candidate.effect.name for r in slide.rivals}
+
+
+def test_what_was_refused_beside_a_claim_is_no_rival_of_it():
+    """A small body in the hand, and much friction on the first joint, which feels both: each is needed beside the
+    other. If the friction is refused for a reason of its own, it does not explain the data as well as the body."""
+    names = ("payload", "coulomb_friction")
+    inertial = np.array(arm().inertial)
+    inertial[-1, :2] += 0.1, 0.02
+    heavier = replace(arm(), inertial=inertial)
+
+    def term(t, m):
+        return beyond(arm(), heavier, m) + on(0, lambda t, q, qd, qdd: 5.0 * np.sign(qd))(t, m)
+
+    evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.05, position=1e-5)), names)
+    inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), 3, compares=False)
+    body, friction = sorted(inquiry.hypothesis, key=lambda c: c.effect.name, reverse=True)
+    assert (body.key, friction.key) == (("payload", None), ("coulomb_friction", 0))
+    one = claim.Claim(inquiry, (body,), 0, inquiry.whole, claim.left(inquiry, (body,)))
+    assert friction.key in {r.candidate.key for r in one.rivals if r.equal}
+    assert not any(r.equal for r in replace(one, beside=(friction,)).rivals)
 
 
 def test_rows_that_judge():
