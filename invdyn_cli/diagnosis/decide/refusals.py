@@ -12,6 +12,7 @@ from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.judge import Hypothesis
 
 OUTWEIGHED = 1.0
 """Least gain of an effect, as a multiple of the variance that stays unexplained on its joint: columns that have little

@@ -37,8 +37,8 @@ WITHIN = 0.2
 """The same of what is left in the window beyond noise: what comes and goes is there all the time between."""
 
 EVEN = 0.35
-"""Share of the time that its joints move in the window over which it must be spread: blows of a gear's flanks, reversals that a friction does not hit
-and the like leave pulses."""
+"""Share of the window over which it must be spread, as far as its joints move: blows of a gear's flanks, reversals that
+a friction does not hit and the like leave pulses."""
 
 MOST, ROUNDS = 3, 3
 """Number of windows that are searched in one residual, and of repetitions with the found ones removed."""

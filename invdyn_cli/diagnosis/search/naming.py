@@ -91,7 +91,8 @@ def _simplified(
         if general.effect.changes_inertials and general.effect.of_joint:
             # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
             for simpler in _split(hypothesis, i, pool):
-                if _as_well(*_lost(judge, always, simpler, hypothesis)) and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
+                as_well = _as_well(*_lost(judge, always, simpler, hypothesis))
+                if as_well and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
                     return _simplified(judge, always, simpler, pool)
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
                 if judge.freedom(one) < judge.freedom(general) + (0.5 if _is_usual(one) else -1):
