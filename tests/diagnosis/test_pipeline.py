@@ -200,6 +200,7 @@ def cold(robot):
     return sizes, recorded(robot, bristly(robot, *sizes), (0.1,), duration=20.0, seed=11)
 
 
+@pytest.mark.benchmark  # up to 40 s; one joint whose friction fell is below
 def test_all_joints_that_warmed_up_since_a_reference(robot, cold):
     """Friction of all joints falls by shares drawn at random, 15 to 25 %, with another motion than in the reference;
     both logs have bristles at every reversal. Nothing else has changed. The table tells both logs' own sizes within
