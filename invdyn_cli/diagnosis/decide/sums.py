@@ -12,9 +12,9 @@ from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Finding
 
-UNEVEN = 0.5
-"""Ratio of the smallest to the largest level of a sum, below which they differ so much that it may be meant; a small
-offset is in most drives. A gear with 10.2 N m in one direction and 4.9 in the other was told as an offset of 2.7."""
+UNEVEN = 2 / 3
+"""Ratio of the smallest to the largest level of a sum, below which it may be meant: each is then farther than a fifth
+from their mean. So much asymmetry is usual (Elhami and Brookfield 1996), and a small offset is in most drives."""
 
 
 @dataclass(frozen=True)
