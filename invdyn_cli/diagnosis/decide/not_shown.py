@@ -57,24 +57,29 @@ def unseen(
 
 
 def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
-    """Errors of a joint's angle that would not be found on a worn arm: of a typical size they make, beside links that
-    may be as wrong as the others are or as they usually are, less evidence than a claim needs."""
+    """Errors of a joint's angle, and a payload, that would not be found on a worn arm: of a typical size they make,
+    beside links that may be as wrong as the others are or as they usually are, less evidence than a claim needs."""
     judge, robot, made = inquiry.judge, inquiry.evidence.robot, list[Finding]()
     claimed = {(f.effect, f.joint) for f in claims}
     for c in inquiry.pool if inquiry.wear else ():
-        if c.joint is None or not c.effect.bends or c.is_trial or (c.effect.name, robot.joints[c.joint]) in claimed:
+        joint = None if c.joint is None else robot.joints[c.joint]
+        like = c.when is None and (c.effect.bends or c.effect.load)
+        if not like or c.is_trial or (c.effect.name, joint) in claimed:
             continue
-        typical = c.effect.typical(UsualJoint(robot, c.joint, *[1.0] * 7)) or {}
-        size = sum(x**2 for x in typical.values())
+        usual = UsualJoint(robot, robot.dofs - 1 if c.joint is None else c.joint, *[1.0] * 7)
+        typical = c.effect.typical(usual) or {}
+        size = np.array(c.effect.coefficients(typical, robot, c.joint) if c.effect.load else [*typical.values()])
         others = [x for x in inquiry.hypothesis if x.key != c.key]
         needed = ((EVIDENCE, inquiry.always), (judge.price((c,)), inquiry.always_usual))
-        if any(size < least * _variance(judge, (*always, *others, c)) for least, always in needed):
-            where = c.effect.name, robot.joints[c.joint]
+        if any(_evidence(judge, (*always, *others, c), size) < least for least, always in needed):
+            where = c.effect.name, joint
             made.append(Finding(*where, "not_excited", evidence={"why": LIKE_LINKS}, advice=c.effect.advice))
     return made
 
 
-def _variance(judge: HypothesisScorer, hypothesis: Hypothesis) -> float:
-    """Of the last coefficient of a hypothesis."""
+def _evidence(judge: HypothesisScorer, hypothesis: Hypothesis, size: np.ndarray) -> float:
+    """Squares, in noise variances, that the last of a hypothesis makes with these coefficients (k,) and the others
+    cannot."""
     precision = np.concatenate([x.precision for x in hypothesis])
-    return float(inverted(judge.equations(hypothesis)[1], precision)[-1, -1])
+    own = inverted(judge.equations(hypothesis)[1], precision)[-len(size) :, -len(size) :]
+    return float(size @ np.linalg.solve(own, size))

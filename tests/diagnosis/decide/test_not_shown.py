@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.checks.excitation import Excitation
-from invdyn_cli.diagnosis.decide.not_shown import unseen
+from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
+from invdyn_cli.diagnosis.search import noise
+from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Examination, Finding, Motion
-from tests.diagnosis.analytic import arm, gather, log_of, moved, raw, recording_of
+from tests.diagnosis.analytic import arm, beyond, gather, log_of, moved, raw, recording_of
 
 GEARS = {"backlash", "joint_elasticity"}
 
@@ -101,3 +104,24 @@ def test_a_drift_needs_time_and_bristles_creep():
     assert not any("torque_offset_drift" in why for why in cannot_show(*moved(70.0, 100.0)))
     never = replace(m, q=0.3 * t[:, None] + 0 * m.q, qd=0.3 + 0 * m.q, qdd=0 * m.q)
     assert all("presliding_hysteresis" in why for why in cannot_show(t, never))
+
+
+@pytest.mark.parametrize(("lighter", "hidden"), [(0.05, False), (1.0, True)])
+def test_a_payload_is_not_shown_where_links_are_as_wrong(lighter, hidden):
+    """A payload of a twentieth of an arm's mass is a fifth of its last link's, and links are wrong by a tenth or two;
+    beside a last link that is twenty times lighter it is no usual error."""
+    inertial = np.array(arm().inertial)
+    inertial[-1] *= lighter
+    robot, (t, m) = replace(arm(), inertial=inertial), moved(40.0)
+
+    def term(t, m):
+        return beyond(arm(), robot, m)
+
+    names = ("payload", "coulomb_friction", "viscous_friction", "torque_offset", "rotor_inertia", "link_inertia_error")
+    recording = recording_of(log_of(raw(t, m, term, torque=0.005, position=1e-6)))
+    evidence = gather(robot, recording, [EFFECTS[name] for name in names], "unknown")
+    least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
+    links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    inquiry = inquire(evidence, {x: EFFECTS[x] for x in names}, (), 3, compares=False, wear=links)
+    assert not inquiry.hypothesis
+    assert (("payload", None) in {(f.effect, f.joint) for f in like_links(inquiry, ())}) is hidden
