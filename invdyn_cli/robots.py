@@ -238,7 +238,7 @@ def _arm(model: pin.Model, tags: Mapping[str, ET.Element]) -> list[int]:
             free = free.difference(*fingers)
     if not free:
         raise RobotError(
-            "no joint of an arm is left: all that move look like a gripper's",
+            "no joint of an arm was found: all moving joints look like those of a gripper",
             advice=f"robot.joints= of {listed(model.names[1:])}",
         )
     if any(len(_children(model, free, i)) > 1 for i in {0} | free):

@@ -96,7 +96,7 @@ class SineTasks(AbstractSource):
             raise UsageError(f"data.decimals={self.decimals}; allowed: 0 to {DIGITS}, the digits of a float64")
         if not 0 < self.duration * self.rate <= MOST_SAMPLES:
             got = f"data.duration={self.duration} s at data.rate={self.rate} Hz"
-            raise UsageError(f"{got}; allowed: above 0, and at most {MOST_SAMPLES:.0e} samples a task")
+            raise UsageError(f"{got}; allowed: above 0, for at most {MOST_SAMPLES:.0e} samples a task")
         if self.trim < 0 or self.duration * self.rate - 2 * self.trim < 100:
             raise UsageError(
                 f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples "

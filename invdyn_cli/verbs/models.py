@@ -49,7 +49,7 @@ def one_in_words(name: str) -> Iterator[str]:
     """
     groups = [group for group in GROUPS if name in options.choices_of(group)]
     if not groups:
-        raise UsageError(f"there is no choice {name}; allowed: {listed(names(), most=40)}{closest(name, names())}")
+        raise UsageError(f"unknown name {name}; allowed: {listed(names(), most=40)}{closest(name, names())}")
     for group in groups:
         path = options.choices_of(group)[name]
         yield from textwrap.wrap(f"{group}={name}: {options.headline(path)}", width())
