@@ -68,7 +68,7 @@ def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
             continue
         usual = UsualJoint(robot, robot.dofs - 1 if c.joint is None else c.joint, *[1.0] * 7)
         typical = c.effect.typical(usual) or {}
-        size = np.array(c.effect.coefficients(typical, robot, c.joint) if c.effect.load else [*typical.values()])
+        size = np.array(c.effect.coordinates(typical, robot, c.joint) or [*typical.values()])
         others = [x for x in inquiry.hypothesis if x.key != c.key]
         needed = ((EVIDENCE, inquiry.always), (judge.price((c,)), inquiry.always_usual))
         if any(_evidence(judge, (*always, *others, c), size) < least for least, always in needed):
