@@ -203,6 +203,13 @@ class Claim:
         ends = self._ends(name)
         return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
 
+    @cached_property
+    def impossible(self) -> str:
+        """Why its exact parameters are physically impossible; "" if they are possible. The search judged those of the
+        rows that it used, beside effects that were refused since."""
+        place = self._number
+        return "" if place is None else self.candidate.effect.refuse(self.whole.acting[place].parameters)
+
     def _evidence(self, always: Hypothesis) -> float:
         """`evidence` beside what is `always` there."""
         judge, others = self.inquiry.judge, self.hypothesis[: self.place] + self.hypothesis[self.place + 1 :]

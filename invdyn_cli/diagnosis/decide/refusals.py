@@ -99,6 +99,7 @@ REFUSALS = (
     Refusal(
         "least size by its interval", lambda x: x.size, np.nextafter(0, 1), lambda _: "its 95 % interval contains zero"
     ),
+    Refusal("possible size", lambda x: float(not x.impossible), 1.0, lambda x: f"its {x.impossible}"),
     Refusal(
         "gain over the residual",
         lambda x: x.share_of_residual,
