@@ -86,6 +86,17 @@ def test_what_was_refused_beside_a_claim_is_no_rival_of_it():
     assert not any(r.equal for r in replace(one, beside=(friction,)).rivals)
 
 
+def test_what_is_impossible_on_all_rows_is_refused():
+    """Sizes on all rows, beside what was not refused, may be others than those that the search judged."""
+    inquiry = rubbed(20.0)
+    one = of_coulomb(inquiry)
+    negative = [replace(a, parameters={**a.parameters, "coulomb": -0.5}) for a in one.whole.acting]
+    other = replace(one, whole=replace(one.whole, acting=tuple(negative)))
+    (row,) = (x for x in refusals.REFUSALS if x.name == "possible size")
+    assert [refusals.refusal(x, [row]) for x in (one, other)] == [None, row]
+    assert row.why(other) == "its coulomb would be -0.5 N m; possible: 0 to ∞"
+
+
 def test_rows_that_judge():
     """An effect is judged on held-out rows where it acts in several of their blocks; on all rows where it acts in one
     alone, as a gear's play that strikes once, or hardly at all."""
