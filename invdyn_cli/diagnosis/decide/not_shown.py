@@ -9,6 +9,7 @@ from invdyn_cli.diagnosis.search.equations import inverted
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.joints import UsualJoint
 from invdyn_cli.types import Examination, Finding
@@ -80,6 +81,5 @@ def like_links(inquiry: Inquiry, claims: Sequence[Finding]) -> list[Finding]:
 def _evidence(judge: HypothesisScorer, hypothesis: Hypothesis, size: np.ndarray) -> float:
     """Squares, in noise variances, that the last of a hypothesis makes with these coefficients (k,) and the others
     cannot."""
-    precision = np.concatenate([x.precision for x in hypothesis])
-    own = inverted(judge.equations(hypothesis)[1], precision)[-len(size) :, -len(size) :]
+    own = inverted(judge.equations(hypothesis)[1], precision_of(hypothesis))[-len(size) :, -len(size) :]
     return float(size @ np.linalg.solve(own, size))

@@ -228,8 +228,8 @@ def _window(
             continue
         gained = of_joints.sum(axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
-        told = gained[moves[a:b].any(axis=1)]
-        if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(told) > EVEN:
+        moving = gained[moves[a:b].any(axis=1)]
+        if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(moving) > EVEN:
             start = time[0] if not a else (time[a - 1] + time[a]) / 2
             end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
             best = value, TimeWindow(str(name), float(start), float(end)), after

@@ -15,7 +15,8 @@ from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.recording.pieces import ROLES
-from tests.diagnosis.analytic import Term, arm, evidence_of, log_of, moved, nothing, raw
+from invdyn_cli.types import Motion
+from tests.diagnosis.analytic import Term, arm, beyond, evidence_of, log_of, moved, nothing, raw
 
 NOISE = 0.02
 PASSING = {name: effect for name, effect in EFFECTS.items() if effect.passing}
@@ -29,8 +30,7 @@ def payload(t, m) -> np.ndarray:
     inertial[-1, 3] += 0.08
     inertial[-1, 4] += 0.008
     inertial[-1, 6] += 0.008
-    heavier = replace(arm(), inertial=inertial)
-    return inverse_dynamics(heavier, m.q, m.qd, m.qdd) - inverse_dynamics(arm(), m.q, m.qd, m.qdd)
+    return beyond(arm(), replace(arm(), inertial=inertial), m)
 
 
 def gain(t, m) -> np.ndarray:
@@ -42,8 +42,7 @@ def contact(t, m) -> np.ndarray:
     """A body of 0.5 kg that hangs at the origin of the last frame, at rest: a force."""
     inertial = np.array(arm().inertial)
     inertial[-1, 0] += 0.5
-    heavier = replace(arm(), inertial=inertial)
-    return inverse_dynamics(heavier, m.q, 0 * m.qd, 0 * m.qdd) - inverse_dynamics(arm(), m.q, 0 * m.qd, 0 * m.qdd)
+    return beyond(arm(), replace(arm(), inertial=inertial), Motion(m.q, 0 * m.qd, 0 * m.qdd))
 
 
 HIDDEN = {"payload_change": payload, "torque_gain_change": gain, "external_contact": contact}
