@@ -47,9 +47,9 @@ def load_urdf(
 
     Args:
         path: a .urdf or .xacro file (xacro may run Python code), or the name of a built-in robot.
-        joints: names of the joints that move, in any order, that of a log's columns if these have no names (the robot
-            has parents before children); None: all except a gripper's (mimic joints and what they follow, names as in
-            GRIPPER, short branches at the arm's end).
+        joints: names of the joints that move, in any order; None: all except those of a gripper (mimic joints and the
+            joints that they follow, names with finger, gripper, knuckle or jaw, short branches at the arm's end).
+            Columns of a log that have no names are read in this order.
         tip: a link or joint; the joints between it and the base move.
         dofs: keeps that many of these joints, from the base, and drops all bodies behind them (paper, section V-A).
         gravity: [m/s^2] (3,) in the base frame; None: [0,0,-9.81].
@@ -130,7 +130,7 @@ def _inertias(robot: Robot, path: str | Path | None) -> dict[str, float]:
     data, still = model.createData(), np.zeros(robot.dofs)
     mass = np.array([pin.rnea(model, data, still, still, unit)[i] for i, unit in enumerate(np.eye(robot.dofs))])
     if not all(np.isfinite(x).all() for x in (*arrays, mass)):
-        raise RobotError(f"{path} gives numbers that are not finite", advice="its origins, axes and inertials")
+        raise RobotError(f"{path} gives numbers that are not finite", advice="finite origins, axes and inertials")
     return dict(zip(robot.joints, mass.tolist(), strict=True))
 
 
@@ -189,7 +189,7 @@ def _moving(
         moving, why = _up_to(model, tip), f"not between the base and {tip}"
     else:
         urdf.refuse_types([tags[x] for x in model.names[1:]], MOVING)
-        moving, why = _arm(model, tags), "a gripper's by mimic tags, names or short branches; robot.joints= overrides"
+        moving, why = _arm(model, tags), "like a gripper's: mimic tag, name or short branch; robot.joints=[…] overrides"
     urdf.refuse_types([tags[model.names[i]] for i in moving], MOVING)
     return moving, why
 
@@ -239,12 +239,12 @@ def _arm(model: pin.Model, tags: Mapping[str, ET.Element]) -> list[int]:
     if not free:
         raise RobotError(
             "no joint of an arm was found: all moving joints look like those of a gripper",
-            advice=f"robot.joints= of {listed(model.names[1:])}",
+            advice=f"robot.joints=[…] with names of {listed(model.names[1:])}",
         )
     if any(len(_children(model, free, i)) > 1 for i in {0} | free):
         tips = [model.names[i] for i in sorted(free) if not _children(model, free, i)]
         raise RobotError(
-            f"the robot branches into {len(tips)} arms; allowed: one", advice=f"robot.tip= of {listed(tips)}"
+            f"the robot branches into {len(tips)} arms; allowed: one", advice=f"robot.tip=NAME, one of {listed(tips)}"
         )
     return sorted(free)
 

@@ -32,7 +32,8 @@ def read(path: str | Path | None) -> str:
     built_in = f"a .urdf or .xacro file, or a built-in robot: {listed(BUILT_IN)}"
     if path is None:
         raise RobotError(
-            f"no robot description is given, by the data neither; allowed: {built_in}", advice="robot.path="
+            f"no robot description is given, neither by an option nor by the data; allowed: {built_in}",
+            advice="robot.path=arm.urdf",
         )
     file = BUILT_IN.get(str(path), Path(path).expanduser())
     if not file.is_file():
@@ -94,8 +95,8 @@ def refuse_types(joints: Sequence[ET.Element], allowed: Sequence[str]) -> None:
     wrong = [f"{x.get('name')} ({x.get('type')})" for x in joints if x.get("type") not in allowed]
     if wrong:
         raise RobotError(
-            f"joints of a type that cannot move here: {listed(wrong)}; allowed: {listed(MOVING)}, fixed",
-            advice="lock them by robot.tip= or robot.joints=[...] without them, or make them fixed in the URDF",
+            f"joints of types that are not supported: {listed(wrong)}; allowed: {listed(MOVING)}, fixed",
+            advice="robot.tip=… or robot.joints=[…] that leave them out, which locks them; or type fixed in the URDF",
         )
 
 

@@ -346,7 +346,7 @@ REFUSED = {
         "declares a DOCTYPE",
     ),
     "only a gripper": (urdf(BASE, link("l1"), joint("jaw", "revolute", "base", "l1")), {}, "those of a gripper"),
-    "two arms": (DUAL, {}, "2 arms; allowed: one. Try: robot.tip= of a_j3, b_j3"),
+    "two arms": (DUAL, {}, "2 arms; allowed: one. Try: robot.tip=NAME, one of a_j3, b_j3"),
     "unknown joint": (ARM, {"joints": ["j1", "j22"]}, "'j22', did you mean 'j2'.; allowed: j1, j2, j3, j4"),
     "fixed joint": (ARM, {"joints": ["bolted"]}, "no moving joint 'bolted'"),
     "a joint twice": (ARM, {"joints": ["j1", "j1"]}, "twice"),

@@ -28,7 +28,7 @@ class LocalErrorModel(AbstractAdapter):
 
     Attributes:
         window: [samples] number of samples that the regression holds; the cost of an update grows with the third power.
-        interval: [samples] after this number of samples one enters the window, and the oldest leaves.
+        interval: [samples] every so many samples, the newest one enters the window, and the oldest one leaves it.
         width: [-] width of the kernel in units of the training data's spread times the root of the number of inputs.
         noise: [-] standard deviation of the noise as a share of that of the error to be learned.
         offset_rate: [-] share of the error that a sample corrects in the offset; 0 for no offset.

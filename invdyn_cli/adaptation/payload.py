@@ -48,11 +48,13 @@ class Payload(AbstractAdapter):
         mass: [kg] mass of a heavy load, roughly.
         size: [m] distance from the last joint's frame to the far end of a load, roughly.
         window: [samples] length of the window in which a load is detected.
-        rest_speed: [rad/s; m/s] speed at which friction hides a third of what it hides at rest.
+        rest_speed: [rad/s; m/s] speed at which the unknown part of friction, which can be mistaken for a load, is a
+            third of that at rest.
         surety: [nats] smallest log-likelihood ratio at which a change is accepted.
-        margin: [-] the same, as a multiple of the largest ratio in motions without a load.
+        margin: [-] smallest log-likelihood ratio at which a change is accepted, as a multiple of the largest one in
+            motions without a load; the larger of surety and this counts.
         observer: [samples] time constant of the disturbance observer on the residual; None: no observer.
-        rate: [samples] predictions within that many samples use the same state.
+        rate: [samples] number of samples after which predictions use a new state.
     """
 
     mass: float = 3.0

@@ -33,7 +33,7 @@ class Rls(AbstractAdapter):
     Attributes:
         forgetting: [-] factor per sample on what was learned before; 1 forgets nothing, 0.999 has a memory of 1,000
             samples.
-        memory: [samples] weight of the training data at the start, at most their number.
+        memory: [samples] number of samples that the training data count as at the start, at most their own number.
     """
 
     forgetting: float = 0.999

@@ -35,7 +35,7 @@ def typical(effect: AbstractEffect, joint: int | None, robot: Robot, usual: Usua
     if made is None:
         raise UsageError(
             f"{effect.name} has no typical size",
-            advice=f"its parameters: {listed(effect.parameters)}, in its units",
+            advice=f"values of {listed(effect.parameters)}, in the units that invdyn effects {effect.name} lists",
         )
     return made
 

@@ -107,9 +107,9 @@ def beside_dynamics(model: ExtendedModel) -> tuple[str, ...]:
     ]
     if not any(a for _, a, _ in pairs):
         return ()
-    others = [f"{name} {a:.3g}, found {b:.3g}" for name, a, b in pairs if abs(a - b) > NEAR * max(abs(a), abs(b))]
-    said = "The URDF states friction in <dynamics> tags, which a diagnosis leaves out and finds anew: "
-    said += f"{len(pairs) - len(others)} of {len(pairs)} values are within {100 * NEAR:.0f} % of what was found"
+    others = [f"{name} {a:.3g}, estimated {b:.3g}" for name, a, b in pairs if abs(a - b) > NEAR * max(abs(a), abs(b))]
+    said = "The URDF states friction in <dynamics> tags, which a diagnosis ignores and estimates itself: "
+    said += f"{len(pairs) - len(others)} of {len(pairs)} values are within {100 * NEAR:.0f} % of the estimate"
     return (f"{said}; {listed(others, most=4)}." if others else f"{said}.",)
 
 

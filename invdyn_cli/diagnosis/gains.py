@@ -64,10 +64,10 @@ class Gains:
         units = "; ".join(dict.fromkeys(self.units))
         said = "The log has currents without drive gains."
         if told:
-            said += " These gains are estimated from the masses in the URDF, and too small if it lacks a tool "
-            said += f"[{units}]: {told}."
+            said += f" These gains [{units}] were estimated from the masses in the URDF: {told}. "
+            said += "They are too small if the URDF lacks a tool."
         if others:
-            said += f" Gravity and inertia hardly act on {others}: only ratios are known there, and sizes are in A."
+            said += f" Gravity and inertia hardly act on {others}: only ratios of sizes are known there, in A."
         return said
 
 

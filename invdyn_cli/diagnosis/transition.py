@@ -113,6 +113,6 @@ def note_of(robot: Robot, speeds: Sequence[float]) -> tuple[str, ...]:
     units = ["m/s" if prismatic else "rad/s" for prismatic in robot.prismatic]
     told = [f"{j} ({v:.2g} {u})" for j, v, u in zip(robot.joints, speeds, units, strict=True) if v > 0]
     return (
-        "Friction does not jump where these joints turn back, but goes through zero with tanh(qd / v), v = "
-        f"{listed(told)}. They creep there, or the log comes from a simulation that smooths its friction.",
+        f"The friction of these joints changes sign gradually, as tanh(qd / v), with v in brackets: {listed(told)}. "
+        "They creep at reversals, or the log comes from a simulation that smooths friction.",
     )

@@ -170,7 +170,7 @@ class TorqueDelay(AbstractChannelEffect):
 
     name = "torque_delay"
     title = "torque delay"
-    meaning = "The torque reaches the joint later than the log says; with a negative delay, the log has it late."
+    meaning = "The torque reaches the joint later than the log says. If the delay is negative, it was logged too late."
     equation = "delivered(t) = logged(t − delay)"
     reference = "first order: delay · d torque/dt"
     parameters = {"delay": Parameter("s", -SLOWEST, SLOWEST)}
@@ -214,7 +214,10 @@ class ActuatorLag(AbstractChannelEffect):
         "The delivered torque follows the logged one as a first-order filter does; with a negative time constant, the "
         "logged one follows the delivered one."
     )
-    equation = "|time_constant| · d later/dt + later = earlier"
+    equation = (
+        "time_constant · d delivered/dt + delivered = logged; with a negative time_constant: "
+        "|time_constant| · d logged/dt + logged = delivered"
+    )
     reference = "first-order current loop"
     parameters = {"time_constant": Parameter("s", -SLOWEST, SLOWEST)}
     late_by = "time_constant"

@@ -38,8 +38,8 @@ class CoupledFriction(AbstractTorqueEffect):
     title = "coupled friction"
     meaning = "Friction and inertia of a drive that two joints turn: they share a gear."
     equation = (
-        "coulomb sign(s) + damping s + armature ds/dt, s = qd + ratio qd_driver; ratio times as much on the driver, "
-        "the joint before"
+        "coulomb sign(s) + damping s + armature ds/dt, s = qd + ratio qd_driver; on the driver (the joint before this "
+        "one) ratio times this torque"
     )
     reference = "Khalil and Dombre, Modeling, Identification and Control of Robots, 2002"
     parameters = {

@@ -122,7 +122,7 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
     parameters = {"positive": Parameter("N m", 0.0), "negative": Parameter("N m", 0.0)}
     confounders = (("coulomb_friction", "torque_offset"),)
     contains = ("coulomb_friction",)
-    advice = "the torque of the free joint at rest, in a posture that needs none: an offset remains, friction vanishes"
+    advice = "the torque at rest, brakes open, in a posture without gravity load: an offset remains, friction vanishes"
     panels = ("velocity",)
     jumps = True
     sum_of = {

@@ -58,7 +58,7 @@ class _Guess:
             options = " ".join(self.advice)
             raise LogError(
                 f"{self.where}: the file does not say: {'; '.join(self.questions)}",
-                advice=f"invdyn convert {self.where} OUT.h5 {options} (OUT.columns.yaml keeps it for data.columns=)",
+                advice=f"invdyn convert {self.where} OUT.h5 {options} (later: data.columns=OUT.columns.yaml)",
             )
         said = {"joints": tuple(self.joints), "channels": self.channels, "torque_side": side}
         known = {name: GIVEN for name in ("torque_side", "joints", "rate") if getattr(self.given, name)}
@@ -81,7 +81,7 @@ class _Guess:
             name, known = self.named_clock()[0]
             self.channels["t"], self.known["t"] = replace(given, columns=(name,)), known
         else:
-            return self.ask("the clock (no column grows evenly)", "time.column=NAME", "(or rate=HZ)")
+            return self.ask("the clock (no column increases in equal steps)", "time.column=NAME", "(or rate=HZ)")
         self.time_unit()
         if not self.questions:
             self.clock = seconds(self.where, self.table, replace(self.given, channels=self.channels))
@@ -180,8 +180,8 @@ class _Guess:
             return one
         columns = placed(order, one.columns)
         if all(self.joint(x).isdigit() for x in columns):
-            kept = f"{name}.columns are taken in the order given, {listed(one.columns)}, not in that of their numbers"
-            self.notes.append(f"{kept}, for the joints {listed(self.joints or self.given.joints)}.")
+            kept = f"{name}.columns are read in the given order, not by their numbers: {listed(one.columns)} are those"
+            self.notes.append(f"{kept} of {listed(self.joints or self.given.joints)}.")
             return one
         self.notes.append(f"{name}.columns are put in the order of the joints, by their names: {listed(columns)}.")
         return Channel(columns, placed(order, one.unit), placed(order, one.sign), placed(order, one.full_scale))
@@ -209,7 +209,7 @@ class _Guess:
         if len(best) > 1:
             which = listed(ranged(list(c.columns.values())) for c in best)
             if channel in OPTIONAL:
-                self.notes.append(f"{channel} is left out: it may be {which}; {channel}.columns=… takes one.")
+                self.notes.append(f"{channel} is left out: it may be {which}; {channel}.columns=… selects one.")
             else:
                 self.ask(f"which columns are {channel}: {which}", f"{channel}.columns=FIRST:LAST")
             return {}
@@ -323,7 +323,7 @@ class _Guess:
         else:
             del self.channels[name]
             why = "its unit does not follow from its values and those of q"
-            self.notes.append(f"{name} ({ranged(list(one.columns))}) is left out: {why}; {name}.unit=… takes it.")
+            self.notes.append(f"{name} ({ranged(list(one.columns))}) is left out: {why}; {name}.unit=… keeps it.")
 
     def angle(self, name: str, matrix: np.ndarray) -> str | None:
         return values.angle_unit(matrix)

@@ -43,7 +43,7 @@ def log_of(log: LogLike | None, **arrays: Unpack[Arrays]) -> Log:
         return from_arrays(**arrays)
     if beside:
         raise UsageError(
-            f"a log and {listed(beside)} are given; allowed: a log, or q=, tau=, t= and what goes with them"
+            f"a log and {listed(beside)} are given; allowed: a log alone, or the arrays q=, tau=, t= and their options"
         )
     if isinstance(log, str | Path):
         return read(log)

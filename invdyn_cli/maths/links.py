@@ -73,9 +73,9 @@ def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[st
     consistent ones differ."""
     worst = int(np.argmax(change))
     return (
-        f"The best-fit links are not physically consistent. The nearest consistent ones cost {cost:.3g} noise "
-        f"variances (by chance at most {chance:.3g}) and change the torque of {joints[worst]} by "
-        f"{change[worst]:.2g} N m RMS. Suspect friction, rotor inertia or an offset that is not in the model."
+        f"The best-fit links are not physically consistent. With the nearest consistent ones, squared errors grow by "
+        f"{cost:.3g} noise variances (by chance {chance:.3g} at most), and the torque of {joints[worst]} changes by "
+        f"{change[worst]:.2g} N m RMS. The model may lack friction, rotor inertia or an offset."
     )
 
 

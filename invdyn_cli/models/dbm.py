@@ -41,8 +41,8 @@ class Dbm(AbstractModel):
             extrapolates less).
         solver: least squares of dense tensors: ridge, tsvd (truncated), or lstsq (plain, diverges where the data
             contain no information).
-        strength: [-] regularisation: of tsvd a share of the largest singular value, of ridge of its square; None:
-            chosen by leaving out each trajectory in turn (of a single one, each fifth).
+        strength: [-] regularisation, relative to the largest singular value (tsvd) or to its square (ridge); None:
+            chosen by leaving out in turn each trajectory, or each fifth of a single one.
         weighting: torque_spread divides the rows of each joint by the standard deviation of its torque if joints share
             coefficients; none does not.
         friction: coulomb_viscous adds the columns sign(qd), a ramp within `regression.REST_SPEED`, and qd for each

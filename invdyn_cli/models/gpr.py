@@ -20,8 +20,8 @@ class Gpr(AbstractKernelModel):
     evidence.
 
     Attributes:
-        exact: [samples] largest number for exact inference; its cost grows with the third power.
-        inducing: number of inducing inputs beyond, evenly from the training samples.
+        exact: [samples] largest training set for exact inference, whose cost grows with the third power.
+        inducing: number of inducing inputs for a larger training set, spread evenly over its samples.
         hyperparameter_samples: [samples] number of training samples from which hyperparameters are estimated.
         steps: iterations of L-BFGS on the evidence.
     """

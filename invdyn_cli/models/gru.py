@@ -39,7 +39,7 @@ class Gru(AbstractModel):
     while the robot works.
 
     Attributes:
-        memory: size of h.
+        memory: number of units in the recurrent state.
         hidden: width of the head's hidden layer.
         window: [samples] length of the stretches that it is trained on, each from a memory of zero (truncated
             backpropagation through time); they overlap by half.

@@ -52,11 +52,13 @@ class Lwpr(AbstractModel):
         fields: largest number of receptive fields of a joint.
         directions: largest number of directions of a field.
         reach: [spreads] radius of a new field, in units of an input's spread times the root of the number of inputs.
-        generate, prune: [-] weights at which a field begins or ends.
-        direction_gain: [-] share of its squared error that a field must lose by one more direction to take it.
+        generate: [-] a new field begins at a sample at which all fields have less weight than this.
+        prune: [-] where two fields both have more weight than this, the narrower one is removed.
+        direction_gain: [-] a field adds a direction only if this reduces its squared error by at least this share.
         learning_rate: [-] step of the gradient descent on M.
         penalty: [-] weight of the penalty on small fields.
-        forgetting, last_forgetting: [-] factor by which a field's sums forget at each of its samples, first and last.
+        forgetting: [-] factor by which a field reduces the weight of its earlier samples at each new one, at the start.
+        last_forgetting: [-] value that this factor approaches as the field gets more samples (option forgetting).
         passes: how often the training samples are learned from, each time in a new random order.
     """
 

@@ -41,8 +41,8 @@ class Pest(AbstractModel):
         offset: whether a constant torque per joint is fitted (zero error of a sensor or drive).
         rotor_inertia: whether a term in qdd per joint is fitted (reflected rotor inertia; only if the torque is
             measured at the motor).
-        consistent: whether the links are physically consistent, as near to the URDF's as the data allow, as a simulator
-            needs them; otherwise psi is the smallest solution of the fit.
+        consistent: whether the fit yields physically consistent links, which a simulator needs, as near to the URDF's
+            as the data allow; otherwise it yields the least-squares solution of the smallest norm.
         rest_speed: [rad/s; m/s] speed below which the sign of a measured velocity is noise.
         least_speed: [rad/s; m/s] samples of a joint below this speed are not learned from: friction near rest is
             indeterminate.

@@ -51,10 +51,12 @@ def _order(joints: Sequence[str], robot: Robot, notes: list[str]) -> list[int]:
     known = sorted(set(wanted) & set(joints))
     apart = [] if counted else elsewhere(joints, wanted)
     if known or apart:
-        said = f"only {listed(known)} in both" if known else f"{apart[0][0]} is like {apart[0][1]}, at another place"
+        said = f"they have only {listed(known)} in common"
+        if not known:
+            said = f"{apart[0][0]} resembles {apart[0][1]}, which has another place in the order"
         got = f"robot {robot.name!r} moves {listed(wanted)}, the log has {listed(joints)}: {said}"
         raise RobotError(
-            f"{got}; allowed: the robot's names in any order, or all others, taken in order",
+            f"{got}; allowed: exactly the robot's names, in any order, or only other names, in the robot's order",
             advice="'data.columns={joints: […]}', the robot's names in the order of the log's columns; or another URDF",
         )
     notes.append(f"the log's joints {listed(joints)} are read as the robot's {listed(wanted)}, in this order")

@@ -188,9 +188,9 @@ class Conditioning:
                 stage = None if raw.stage is None else raw.stage[np.searchsorted(raw.t, t + 1e-9, side="right") - 1]
                 trajectories.append(self._trajectory(name, t, signals, stage, rate, inset))
         if len(trajectories) < len(pieces):
-            short = f"{block}: {len(pieces) - len(trajectories)} of {len(pieces)} uninterrupted pieces too short"
-            short += f", {needed} samples at {rate:.4g} Hz are needed for filter, derivatives and lag"
-            short += "" if trajectories else f", the longest has {longest}"
+            short = f"{block}: {len(pieces) - len(trajectories)} of {len(pieces)} uninterrupted pieces are too short: "
+            short += f"{needed} samples at {rate:.4g} Hz are needed for filter, derivatives and lag"
+            short += "" if trajectories else f"; the longest has {longest}"
             if block.asked and not trajectories:
                 advice = "a longer window, a higher data.filter_cutoff (null: no filter), or a larger data.max_gap"
                 raise LogError(short, advice=advice)

@@ -44,9 +44,10 @@ class Preparation:
     Attributes:
         rate: [Hz] working sampling rate; slower logs keep their own. Columns are computed at this rate and only then
             filtered, so that a reversal is placed within 2 ms.
-        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; chosen is the highest at which the
-            noise of the twice differentiated positions is small compared with that of the torque (SMALL, NEGLIGIBLE).
-        smoothing: [-] bandwidth of a joint's motion signals, as a multiple of that of its columns.
+        cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; the highest one is chosen at which the
+            noise of the twice differentiated positions is small compared with that of the torque. `SMALL` and
+            `NEGLIGIBLE` say how small.
+        smoothing: [-] bandwidth of a joint's positions, speeds and accelerations, as a multiple of that cut-off.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms. A joint whose
             speed the noise of its positions would hide (CLEAR) has less, `smoothing` times its cut-off at least.
         max_gap: [s] a longer step splits a trajectory.

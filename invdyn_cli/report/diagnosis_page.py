@@ -251,7 +251,7 @@ def _alternatives(finding: Finding) -> str:
     said = ""
     if known:
         sets = "; or by ".join(f"<b>{escape(x)}</b>" for x in known)
-        said = f"On this log, it could be replaced by {sets}; the difference is within noise."
+        said = f"On this log, {sets} would explain the torque equally well, within noise."
     if UNKNOWN in finding.alternatives:
         said += " Much of what the model misses here may come from an effect that is not in the catalogue, and this "
         said += "cause may be a part of that."
@@ -315,9 +315,9 @@ def _errors(diagnosis: Diagnosis) -> str:
     heads = ("joint", *ERROR_HEADS[:-1], "unexplained")
     note = f"On held-out data; RMSE in {'; '.join(dict.fromkeys(units.values()))}. "
     note += "Friction line: offset, Coulomb and viscous friction by least squares, with the links as in the URDF. "
-    note += "Standard model: these terms beside links that may be off. NMSE: squared error over the torque's variance. "
-    note += "Unexplained: the share of the residual that a small neural network predicts. Rests are included here, and "
-    note += "not in the errors of single causes. "
+    note += "Standard model: these terms and errors of the links. NMSE: mean squared error over the torque's variance. "
+    note += "Unexplained: the share of the residual that a small neural network predicts. These errors include samples "
+    note += "at rest; the errors of single causes do not. "
     note += "" if floor else "No trajectory was repeated, so there is no noise floor."
     return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
 

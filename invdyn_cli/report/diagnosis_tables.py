@@ -106,7 +106,7 @@ def each_log_table(diagnosis: Diagnosis) -> Table | Text | None:
         return None
     differing = [cells for differs, cells in rows if differs]
     if not differing:
-        return Text("Fitted to each log by itself, no offset and no friction differs from the reference.", "dim")
+        return Text("Each log was fitted separately: no offset and no friction differs from the reference.", "dim")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
     table.caption = Text("Offset and friction that differ, fitted to each log by itself; ± 95 %.", "dim")
     for head in EACH_LOG:
@@ -119,7 +119,7 @@ def each_log_table(diagnosis: Diagnosis) -> Table | Text | None:
 def unclaimed_line(diagnosis: Diagnosis) -> Text | None:
     """'Also in the extended model, without being claimed: base tilt; …'; None where there is nothing."""
     said = [words(x.effect) + (f" on {x.joint}" if x.joint else "") for x in diagnosis.unclaimed]
-    head = "Also in the extended model, without being claimed, because held-out data are predicted better so"
+    head = "Also in the extended model without being claimed, because this predicts held-out data better"
     return Text(f"{head}: {'; '.join(said)}.", "dim") if said else None
 
 

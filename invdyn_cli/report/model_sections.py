@@ -38,12 +38,12 @@ def standard_section(diagnosis: Diagnosis) -> str:
         about = "left as the URDF has them, because held-out data are predicted better so."
     note = (
         "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
-        "claimed as a cause (bold) or not. Links: RMS torque of the change of the links' inertial parameters, which "
-        "are " + about
+        "claimed as a cause (bold) or not. Links: RMS of the torque by which the corrected inertial parameters of the "
+        "links change the model. These parameters are " + about
     )
     if diagnosis.details.get("torque_side") == "link":
-        note += " The torque was measured behind the gear: its friction is that of bearings, seals and cables, or the "
-        note += "sensor feels a part of the gear's, too."
+        note += " The torque was measured on the link side of the gear, so this friction is that of bearings, seals, "
+        note += "cables and, if the sensor measures it, a part of the gear."
     made = table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
     return made + _each_log(diagnosis)
 
@@ -54,7 +54,7 @@ def _each_log(diagnosis: Diagnosis) -> str:
     for differs, cells in rows:
         told = [f"<b>{escape(x)}</b>" if differs else escape(x) for x in cells]
         body += "<tr>" + "".join(f"<td>{x}</td>" for x in told) + "</tr>"
-    note = "Fitted to each log by itself, beside all other changes; ± 95 %; bold: the sizes differ for sure."
+    note = "Each log was fitted separately, beside the other changes. ± 95 %. Bold: the sizes differ significantly."
     many = sum(differs for differs, _ in rows)
     label = f"Offset and friction in the reference and now: {many} of {len(rows)} differ"
     return folded(label, table(EACH_LOG, body, "dense") + f'<p class="note">{note}</p>', shown=many > 0) if rows else ""
@@ -80,6 +80,6 @@ def unclaimed_section(diagnosis: Diagnosis) -> str:
     note = (
         "No claims are made: each of these torques may stand for another effect. They are in the extended model, "
         "because it predicts held-out data better with them. Standard terms, causes and residual tests on this page "
-        "are without them."
+        "were computed without them."
     )
     return table(("effect", "joint", "estimate [95 %]"), body, "words") + f'<p class="note">{note}</p>' if body else ""

@@ -42,7 +42,7 @@ SAMPLES = 4500
 
 CAPTION = (
     "Bars: mean NMSE over joints, the median of several seeds; low is good. Boxes: the range that a statement below "
-    "allows; the paper's words are read as decades."
+    "allows; the paper's words are translated into powers of ten."
 )
 
 STYLE = """
@@ -89,7 +89,7 @@ def summary(verdicts: Iterable[Grid]) -> str:
     kinds = [kind_of(row[-1]) for grid in verdicts for row in grid.rows]
     parts = [f"{kinds.count(kind)} {said}" for kind, said in SAID.items() if kind in kinds]
     judged = (
-        "Each is judged for every seed and every interpretation of what the paper leaves open, by decades, not digits."
+        "Each is judged for every seed, and for every reading of what the paper leaves open. Only powers of ten count."
     )
     return f"Of {len(kinds)} statements, the paper's and those marked as ours, {', '.join(parts)}. {judged}"
 

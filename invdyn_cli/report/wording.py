@@ -112,7 +112,7 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "explained" and not all(x.passed for x in diagnosis.tests):
         return f"{said}, except for small effects"
     unknown = diagnosis.verdict == "nothing_found" and any(x > PREDICTABLE for x in diagnosis.unexplained.values())
-    return f"{said} that has a name" if unknown else said
+    return f"{said} that is in the catalogue" if unknown else said
 
 
 def place(finding: Finding) -> str:

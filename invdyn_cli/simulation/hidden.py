@@ -253,7 +253,8 @@ def _put(build: Build, one: Hidden, i: Any, robot: Robot) -> None:
             build.couplings.append(Coupling(i, robot.parents[i], **{"armature": 0.0, **p}))
         case "backlash" | "joint_elasticity":
             if any(x.joint == i for x in build.gears):
-                raise UsageError(f"{one.effect} on {one.joint}, whose gear yields already; allowed: one such effect")
+                got = f"{one.effect} on {one.joint}, which has backlash or joint_elasticity already"
+                raise UsageError(f"{got}; allowed: one of the two on each joint")
             build.gears.append(gear.chosen(robot, i, **p))
             build.armature[i] += build.gears[-1].rotor
         case "torque_ripple":

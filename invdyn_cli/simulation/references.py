@@ -105,8 +105,9 @@ class PickPlace(AbstractReference):
             _move((q, qd, qdd), t, start, takes, here, there)
             here, start = there, start + takes + self.dwell
         if not qd.any():
-            got = f"pick_place: a first move of {takes:.2g} s after {self.dwell:g} s of rest, in {duration:g} s"
-            raise UsageError(f"{got}; allowed: a duration for one move or more", advice="a longer duration")
+            got = f"pick_place: no move ends within {duration:g} s"
+            needed = f"{start + takes:.3g} s or more, {self.dwell:g} s of rest and the first move"
+            raise UsageError(f"{got}; allowed: {needed}", advice="a longer duration")
         return Motion(q, qd, qdd)
 
 
@@ -158,7 +159,8 @@ class Manipulation(AbstractReference):
         )
         rest, approach, lift, carry, retract = self._durations(seed)
         if self.times(seed)["retract"][1] > duration:
-            raise UsageError(f"a manipulation of {self.times(seed)['retract'][1]:.2f} s in {duration:g} s of recording")
+            takes = self.times(seed)["retract"][1]
+            raise UsageError(f"duration={duration:g} s; allowed: {takes:.2f} s or more, which the manipulation takes")
         t = np.arange(round(duration * rate)) / rate
         q, qd, qdd = np.tile(home, (len(t), 1)), np.zeros((len(t), robot.dofs)), np.zeros((len(t), robot.dofs))
         here, start = home, rest

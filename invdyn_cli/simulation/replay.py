@@ -150,7 +150,8 @@ def replay(
     """
     total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
     if not total > 0:
-        raise LogError(f"no stretch is longer than {length + MEMORY:g} s, a window and the memory of a motor")
+        got = f"no stretch is longer than {length + MEMORY:g} s without a gap"
+        raise LogError(f"{got}; a replay needs {length:g} s, and {MEMORY:g} s before them for delayed motors")
     every = max(total / most, length)
     found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     where: list[tuple[Segment, int]] = []

@@ -55,7 +55,7 @@ def refuse_target(config: DictConfig, source: AbstractSource) -> None:
     if config.write is None:
         return
     if not config.correct:
-        raise UsageError(f"write={config.write} needs correct=true", advice="only one of the two")
+        raise UsageError(f"write={config.write} needs correct=true", advice="correct=true, or no write=")
     target = Path(str(config.write)).expanduser()
     sources = {Path(str(x)).expanduser().resolve() for x in getattr(source, "path", ())}
     if not isinstance(config.write, str) or target.suffix not in (".h5", ".hdf5"):
@@ -74,7 +74,7 @@ def written(result: checking.CheckResult, config: DictConfig) -> tuple[str, ...]
     if config.write is None:
         return ()
     if not result.usable:
-        return (f"{config.write} is not written: the log is not usable, corrected either",)
+        return (f"{config.write} was not written: the log is not usable, even after correction",)
     target, log = Path(config.write).expanduser(), result.corrected
     named = tuple(replace(one, name=one.name.replace("/", ".")) for one in log.trajectories)
     history = (*log.history, *(f"invdyn check: {one}" for one in result.corrections))

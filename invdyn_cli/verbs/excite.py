@@ -87,7 +87,7 @@ def questions_of(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ...
     designed."""
     effects = _listed(config, "effects")
     if effects and config.diagnosis is not None:
-        raise UsageError("effects and diagnosis; allowed: one of them")
+        raise UsageError("both effects and diagnosis are given; allowed: one of them")
     if config.diagnosis is not None:
         return _of_diagnosis(config, robot)
     if config.finding is not None:
@@ -210,7 +210,7 @@ def as_dict(made: Design) -> dict[str, Any]:
 
 def shown(made: Design) -> Table:
     """A row for every pair."""
-    title = f"{made.robot.name}, {made.t[-1]:.4g} s; two causes are distinguishable from {APART:g} standard errors"
+    title = f"{made.robot.name}, {made.t[-1]:.4g} s; causes are distinguishable at {APART:g} standard errors or more"
     table = Table("true cause", "assumed cause", title=title, title_justify="left")
     table.add_column("distance [standard errors]", justify="right")
     for p in made.pairs:
@@ -227,7 +227,7 @@ def advice(made: Design) -> list[str]:
         if not p.possible:
             lines.append(f"{what}: no motion distinguishes them. Try: {_else(p)}")
         elif not p.apart:
-            lines.append(f"{what}: {p.distance:.2g} standard errors are too few. Try: a longer duration")
+            lines.append(f"{what}: a distance of {p.distance:.2g} standard errors is too small. Try: a longer duration")
     return lines
 
 

@@ -66,7 +66,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
         argv += search_path(argv)
         argv += named.of_jobs(argv)
     except OSError:
-        return complain("the working directory is gone. Try: cd to one that is there")
+        return complain("the working directory no longer exists. Try: cd to an existing one")
     logging.getLogger("hydra").addHandler(logging.NullHandler())  # what cannot be imported is told in our own line
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
     overrides = [a for a in argv if "=" in a and not a.startswith("-")]
@@ -161,7 +161,7 @@ def _raised_by(error: Exception) -> str:
 def _own_error(error: Exception, folder: Path | None) -> int:
     """Write the traceback of an error of invdyn to a file, in the run's folder if possible, and say where it is."""
     text = "".join(traceback.format_exception(error))
-    kept = "no place to write its traceback to"
+    kept = "the command that you typed (its traceback could not be written to a file)"
     for place in (folder or Path(), Path(tempfile.gettempdir())):
         with contextlib.suppress(OSError):
             kept = str(write_file((place / TRACEBACK).absolute(), text))
@@ -238,7 +238,7 @@ def _refuse_flags(verb: str, argv: Sequence[str]) -> None:
     """Refuse --name value and --name=value, as other programs have their options."""
     for name, key, value in meant.flags(argv):
         likely = meant.option(key, [f"{key}={value}"], _names(_composed(verb, argv))) or f"{key}={value or '…'}"
-        raise UsageError(f"{name} is no option: options have no dashes, and a = before their value", advice=likely)
+        raise UsageError(f"{name} is not an option: options are written name=value, without dashes", advice=likely)
 
 
 def complain(line: str, code: int = 2) -> int:

@@ -61,7 +61,8 @@ def run_all(
     missing = sorted({path for _, overrides in jobs for path in _logs(overrides) if not path.is_file()})
     if missing:
         raise LogError(
-            f"experiment {name} needs {listed(map(str, missing))}", advice="INVDYN_REAL_DATA=FOLDER of those"
+            f"experiment {name} needs files that do not exist: {listed(map(str, missing))}",
+            advice="INVDYN_REAL_DATA=FOLDER, the one that contains them",
         )
     folders = [folder / name / _slug(labels) for labels, _ in jobs]
     with screen.stages() as stage, processes.executor(workers) as pool:

@@ -151,8 +151,8 @@ def _why_alone(asked: Sequence[_Asked]) -> Iterator[str]:
         names = ", ".join(name for name in _differing(single) if name != "seed")
         what = f"; here {names} differ, too" if names else ""
         yield (
-            f"{_jobs([one.job.number for one in single])}: fitted one by one, because one program takes jobs that "
-            f"differ in seed and learning rates alone{what}"
+            f"{_jobs([one.job.number for one in single])}: fitted one by one, because jobs are fitted in one program "
+            f"only if nothing but seed and learning rates differs{what}"
         )
 
 

@@ -280,7 +280,7 @@ def test_a_short_trajectory_is_left_out_of_the_default_split_and_noted(log):
     splits = RealLog(log({"run": positions(), "blip": positions(seconds=0.3)})).load(None)
     assert {x["trajectory"] for x in (*splits.description["train"], *splits.description["test"])} == {"run"}
     assert any(
-        re.match(r"blip.*too short, 43 samples at 100 Hz are needed", note) for note in splits.description["notes"]
+        re.match(r"blip.*too short: 43 samples at 100 Hz are needed", note) for note in splits.description["notes"]
     )
 
 
@@ -358,7 +358,7 @@ def test_logs_that_do_not_belong_together_are_refused(log):
 
 def test_names_that_agree_only_in_part_are_refused(log):
     """Where some joints have the log's names and others do not, order proves nothing: it is refused, with the names."""
-    with pytest.raises(RobotError, match="only elbow in both"):
+    with pytest.raises(RobotError, match="only elbow in common"):
         RealLog(log()).load(robot("elbow", "hand"))
 
 

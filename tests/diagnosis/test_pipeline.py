@@ -142,7 +142,7 @@ def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
     assert found.parameters["gain"].value == pytest.approx(gain, rel=0.02)
     assert found.window == pytest.approx((start, end), abs=0.3)
     assert diagnosis.summary.startswith(
-        "For a time in this log, and not in the reference: torque gain change on axis2."
+        "In this log only, and only for a time, there is torque gain change on axis2."
     )
 
 
@@ -305,7 +305,7 @@ def test_nothing_has_changed_since_a_reference(robot, rubbing):
     """Two logs of the same arm: no change, and the error told is that of one model of both."""
     both = [recorded(robot, rubbing, duration=14.0, seed=seed) for seed in (5, 6)]
     diagnosis = diagnose(both[0], robot, reference=both[1])
-    assert not claims(diagnosis) and "No change since the reference has a name" in diagnosis.summary
+    assert not claims(diagnosis) and "No change since the reference was identified" in diagnosis.summary
     error = float(diagnosis.summary.split(" of one model of both logs is ")[1].split()[0])
     assert error < 0.03  # the noise is 0.02 N m
 

@@ -111,7 +111,7 @@ def test_unnamed_columns_in_the_order_of_the_robots_joints(tmp_path, urdf):
 def test_names_against_the_order_are_refused(tmp_path, urdf):
     """Names of which one is like a joint at another place are not taken by position."""
     path = csv(tmp_path, lambda name: {"j1_arm": "first", "j2_fore": "second", "j3_quill": "quill"}[name])
-    with pytest.raises(RobotError, match=r"quill is like j3_quill.*data.columns=\{joints"):
+    with pytest.raises(RobotError, match=r"quill resembles j3_quill.*data.columns=\{joints"):
         read(path, urdf, joints=list(JOINTS))
 
 

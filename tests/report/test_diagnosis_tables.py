@@ -176,7 +176,7 @@ def test_verdicts():
         assert text.startswith(("Nothing found. ", "Log unusable. ")) and "none" in text
     assert printed(verdict_line(replace(log_unusable(), summary=""))).strip() == "Log unusable."
     left = replace(nothing_found(), unexplained={"joint1": 0.4})
-    assert printed(verdict_line(left)).startswith("Nothing found that has a name. ")
+    assert printed(verdict_line(left)).startswith("Nothing found that is in the catalogue. ")
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ ROUNDS = 3
 SOURCE = "log likelihood of friction, rotor, spring and the URDF with a prior; own choice: odds of e^8"
 """Where a threshold of what is stated comes from."""
 
-AFTER_ORDER = "the columns may stand in another order; judged once that is certain"
+AFTER_ORDER = "the order of the columns must be settled first"
 """Why a check is skipped whose finding may be no more than a consequence of a wrong order."""
 
 MOUNTINGS = np.concatenate([np.eye(3), -np.eye(3)])
@@ -275,7 +275,7 @@ def known_orders(robot: Robot) -> dict[str, tuple[int, ...]]:
     alphabet = sorted(range(n), key=lambda j: robot.joints[j])
     orders = {
         "alphabetical, as ROS 2 publishes joint states": tuple(alphabet.index(j) for j in range(n)),
-        "the robot's columns, named alphabetically": tuple(alphabet),
+        "in the robot's order, while their names are in alphabetical order": tuple(alphabet),
         "from the tip to the base": tuple(reversed(range(n))),
     }
     if n >= 3:

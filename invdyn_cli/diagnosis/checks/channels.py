@@ -181,7 +181,8 @@ class CommandCopiesMeasurement(AbstractCheck):
                     "warn",
                     value=float(missed.max()),
                     threshold=self.unexplained,
-                    seen=f"the torque is the nominal model's inverse dynamics, to {missed.max():.1g} of its variance",
+                    seen="the torque equals the nominal model's inverse dynamics: their difference has at most "
+                    f"{missed.max():.1g} of the torque's variance",
                     meaning="this torque was computed, not measured: nothing can be learned from it about the robot",
                     advice="the measured torque or current in its place",
                     source="own choice: no measured torque agrees with a URDF so closely",

@@ -56,7 +56,7 @@ class Duplicates(AbstractCheck):
                         value=len(pieces) - 1,
                         threshold=0,
                         seen=f"the clock restarts {times}, first in row {pieces[1][0]}",
-                        meaning=f"{len(pieces)} recordings stand in one; they are read apart",
+                        meaning=f"the trajectory contains {len(pieces)} recordings; they are read separately",
                         advice="a file, or a trajectory, for each recording",
                         source="a clock increases",
                     )
@@ -74,7 +74,7 @@ class Duplicates(AbstractCheck):
                         seen=f"in {stuck.sum()} of {len(stuck)} rows the time stamp does not increase, "
                         f"first in row {np.argmax(stuck)}",
                         meaning="rows were written twice, or out of order",
-                        advice="the logger's time stamps; stamp where the sample is taken",
+                        advice="time stamps from where the sample is taken, in the order of the samples",
                         source="a clock increases",
                     )
                 )
@@ -165,7 +165,7 @@ class ClockJitter(AbstractCheck):
                         threshold=self.warn if jitter > self.warn else self.note,
                         seen=f"steps of {1e3 * step:.3g} ms vary by {1e3 * jitter * step:.2g} ms (standard deviation), "
                         f"{1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
-                        meaning="reading puts it on a uniform clock by interpolation; fast signals lose there",
+                        meaning="the log is interpolated to a uniform clock, which attenuates fast signals",
                         advice="time stamps from the controller, not from the program that writes the log",
                         source="own choice: half a step, as much as the hold of a controller",
                     )
@@ -180,8 +180,8 @@ class ClockJitter(AbstractCheck):
                         value=1 / step,
                         threshold=self.rate,
                         seen=f"the nominal rate is {log.rate:g} Hz, the median step says {1 / step:.4g} Hz",
-                        meaning="the rate attribute or the stamps are wrong; the stamps are believed",
-                        advice="the log's rate attribute",
+                        meaning="the rate attribute or the time stamps are wrong; the time stamps are used",
+                        advice="the correct rate attribute in the log",
                         source="own choice: from 20 % on data=real_log uses the median step",
                     )
                 )
@@ -229,7 +229,7 @@ class Gaps(AbstractCheck):
                     threshold=longest_step(np.diff(raw.t[usable_rows(raw)])),
                     seen=f"{len(lengths)} gap{'s' * (len(lengths) > 1)}, the longest {lengths.max():.3g} s at "
                     f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time",
-                    meaning="nothing is interpolated across a gap: the trajectory is parted there",
+                    meaning="nothing is interpolated across a gap: the trajectory is divided there",
                     advice="a buffer or a faster disk for the logger" if missing > self.share else "",
                     source="own choice, as data.max_gap",
                 )

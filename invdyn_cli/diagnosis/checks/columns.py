@@ -54,7 +54,7 @@ class JointOrder(AbstractCheck):
         found = []
         unjudged = [log.joints[j] for j in np.flatnonzero(~verdict.judged)]
         if unjudged:
-            why = "no rigid-body torque shows in these columns, their order is not judged: "
+            why = "the order of these columns was not judged, because they show no rigid-body torque: "
             found.append(self.skipped(why + ", ".join(unjudged), "tau"))
         if (best.order, best.columns) == (straight, straight):
             if others:
@@ -92,8 +92,8 @@ class JointOrder(AbstractCheck):
             "fail",
             value=list(best.columns if best.order == tuple(sorted(best.order)) else best.order),
             threshold={"order": list(best.order), "columns": list(best.columns), "log_odds": FOUND},
-            seen=f"{words}: log odds of {gain:.3g} against the order as logged, and no other order comes within "
-            f"{ALIKE:g} of it",
+            seen=f"{words}: log odds of {gain:.3g} against the order as logged; every other order is less likely by "
+            f"log odds of {ALIKE:g} or more",
             meaning="torques stand in the columns of other joints"
             if best.order == tuple(range(robot.dofs))
             else "the log's columns stand in another order of joints than the robot's",
@@ -176,7 +176,9 @@ class SignError(AbstractCheck):
                     found.append(self._seen(log, j, "tau", gain, f"the torque of {log.joints[j]}"))
         half = [j for j in moved if j not in turned]
         for j in half:
-            torque = "but not its torque" if verdict.judged[j] else "whether its torque, too, does not show"
+            torque = (
+                "but not its torque" if verdict.judged[j] else "and perhaps its torque, which the motion does not show"
+            )
             found.append(self._seen(log, j, "q", gain, f"the position and velocity of {log.joints[j]}, {torque}"))
         odds = f"log odds of {gain:.3g} against the signs as logged"
         found += [self._either(log, j, pairs[j], odds) for j in either]
@@ -281,9 +283,9 @@ class SignError(AbstractCheck):
             value=value,
             threshold={"channel": "tau", "correlation": -self.correlation},
             seen=f"correlation of torque and nominal torque, without friction: {value:.2f}",
-            meaning=f"the torque of {log.joints[j]} runs against the URDF's, and a spring, or another inertia than the "
-            "URDF's, explains it as well as an opposite sign: it is left as it is",
-            advice="the sign convention of this torque; a motion in which gravity loads the joint tells",
+            meaning=f"the torque of {log.joints[j]} is opposite to the URDF's; a wrong sign, a spring or a wrong "
+            "inertia in the URDF would explain this equally well, so nothing is changed",
+            advice="the sign convention of this torque; or a recording in which gravity loads this joint",
             source=SOURCE,
         )
 
@@ -294,16 +296,17 @@ class SignError(AbstractCheck):
             joint=None if j is None else log.joints[j],
             value=-1.0,
             threshold={"channel": channel, "log_odds": FOUND},
-            seen=f"log odds of {value:.3g} against the signs as logged; no arrangement without this turn comes within "
-            f"{ALIKE:g}",
-            meaning=f"opposite sign of the URDF's: {what}; a load's torque, not the drive's, or an axis reversed",
+            seen=f"log odds of {value:.3g} against the signs as logged; every explanation with the logged sign is less "
+            f"likely by log odds of {ALIKE:g} or more",
+            meaning=f"the sign is opposite to the URDF's: {what}. Either the torque of the load was logged instead of "
+            "the drive's, or the axis is reversed",
             advice="the sign convention of the channel; positive torque drives towards positive q",
             source=SOURCE,
         )
 
 
 def _drives(work: float) -> str:
-    return f"friction would drive this joint with {-work:.2g} of its torque instead of braking it"
+    return f"with the logged signs, friction would drive this joint, with {-work:.2g} of its torque, and not brake it"
 
 
 def _words(log: Log, robot: Robot, order: tuple[int, ...], columns: tuple[int, ...]) -> str:

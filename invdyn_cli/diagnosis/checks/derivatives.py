@@ -17,7 +17,7 @@ from invdyn_cli.types import Check, Robot
 WIDEST = 0.1
 """[s] of lags of a logged derivative that are tried."""
 
-CLOCK = "rather the clock is off by this factor, or rows were left out"
+CLOCK = "the clock is probably wrong by this factor, or rows are missing"
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,12 @@ class DerivativeConsistency(AbstractCheck):
                 joint,
                 value=value,
                 threshold={"channel": channel, "slope": self.slope, "rest": self.rest, "lag": self.lag},
-                seen=f"{channel} is {value:.3g} times {of}, {100 * rest[worst]:.2g} % rest, {lag} samples later",
+                seen=f"{channel} is {value:.3g} times {of}, {lag} samples later; the RMS of the difference is "
+                f"{100 * rest[worst]:.2g} % of that of {channel}",
                 meaning=meaning,
                 advice="data.derivatives=positions for a run; a diagnosis always takes them from q"
                 if not clock
-                else "the clock t of this log",
+                else "correct time stamps t in this log",
                 source="own choice: a tenth of the variance; lag: a hold and a difference quotient",
             )
         ]

@@ -151,7 +151,7 @@ class Description(AbstractCheck):
         columns, wanted = np.concatenate(rows), np.concatenate(target)
         known = np.asarray(robot.gravity, float)
         if np.linalg.norm(known) == 0 or np.linalg.matrix_rank(columns, tol=1e-3 * np.linalg.norm(columns, 2)) < 3:
-            return [self.skipped("the direction of gravity is not known: the load changes on too few joints")]
+            return [self.skipped("the direction of gravity cannot be determined: the load changes on too few joints")]
         fitted, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
         after = float(np.sum((wanted - columns @ fitted) ** 2))
         angle = _degrees(fitted, known)
@@ -202,7 +202,7 @@ class Description(AbstractCheck):
                 threshold={"kg": self.tool, "deviations": self.sure},
                 seen=f"the arm's end weighs {abs(mass):.3g} kg {word} than the URDF says (standard deviation "
                 f"{deviation:.2g} kg)",
-                meaning=f"{why}, or a link before it is off by as much",
+                meaning=f"{why}, or the mass of another link is wrong by as much in the URDF",
                 advice="the URDF with the tool that was mounted, or robot.payload",
                 source="own choice: cables and screws weigh less",
             )

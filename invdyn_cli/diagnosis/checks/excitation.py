@@ -119,16 +119,17 @@ class Excitation:
         if seconds < self.drift:
             yield "minutes", f"{seconds:.3g} s of motion, a drift takes {self.drift:.0f} s to show"
         if numbers["reversals"] < self.reversals:
-            yield "reversals", f"{numbers['reversals']} reversals: friction that has a direction looks like an offset"
+            yield "reversals", f"{numbers['reversals']} reversals only: dry friction looks like an offset"
         quick = speed[speed > self.rest]
         ratio = float(np.quantile(quick, 0.9) / np.quantile(quick, 0.1)) if len(quick) > 20 else 1.0
         if ratio < self.speeds:
-            yield "speeds", f"nearly one speed (90th over 10th percentile {ratio:.2g}): slopes look like constants"
+            yield "speeds", f"nearly one speed (90th over 10th percentile {ratio:.2g}): viscous friction looks constant"
         if ratio < self.curved:
-            yield "curvature", f"fastest over slowest speed is only {ratio:.2g}: a square looks like a slope"
+            told = f"similar speeds (90th over 10th percentile {ratio:.2g})"
+            yield "curvature", f"{told}: quadratic friction looks viscous"
         if numbers["creep_share"] < 0.01:
             seen = f"{100 * numbers['creep_share']:.2g} % of the time"
-            yield "creep", f"{seen} between {self.rest:g} and {self.slow:g} rad/s"
+            yield "creep", f"it moves at {self.rest:g} to {self.slow:g} rad/s for only {seen}"
         if numbers["peak_to_peak"] < self.range:
             yield "range", f"it moves by {numbers['peak_to_peak']:.2g} rad: a spring looks like an offset"
         if numbers["peak_to_peak"] < self.turn:
@@ -143,16 +144,17 @@ class Excitation:
             if loaded < self.loads:
                 yield "load", f"the load varies by {100 * loaded:.2g} %"
             if varied < self.loads:
-                yield "torque", f"the nominal torque varies by {100 * varied:.2g} %: a factor looks like an offset"
+                told = f"the nominal torque varies by only {100 * varied:.2g} %"
+                yield "torque", f"{told}: a wrong gain looks like an offset, and a delay has no effect"
             low, high = np.quantile(nominal, [0.02, 0.98])
             if low * high > 0:
                 yield (
                     "load_zeros",
-                    f"its load never changes sign ({low:.2g} to {high:.2g} N m): one flank of a gear stays free",
+                    f"its load never changes sign ({low:.2g} to {high:.2g} N m), so that gear play is never crossed",
                 )
         rate = float(np.sqrt(np.mean(qdd**2) / max(np.mean(speed**2), 1e-12)) / (2 * np.pi))
         if rate < self.agile:
-            yield "frequency", f"it moves at {rate:.2g} Hz, where a spring of a gear hardly deflects"
+            yield "frequency", f"it moves at only {rate:.2g} Hz, at which an elastic gear hardly deflects"
 
 
 NEEDS: Mapping[str, str] = {

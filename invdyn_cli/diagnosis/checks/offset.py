@@ -78,7 +78,7 @@ class TimeOffset(AbstractCheck):
         for session in sessions.values():
             shifts = [self._timed(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
             found += self._session(log, [x for x in shifts if x is not None], session)
-        return found or [self.skipped("no joint's torque matches that of the URDF well enough to time it", "tau")]
+        return found or [self.skipped("no joint's torque follows the URDF's well enough to measure its delay", "tau")]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""
@@ -96,7 +96,7 @@ class TimeOffset(AbstractCheck):
             at = raw.t + offsets[raw.name]
             inside = (at >= raw.t[0]) & (at <= raw.t[-1])
             tau = np.stack([np.interp(at, raw.t, column) for column in raw.tau.T], axis=1)
-            notes.append(f"{raw.name}: torques moved by {-1e3 * offsets[raw.name]:+.3g} ms against the motion")
+            notes.append(f"{raw.name}: torques shifted by {-1e3 * offsets[raw.name]:+.3g} ms (negative: earlier)")
             return taken(replace(raw, tau=tau), inside)
 
         return each(log, change), notes
@@ -152,12 +152,12 @@ class TimeOffset(AbstractCheck):
     def _unsure(self, x: "_Shifts") -> Check:
         """Too few joints tell an offset, or they do not agree on one; the value is what they say together."""
         offsets = [1e3 * s for s in x.offsets.values()]
-        seen = f"joint by joint torques come {min(offsets):.3g} to {max(offsets):.3g} ms after their motion, "
-        seen += f"together {1e3 * x.common:.3g} ms, standard error {1e3 * x.error:.2g} ms"
+        seen = f"the torques come {min(offsets):.3g} to {max(offsets):.3g} ms after the motion, by joint; "
+        seen += f"the weighted median is {1e3 * x.common:.3g} ms, its standard error {1e3 * x.error:.2g} ms"
         if len(offsets) == 1:
             seen = f"a single joint can be timed ({offsets[0]:.3g} ms)"
         if len(offsets) == 1 or abs(x.common) <= max(self._limit(x), x.error):
-            one = self.skipped(f"{seen}: an offset of all cannot be told", "tau", x.trajectory)
+            one = self.skipped(f"{seen}: a common offset cannot be determined", "tau", x.trajectory)
             return replace(one, value=x.common)
         return Check(
             self.name,

@@ -60,10 +60,10 @@ class IrregularStamps(AbstractCheck):
                     raw.name,
                     value=told.share,
                     threshold=self.share,
-                    seen=f"time stamps vary by {1e3 * told.deviation:.2g} ms about a regular clock, and positions "
-                    f"follow {100 * abs(told.share):.2g} % of that (standard error {100 * told.error:.2g} %)",
-                    meaning="samples are regular and were stamped late: speeds and accelerations from these stamps are "
-                    "noise",
+                    seen=f"time stamps vary by {1e3 * told.deviation:.2g} ms about a regular clock, but positions show "
+                    f"only {100 * abs(told.share):.2g} % of this variation (standard error {100 * told.error:.2g} %)",
+                    meaning="samples were taken regularly and stamped late: with these stamps, speeds and "
+                    "accelerations are noise",
                     advice="time stamps from the controller, not from the program that writes the log",
                     source="least squares on differences of fourth order; halfway between both",
                 )

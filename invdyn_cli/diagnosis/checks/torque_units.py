@@ -79,13 +79,14 @@ class TorqueUnits(AbstractCheck):
         found = self._judged(log, names, factors, ratios, judged, beside)
         left = [name for name in log.joints if name not in ratios]
         if left:
-            found.append(self.skipped("torque does not follow the URDF's, unit not judged: " + ", ".join(left), "tau"))
+            why = "the unit was not judged, because the torque does not follow the URDF's: "
+            found.append(self.skipped(why + ", ".join(left), "tau"))
         if any(c.severity != "skipped" for c in found):
             return found
         odd = {name: x for name, x in ratios.items() if not GAINS[0] < x < GAINS[1]}
         if odd:
             said = ", ".join(f"{name} {x:.3g}" for name, x in odd.items())
-            why = f"logged torque over nominal torque: {said}: masses, a tool or another unit, not judged"
+            why = f"logged torque over nominal torque: {said}; wrong masses, a tool or another unit may be the cause"
             found.append(self.skipped(why, "tau"))
         middle = float(np.median(list(ratios.values())))
         if not GAINS[0] < middle < GAINS[1]:
@@ -187,7 +188,7 @@ class TorqueUnits(AbstractCheck):
             value=value,
             threshold={"channel": "tau", "factor": factor, "log_odds": FOUND},
             seen=seen,
-            meaning=f"{what}: gains, payloads and friction would all be off by it",
+            meaning=f"{what}: gains, payloads and friction would all be wrong by this factor",
             advice="torques in N m, or torque_unit=A with data.drive_gain=[…] in N m/A",
             source="likelihood of exact ratios of units, gains and payloads 25 % off (own choice)",
         )

@@ -113,7 +113,8 @@ class GravityRemoved(AbstractCheck):
         orders = 1 if self.again else n * (n - 1) / 2 + len(known_orders(robot))
         gain -= np.log(max(orders, 1))
         if gain < self.odds and not (self.again and gain > -self.odds and explained > self.explained):
-            why = f"torque follows gravity with a slope of {value:.2g}, and yet the URDF without it is not likelier"
+            why = f"the torque follows gravity with a slope of {value:.2g} only, but the URDF without gravity is not "
+            why += "more likely"
             return [self.skipped(why)]
         return [self._seen(slopes, gain)]
 

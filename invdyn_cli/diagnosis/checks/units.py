@@ -164,10 +164,8 @@ class MotionUnits(AbstractCheck):
         return found
 
     def _single(self, log: Log, trajectory: str, j: int, reach: float, fits: list[float]) -> Check:
-        seen = (
-            f"{log.joints[j]} goes to {reach:.4g}, beyond its limits; with it alone divided by 57.3 the nominal torque "
-        )
-        seen += f"explains {fits[1]:.2g} of the torque, with all joints {fits[0]:.2g}"
+        seen = f"{log.joints[j]} goes to {reach:.4g}, beyond its limits; if only such joints are divided by 57.3, the "
+        seen += f"nominal torque explains {fits[1]:.2g} of the torque; if all joints are, {fits[0]:.2g}"
         return replace(self._seen("q", trajectory, DEGREE, DEGREE, "degrees", seen), joint=log.joints[j])
 
     def _large(
@@ -269,7 +267,8 @@ class MotionUnits(AbstractCheck):
             others = near[np.isfinite(ratios) & (np.arange(len(ratios)) != j)]
             if factor is None or channel != "qd" or not len(others) or others.mean() < 0.5:
                 continue
-            seen = f"qd of {log.joints[j]} is {ratios[j]:.5g} times the derivative of its q, on most other joints once"
+            seen = f"qd of {log.joints[j]} is {ratios[j]:.5g} times the derivative of its q; "
+            seen += "on most other joints both are equal"
             if factor in TURNS:
                 one = self._seen("q", trajectory, 1 / factor, 1 / factor, "revolutions", seen)
             elif factor == 1 / DEGREE and (degrees := self._in_degrees(log, robot, trajectory, int(j))) is not False:

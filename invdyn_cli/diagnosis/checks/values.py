@@ -76,9 +76,9 @@ class NotFinite(AbstractCheck):
             if not good.all() and pieces:
                 words.append(f"dropped {np.sum(~good)} rows with values that are not finite")
             if len(pieces) > 1:
-                words.append(f"parted into {len(pieces)} there")
+                words.append(f"divided into {len(pieces)} trajectories at these rows")
             if not pieces:
-                words = ["left out, no row has a value for every joint"]
+                words = ["left out, because no row has a value for every joint"]
             notes.append(f"{raw.name}: {', '.join(words)}")
             return parted(raw, pieces) if pieces else []
 

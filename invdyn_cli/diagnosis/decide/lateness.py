@@ -13,8 +13,8 @@ TAKEN_BACK = 0.25
 """Share of a shift of all torques by which a joint's delay that takes it back may differ from it."""
 
 NOT_SHIFTED = (
-    "The torques stay at the times of the log: after the shift that a check suggests, half of the joints or more were "
-    "late by as much."
+    "The torques keep the times of the log. A check suggested to shift all of them in time, but after that shift at "
+    "least half of the joints had a delay of the same size, which undoes it."
 )
 
 
@@ -23,7 +23,7 @@ def taken_back(
 ) -> tuple[Finding, ...]:
     """The findings; a delay that takes back the shift by which the torques of all joints were corrected is ambiguous:
     other joints may have told that shift by what they have beside it."""
-    advice = "diagnose the log with correct=false: the shift of all torques, which this takes back, may be wrong"
+    advice = "diagnose the log with correct=false: this delay undoes the correction that shifted all torques in time"
     return tuple(
         doubt.or_else(one, doubt.UNKNOWN, advice=advice)
         if one.status == "named" and _takes_back(one, effects, examination)

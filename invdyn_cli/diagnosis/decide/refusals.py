@@ -63,7 +63,7 @@ USUAL_LINKS = Refusal(
     "evidence beside links as they usually are",
     lambda x: x.evidence_beside_usual_links if x.inquiry.wear else np.inf,
     0.0,
-    lambda _: "links that are as wrong as those of URDFs usually are explain the data as well",
+    lambda _: "errors of the links' inertials, of the size that URDFs usually have, explain the data as well",
 )
 
 REFUSALS = (
@@ -73,13 +73,13 @@ REFUSALS = (
         "least gain by its interval",
         lambda x: x.least_gain,
         np.nextafter(0, 1),
-        lambda _: "the 95 % interval of what the held-out error falls by contains zero",
+        lambda _: "the 95 % interval of its gain, the decrease of the held-out error, contains zero",
     ),
     Refusal(
         "share of what it makes where the arm moves",
         lambda x: x.slow_gain,
         ONE_SIZE,
-        lambda _: "it has another size where the arm moves than at higher frequencies, where encoders make noise",
+        lambda _: "its size at the frequencies of the motion differs from that at those of encoder noise",
     ),
     Refusal(
         "evidence beside the standard model, where the arm moves",
@@ -92,8 +92,8 @@ REFUSALS = (
         lambda x: x.delay / x.inquiry.evidence.recording.period,
         1.0,
         lambda x: (
-            f"it may be no more than {1e3 * max(x.delay, 0.0):.2g} ms, which is less than one sampling period, and "
-            "come from the log's clock"
+            f"the delay may be as short as {1e3 * max(x.delay, 0.0):.2g} ms, less than one sampling period, and may be "
+            "caused by the log's clock"
         ),
     ),
     Refusal(
@@ -112,7 +112,7 @@ REFUSALS = (
         "loss with an impossible effect in its place",
         lambda x: x.beaten,
         -naming.LEAST_DIFFERENCE,
-        lambda _: "another effect explains the data better, but its size is physically impossible",
+        lambda _: "another effect explains the data better, although only with a physically impossible size",
     ),
 )
 """What a claim must reach, in this order."""

@@ -90,10 +90,10 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     if not claims:
         first = "No cause was found: the held-out RMS error of the nominal model"
         if compares:
-            first = "No change since the reference has a name: the held-out RMS error of one model of both logs"
+            first = "No change since the reference was identified: the held-out RMS error of one model of both logs"
         written = ""
         if after < before and not compares:
-            written = f", and {after:.3g} {unit} with the unclaimed links and standard terms of the written model"
+            written = f"; with its unclaimed links and standard terms, the written model has {after:.3g} {unit}"
         return f"{first} is {before:.3g} {unit} over {over}{written}. {rest or 'The residual looks like noise.'}"
     usual = in_table(diagnosis)
     new = [f for f in claims if compares and f.window is not None]
@@ -113,12 +113,12 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         has = "has" if len(said) == 1 else "have"
         changed = [f"Since the reference, {_listed(said)} {has} changed."] if said else []
         if new:
-            changed.append(f"For a time in this log, and not in the reference: {_listed(_grouped(new, titles))}.")
+            changed.append(f"In this log only, and only for a time, there is {_listed(_grouped(new, titles))}.")
         first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
     first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {unit} over {over}."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
-    doubt = " One of these effects may be one that is not in the catalogue."
+    doubt = " An effect that is not in the catalogue may be the true cause of one of them."
     return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
 
 

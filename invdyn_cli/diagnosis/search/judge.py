@@ -275,7 +275,7 @@ class HypothesisScorer:
         if why:
             return f"{candidate.effect.title}: {why}"
         if candidate.effect.stays_near and np.any(own**2 * candidate.precision > FARTHEST**2):
-            return f"{candidate.effect.title}: it does not fit with parameters near any that were tried"
+            return f"{candidate.effect.title}: it fits only with parameters far from all that were tried"
         return ""
 
     def _worth(self, candidate: Candidate, own: np.ndarray) -> float:
@@ -327,7 +327,8 @@ def falls_beside_its_like(candidate: Candidate, own: np.ndarray, others: Sequenc
         return ""
     alike = {name for names in candidate.effect.confounders for name in names}
     other = next((c for c in others if c.joint == candidate.joint and c.effect.name in alike), None)
-    return "" if other is None else f"{candidate.effect.title}: it would fall, and {other.effect.title} come"
+    fell = f"{candidate.effect.title} would have decreased since the reference"
+    return "" if other is None else f"{fell}, while the similar {other.effect.title} would have appeared"
 
 
 def read_all(evidence: Evidence, hypothesis: Sequence[Candidate], theta: np.ndarray):

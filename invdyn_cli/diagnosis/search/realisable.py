@@ -219,7 +219,7 @@ def _sentence(
             why = f" (a mass of {mass:.3g} ± {NEGATIVE * error:.1g} kg)"
     return (
         f"The best-fit inertials of {' and '.join(b.name for b in bodies)} are not physically consistent{why}. The "
-        f"nearest consistent ones fit significantly worse: they cost {cost:.3g} noise variances (by chance at most "
-        f"{chance:.3g}), and the RMSE on {evidence.robot.joints[worst]} is {bound[worst] ** 0.5:.3g} instead of "
-        f"{free[worst] ** 0.5:.3g} N m. Suspect another cause with a similar effect."
+        f"nearest consistent ones fit significantly worse: squared errors grow by {cost:.3g} noise variances (by "
+        f"chance {chance:.3g} at most), and the RMSE on {evidence.robot.joints[worst]} grows from "
+        f"{free[worst] ** 0.5:.3g} to {bound[worst] ** 0.5:.3g} N m. Suspect another cause with a similar effect."
     )
