@@ -141,9 +141,7 @@ def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
     assert (found.effect, found.joint, found.status) == ("torque_gain_change", "axis2", "named")
     assert found.parameters["gain"].value == pytest.approx(gain, rel=0.02)
     assert found.window == pytest.approx((start, end), abs=0.3)
-    assert diagnosis.summary.startswith(
-        "In this log only, and only for a time, there is torque gain change on axis2."
-    )
+    assert diagnosis.summary.startswith("In this log only, and only for a time, there is torque gain change on axis2.")
 
 
 @pytest.mark.parametrize("weak_at_rest", usually([True], [True, False]))

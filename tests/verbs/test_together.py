@@ -65,8 +65,8 @@ def test_what_does_not_belong_together_says_so(command, monkeypatch):
     monkeypatch.setattr(together.experiment, "run", Mock(side_effect=UsageError("enough")))  # it is said before
     said = command("run", "-m", "model=quick", "model.hidden=[4],[5]", *TINY)
     assert said.err[0] == (
-        "jobs 0 to 1: fitted one by one, because jobs are fitted in one program only if nothing but seed and learning rates "
-        "differs; here model.hidden differ, too"
+        "jobs 0 to 1: fitted one by one, because jobs are fitted in one program only if nothing but seed and learning "
+        "rates differs; here model.hidden differ, too"
     )
 
 

@@ -41,7 +41,10 @@ def test_an_error_has_one_unit(slides, said):
 
 @pytest.mark.parametrize(
     ("rmse", "said"),
-    [(0.01, "is 3 N m over all joints; with its unclaimed links and standard terms, the written model has 0.01 N m"), (3.0, "is 3 N m over all joints.")],
+    [
+        (0.01, "is 3 N m over all joints; with its unclaimed links and standard terms, the written model has 0.01 N m"),
+        (3.0, "is 3 N m over all joints."),
+    ],
 )
 def test_what_is_written_though_nothing_is_claimed_is_said(rmse, said):
     """Where links that are all a little off explain a log, no cause has a name, but the written model is far better."""
