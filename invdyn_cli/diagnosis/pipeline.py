@@ -188,6 +188,7 @@ def decided(
             *case.notes,
             *(() if case.compares else extension.beside_dynamics(model)),  # a change is not all of its friction
             *transition.note_of(robot, case.recording.transition),
+            *(x.told for x in made.refused if x.told),
             *made.notes,
             *lateness.note_of(made.findings, effects),
             *repeats.note_of(evidence.recording),
@@ -202,6 +203,16 @@ def decided(
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,
             "beyond_noise": [j for j, x in zip(robot.joints, structured_joints, strict=True) if x],
+            "refused": [
+                {
+                    "effect": x.candidate.effect.name,
+                    "joint": None if x.candidate.joint is None else robot.joints[x.candidate.joint],
+                    "criterion": x.criterion,
+                    "figure": x.figure,
+                    "required": x.required,
+                }
+                for x in made.refused
+            ],
             "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
             **({wording.SINCE: [_scores(evidence, x) for x in (made.before, made.residual)]} if case.compares else {}),
         },

@@ -116,9 +116,9 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     sure.sort(key=lambda x: x[1].rmse_after - x[1].rmse_before)
     hypothesis, torques = tuple(x.candidate for x, _ in sure), [x.size * x.torque for x, _ in sure]
     told = [_finding(inquiry, hypothesis, x, gain, claims) for x, gain in sure]
-    tried = tuple(f"{x.candidate.effect.title} on {evidence.robot.joints[x.joint]} was tried".lower() for x, _ in sure)
-    notes = tuple(x for x in made.notes if not x.lower().startswith(tried))  # the search had refused it
-    rest = replace(made, findings=made.findings[len(claims) :], terms=(), notes=notes)
+    told_now = {x.candidate.key for x, _ in sure}  # the search may have refused one of them
+    refused = tuple(x for x in made.refused if x.candidate.key not in told_now)
+    rest = replace(made, findings=made.findings[len(claims) :], terms=(), refused=refused)
     return replace(
         joined(rest, told, torques),
         hypothesis=hypothesis,

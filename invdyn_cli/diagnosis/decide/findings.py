@@ -18,7 +18,7 @@ from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach, with_edges
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.decide.quantities import plain, quantities, tried
-from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal, over_unknown, supported
+from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal, Refused, over_unknown, supported
 from invdyn_cli.diagnosis.search import naming, resting
 from invdyn_cli.diagnosis.search.composed import Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES
@@ -51,6 +51,7 @@ class Made:
         hypothesis: the effects behind the claims, as the search tried them.
         before: of the nominal model; `residual` of the effects fitted on the data that chose them, both beside what is
             allowed for; `alone` and `whole` of the effects without that, fitted on the data that chose them and on all.
+        refused: the candidates of the search that are not claimed.
     """
 
     findings: tuple[Finding, ...]
@@ -62,6 +63,7 @@ class Made:
     residual: np.ndarray
     alone: np.ndarray
     whole: np.ndarray
+    refused: tuple[Refused, ...]
     notes: tuple[str, ...]
 
 
@@ -132,7 +134,8 @@ def report(
         residual=chosen.residual + inquiry.worn(chosen),
         alone=inquiry.model.residual(chosen.acting),
         whole=inquiry.model.residual(acting),
-        notes=(*refused, *doubt, *remarks, *_what_counts(inquiry), *sized.notes),
+        refused=refused,
+        notes=(*doubt, *remarks, *_what_counts(inquiry), *sized.notes),
     )
 
 

@@ -48,6 +48,28 @@ class Refusal:
     why: Callable[[Claim], str] = lambda _: ""
 
 
+@dataclass(frozen=True)
+class Refused:
+    """A candidate that is not claimed.
+
+    Attributes:
+        candidate: its effect and its place.
+        criterion: the name of the row that refused it, or ALIKE.
+        figure, required: that row's figure of the candidate, and the least one of a claim; None with ALIKE.
+        told: the report's sentence about it; "" if held-out data do not speak for it.
+    """
+
+    candidate: Candidate
+    criterion: str
+    figure: float | None
+    required: float | None
+    told: str
+
+
+ALIKE = "no different effect explains the data equally well"
+"""What refuses both of such effects."""
+
+
 def over_unknown(claim: Claim) -> float:
     """The gain of a claim, as a multiple of what its coefficients would explain of an unknown cause."""
     needed = OUTWEIGHED + PICKED_UP * (claim.inquiry.judge.freedom(claim.candidate) - 1)
@@ -120,12 +142,12 @@ REFUSALS = (
 
 def supported(
     inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS
-) -> tuple[Inquiry, list[Claim], Refined, tuple[str, ...]]:
-    """The claims that no row refuses; their exact parameters on all rows, refined again after each refusal; and a
-    sentence on each refused candidate for which held-out data speak. A candidate in whose place another effect does
-    equally well gets no sentence, because it is chance which of them was tried. First comes the inquiry that they are
-    of: where USUAL_LINKS refuse one, the others are judged beside such links, too."""
-    hypothesis, whole, said = inquiry.hypothesis, inquiry.whole, []
+) -> tuple[Inquiry, list[Claim], Refined, tuple[Refused, ...]]:
+    """The claims that no row refuses; their exact parameters on all rows, refined again after each refusal; and the
+    refused candidates, with a sentence on each for which held-out data speak. A candidate in whose place another effect
+    does equally well gets no sentence, because it is chance which of them was tried. First comes the inquiry that they
+    are of: where USUAL_LINKS refuse one, the others are judged beside such links, too."""
+    hypothesis, whole, out = inquiry.hypothesis, inquiry.whole, []
     beside: dict[tuple, Hypothesis] = {}  # of a candidate that nothing spoke against, those that were refused
     while True:
         whole, after = exactly(inquiry, hypothesis, whole, np.ones_like(inquiry.judge.rows)), left(inquiry, hypothesis)
@@ -137,19 +159,21 @@ def supported(
             for other in {x.key for x in claims} - {x.key for x, _ in refused}:
                 beside[other] = (*beside.get(other, ()), worst.candidate)
             inquiry = inquiry.beside_usual_links() if row is USUAL_LINKS else inquiry
+            name, told = _titled(inquiry, worst.candidate), ""
             if why and not any(r.equal for r in worst.rivals):
-                name = _titled(inquiry, worst.candidate)
-                said.append(f"{name[0].upper()}{name[1:]} was tried, but it is not claimed: {why}.")
+                told = f"{name[0].upper()}{name[1:]} was tried, but it is not claimed: {why}."
+            out.append(Refused(worst.candidate, row.name, float(row.figure(worst)), float(row.least), told))
         elif inquiry.wear and (vague := _vague(claims)):
             place, rival = vague
             one, other = sorted(_titled(inquiry, x) for x in (hypothesis[place], rival.candidate))
-            said.append(f"Neither {one} nor {other} is claimed: these different effects explain the data equally well.")
+            told = f"Neither {one} nor {other} is claimed: these different effects explain the data equally well."
+            out.append(Refused(hypothesis[place], ALIKE, None, None, told))
         else:
             break
         hypothesis = hypothesis[:place] + hypothesis[place + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
-    return inquiry, claims, whole, tuple(said)
+    return inquiry, claims, whole, tuple(out)
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:

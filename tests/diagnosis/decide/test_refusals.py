@@ -31,8 +31,10 @@ def test_a_delay_that_was_never_refined_is_judged():
     one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, whole, after)
     why = refusals.refusal(one)
     assert why is not None and why.why(one) == ""
-    _, kept, _, said = refusals.supported(replace(inquiry, hypothesis=hypothesis))
-    assert late.key not in {c.key for c in kept} and not any("delay" in x for x in said)
+    _, kept, _, refused = refusals.supported(replace(inquiry, hypothesis=hypothesis))
+    (away,) = (x for x in refused if x.candidate.key == late.key)
+    assert late.key not in {c.key for c in kept} and away.told == ""
+    assert (away.criterion, away.required) == (why.name, why.least) and away.figure < away.required
 
 
 def rubbed(seconds):
