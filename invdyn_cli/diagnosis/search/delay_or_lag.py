@@ -3,6 +3,9 @@
 To first order both add time x slope of the torque; only the small second order distinguishes them. A lag's column on
 the measured torque smooths its noise; one on the model's torque contains the noise of positions, differentiated three
 times. In the lowest part of a joint's frequency band, where the arm moves, both noises are small.
+
+An error of the model that repeats with the motion favours the same one in every block of time. So a small difference
+is not decisive even if all blocks agree: it must exceed MIN_CLEAR_DIFFERENCE, too.
 """
 
 from collections.abc import Collection, Mapping
@@ -53,5 +56,6 @@ def distinguish(
             candidate = trial_at(evidence, trial.acting[i])
             judge.refresh()
             hypothesis = (*hypothesis[:i], candidate, *hypothesis[i + 1 :])
-        close[hypothesis[i].key] = naming.chance(step, 0.0) > naming.DOUBT
+        unclear = step.sum() < naming.MIN_CLEAR_DIFFERENCE or naming.chance(step, 0.0) > naming.DOUBT
+        close[hypothesis[i].key] = bool(unclear)
     return hypothesis, chosen, close

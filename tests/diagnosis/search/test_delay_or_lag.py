@@ -8,6 +8,7 @@ import pytest
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.columns.candidates import trial_at
 from invdyn_cli.diagnosis.decide import claim, refusals
+from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.whole import inquire
@@ -79,3 +80,13 @@ def test_what_was_barred_is_not_chosen_again(lagging, barred, found):
     lagging.judge.refresh()
     told, _, _ = distinguish(lagging.judge, lagging.model, LATE, lagging.always, hypothesis, chosen, barred)
     assert [c.key for c in told] == [(found, 1)]
+
+
+@pytest.mark.parametrize(("least", "close"), [(0.0, False), (np.inf, True)])
+def test_agreement_of_all_blocks_does_not_decide_alone(lagging, monkeypatch, least, close):
+    """The lag of 15 ms explains every block of time better than a delay. Where the difference is below the limit, the
+    delay is an alternative nevertheless: an error of the model that repeats with the motion would look alike."""
+    monkeypatch.setattr(naming, "MIN_CLEAR_DIFFERENCE", least)
+    lagging.judge.refresh()
+    of_lag = lagging.judge, lagging.model, LATE, lagging.always, lagging.hypothesis, lagging.chosen
+    assert distinguish(*of_lag)[2] == {("actuator_lag", 1): close}
