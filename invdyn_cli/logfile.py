@@ -138,7 +138,7 @@ def _refuse_shapes(n: int, channels: Mapping[str, Any], where: str) -> None:
             continue
         shape = np.shape(channels[channel])
         if shape[:1] != (samples,):
-            raise LogError(f"{where}: {channel} has shape {shape}; allowed: one row for each of the {samples} of t")
+            raise LogError(f"{where}: {channel} has shape {shape}; allowed: {samples} rows, one for each sample of t")
         if channel != "stage" and shape[1:] != (n,):
             raise LogError(f"{where}: {channel} has shape {shape}; allowed: ({samples}, {n}), as joint_names has {n}")
 

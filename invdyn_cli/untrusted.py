@@ -28,7 +28,7 @@ def parsed(text: str, what: str, raises: type[InvdynError], advice: str = "") ->
     except ValueError as error:
         raise raises(f"{what} is not JSON ({error})", advice=advice) from error
     except RecursionError as error:
-        raise raises(f"{what} is nested deeper than any JSON that invdyn writes", advice=advice) from error
+        raise raises(f"{what} is nested too deep to be read as JSON", advice=advice) from error
 
 
 def read_json(path: Path, raises: type[InvdynError], advice: str = "") -> Any:
@@ -67,7 +67,9 @@ def robot(tree: Mapping[str, Any]) -> Robot:
         raise ValueError("a robot without joints")
     parents = tuple(int(x) for x in array(tree["parents"], "parents", (n,)))
     if any(not -1 <= parent < i for i, parent in enumerate(parents)):
-        raise ValueError(f"parents {shortened(parents)}: a joint stands before the one that carries it")
+        raise ValueError(
+            f"parents {shortened(parents)}; allowed: for each joint the index of an earlier joint, or -1 for the base"
+        )
     shapes = {"rotation": (n, 3, 3), "translation": (n, 3), "axis": (n, 3), "inertial": (n, 10), "gravity": (3,)}
     shapes |= dict.fromkeys(("damping", "friction"), (n,))
     limits = dict.fromkeys(("lower", "upper", "velocity_limit", "effort_limit"), (n,))

@@ -195,7 +195,7 @@ def test_headers_that_are_refused(tmp_path, header, words):
         (changed(t=motion()["t"][:, None]), [r"t has shape \(1000, 1\)"]),
         (changed(t=np.zeros(0)), [r"t has shape \(0,\)", "at least one sample"]),
         (changed(t=np.array(1.0)), [r"t has shape \(\)"]),
-        (changed(q=motion()["q"][:-1]), [r"q has shape \(999, 2\); allowed: one row for each of the 1000 of t"]),
+        (changed(q=motion()["q"][:-1]), [r"q has shape \(999, 2\); allowed: 1000 rows, one for each sample of t"]),
         (changed(tau=motion()["tau"][:-7]), [r"tau has shape \(993, 2\)"]),
         (changed(qd=motion()["qd"][:10]), [r"qd has shape \(10, 2\)"]),
         (changed(stage=np.zeros(3)), [r"stage has shape \(3,\)"]),

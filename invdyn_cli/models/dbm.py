@@ -230,8 +230,8 @@ class Dbm(AbstractModel):
         if needed[form] > self.memory:
             fitting = [f for f in FORMS if needed[f] <= self.memory]
             raise UsageError(
-                f"model.form={form} has {max(self.columns(n)):,} columns with {n} joints, which takes about "
-                f"{needed[form]:,.0f} GB to solve; allowed: model.memory={self.memory:g} GB",
+                f"model.form={form} has {max(self.columns(n)):,} columns for {n} joints, and solving for them "
+                f"takes about {needed[form]:,.1f} GB; allowed: {self.memory:g} GB (model.memory)",
                 advice=f"model.form={fitting[-1] if fitting else 'chain'}",
             )
 

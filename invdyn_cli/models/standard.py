@@ -86,7 +86,7 @@ class Standard(AbstractModel):
         robot = dataset.robot
         if robot is None:
             raise UsageError(
-                "model=standard needs the robot's URDF, and these data bring none",
+                "model=standard needs the robot's URDF, but these data have none",
                 advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
             )
         motions = []

@@ -33,7 +33,7 @@ def task(config: DictConfig) -> None:
     paths = [x for one in given for x in _runs(Path(str(one)).expanduser())]
     if len(paths) < 2:
         raise UsageError(
-            f"{len(paths)} run to compare ({listed(map(str, paths))}); allowed: two or more",
+            f"compare got {len(paths)} runs ({listed(map(str, paths))}); allowed: two or more",
             advice="invdyn compare RUN RUN, folders that `invdyn run` printed last",
         )
     trust, limit = trusted(config), size_limit(config)

@@ -190,7 +190,8 @@ def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:
         effect = instantiate(node)
         if not isinstance(effect, KINDS):
             kinds = ", ".join(kind.__name__ for kind in KINDS)
-            raise UsageError(f"diagnosis.effects: {node._target_} gives a {type(effect).__name__}; allowed: {kinds}")
+            got = f"diagnosis.effects: {node._target_} makes an object of class {type(effect).__name__}"
+            raise UsageError(f"{got}; allowed: {kinds}")
         made[effect.name] = effect
     return made
 
@@ -204,6 +205,6 @@ def learner_of(config: DictConfig) -> AbstractModel | None:
         raise UsageError(f"diagnosis.learner={node}; allowed: null, a model", advice="model@diagnosis.learner=ffnn")
     learner = instantiate(node)
     if not isinstance(learner, AbstractModel):
-        got = f"diagnosis.learner: {node._target_} gives a {type(learner).__name__}"
+        got = f"diagnosis.learner: {node._target_} makes an object of class {type(learner).__name__}"
         raise UsageError(f"{got}; allowed: an AbstractModel", advice="model@diagnosis.learner=ffnn")
     return learner

@@ -260,11 +260,12 @@ def _cause(one: Any, robot: Robot, option: str) -> Cause | str:
         raise UsageError(f"{option} has {one!r}; allowed: {{effect: name, joint: name, parameter: value, …}}")
     name, joint = one["effect"], one.get("joint")
     if name not in EFFECTS:
-        raise UsageError(f"{option}: no effect {name!r}; allowed: {listed(EFFECTS, most=30)}{closest(name, EFFECTS)}")
+        got = f"{option}: there is no effect {name!r}{closest(name, EFFECTS)}"
+        raise UsageError(f"{got}; allowed: {listed(EFFECTS, most=30)}")
     effect = EFFECTS[name]
     if joint is not None and joint not in robot.joints:
-        got = f"{option}: no joint {joint!r} for {name}; allowed: {listed(robot.joints)}"
-        raise UsageError(f"{got}{closest(str(joint), robot.joints)}")
+        got = f"{option}: there is no joint {joint!r}{closest(str(joint), robot.joints)}"
+        raise UsageError(f"{got}; allowed: {listed(robot.joints)}")
     parameters = {k: v for k, v in one.items() if k not in ("effect", "joint")}
     for key, value in parameters.items():
         if key not in effect.parameters:

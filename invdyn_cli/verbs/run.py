@@ -110,7 +110,9 @@ def make_tracker(config: DictConfig) -> AbstractTracker:
         raise UsageError(f"tracker={node}; allowed: a name that invdyn run --help lists")
     made = instantiate(node)
     if not isinstance(made, AbstractTracker):
-        raise UsageError(f"tracker: {node._target_} gives a {type(made).__name__}; allowed: an AbstractTracker")
+        raise UsageError(
+            f"tracker: {node._target_} makes an object of class {type(made).__name__}; allowed: AbstractTracker"
+        )
     made.refuse_missing()
     return made
 
@@ -157,7 +159,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
         console.warn(f"no robot: {error}")
         return None
     if not isinstance(robot, Robot):
-        raise UsageError(f"robot: {node._target_} gives a {type(robot).__name__}; allowed: a Robot")
+        raise UsageError(f"robot: {node._target_} makes an object of class {type(robot).__name__}; allowed: Robot")
     return robot
 
 
@@ -207,7 +209,8 @@ def make_object(config: DictConfig, group: str, kind: type) -> Any:
     """What a group's config makes, if it is of that kind and can be stored."""
     made = instantiate(config[group])
     if not isinstance(made, kind):
-        raise UsageError(f"{group}: {config[group]._target_} gives a {type(made).__name__}; allowed: a {kind.__name__}")
+        got = f"{group}: {config[group]._target_} makes an object of class {type(made).__name__}"
+        raise UsageError(f"{got}; allowed: {kind.__name__}")
     try:
         json.dumps(registry.encode(made))
     except TypeError:

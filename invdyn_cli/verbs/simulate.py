@@ -41,8 +41,8 @@ def task(config: DictConfig) -> None:
 def execute(config: DictConfig, folder: Path, console: Screen) -> Log:
     """Config -> arm -> log.h5, robot.urdf and truth.json in `folder`; tells on `console` what was made."""
     if config.data is None or config.data.get("_target_") != f"{Plant.__module__}.{Plant.__name__}":
-        got = config.data.get("_target_") if config.data is not None else None
-        raise UsageError(f"data makes a {got}; allowed: data=plant, the only source with an arm to simulate")
+        got = "not set" if config.data is None else config.data.get("_target_")
+        raise UsageError(f"data is {got}; allowed: data=plant, the only source with an arm to simulate")
     source: Plant = instantiate(config.data)
     robot = make_robot(config, source.header(), optional=False, console=console)
     assert robot is not None  # make_robot refuses data without a robot

@@ -108,7 +108,7 @@ def test_seven_joints_from_four_hundred_samples():
 def test_what_does_not_fit_is_refused():
     """Before memory is taken: the columns, what they would take, what is allowed, and a form that fits."""
     robot = load_urdf("apollo_arm")
-    with pytest.raises(UsageError, match=r"naive has 2,736,562 columns with 7 joints.*model\.form=chain"):
+    with pytest.raises(UsageError, match=r"naive has 2,736,562 columns for 7 joints.*model\.form=chain"):
         Dbm(form="naive").fit(moving(robot, 20), KEY)
     upper = load_urdf("apollo_arm", dofs=5)
     with pytest.raises(UsageError, match=r"naive has 62,743 columns.*model\.form=shared"):

@@ -46,7 +46,7 @@ def test_two_runs_beside_each_other(runs, command):
         ((0, 3), "has the joints joint1, joint2, joint3"),
         ((0, 2), "allowed: runs of one robot"),
         ((0, 0), "is named twice"),
-        ((0,), "1 run to compare"),
+        ((0,), "compare got 1 runs"),
     ],
 )
 def test_what_does_not_belong_together_is_refused(runs, command, picked, words):

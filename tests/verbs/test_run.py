@@ -214,7 +214,7 @@ MISUSE = {
     "lengths differ": (
         broken_log(trajectories={"run": {**motion(), "tau": np.zeros((999, 2))}}),
         LOG,
-        "tau has shape (999, 2); allowed: one row for each of the 1000 of t",
+        "tau has shape (999, 2); allowed: 1000 rows, one for each sample of t",
     ),
     "no gains": (broken_log(torque_unit="A"), LOG, "torque_unit is 'A'", "data.drive_gain=[…], 2 numbers"),
     "too short": (broken_log(trajectories={"run": motion(seconds=0.3)}), LOG, "samples at 100 Hz are needed for"),
