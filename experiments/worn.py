@@ -88,7 +88,7 @@ class Counted:
     (`beyond`: what that joint's other friction, offset and rotor do not take up of it), how it was spoken of, anomalies
     that were claimed beside it, and the relative error of each standard term that counts: on joints whose torque is
     more than the sensor's noise, and on the others (`faint`); whether the 95 % interval of each of them has its true
-    value."""
+    value; whether what was missed is listed as what the log cannot show (`unseen`)."""
 
     seed: int
     said: str
@@ -103,6 +103,7 @@ class Counted:
     covered: tuple[bool, ...]
     verdict: str
     seconds: float
+    unseen: bool
 
 
 def wear(draw: np.random.Generator, scene: Scene) -> list[Hidden]:
@@ -324,6 +325,8 @@ def count(seed: int, name: str) -> Counted:
     loud, faint = (tuple(float(x.error) for x in terms if x.faint == faint) for faint in (False, True))
     covered = tuple(bool(x.covered) for x in terms)
     false = tuple(map(said_of, false))
+    hidden = (anomaly.effect, anomaly.joint) if anomaly else None
+    unseen = any((f.effect, f.joint) == hidden for f in diagnosis.findings if f not in found)
     return Counted(
         seed,
         one.said,
@@ -338,6 +341,7 @@ def count(seed: int, name: str) -> Counted:
         covered,
         diagnosis.verdict,
         seconds,
+        result == "missed" and unseen,
     )
 
 
@@ -376,6 +380,7 @@ class Worn(AbstractExperiment):
         loud = [c for c in worn if c.times > LOUD]
         beyond = [c for c in loud if c.beyond > LOUD]
         right, plain, far = (sum(c.result in ("named", "ambiguous") for c in some) for some in (worn, loud, beyond))
+        told = sum(c.unseen for c in beyond)
         seconds = sorted(c.seconds for c in rows)
         return "\n".join(
             [
@@ -383,7 +388,8 @@ class Worn(AbstractExperiment):
                 "",
                 f"Anomalies: {right} of {len(worn)} right or rightly ambiguous, "
                 f"{plain} of {len(loud)} of those that make over {LOUD:g} times the noise, "
-                f"{far} of {len(beyond)} of those that do so beyond their joint's standard terms; "
+                f"{far} of {len(beyond)} of those that do so beyond their joint's standard terms"
+                f"{f' ({told} more are listed as what this log cannot show)' if told else ''}; "
                 f"{sum(bool(c.false) for c in rows)} of {len(rows)} logs with a false one beside it.",
                 f"Standard terms: {np.sum(errors < RIGHT)} of {len(errors)} within 10 %, median error "
                 f"{100 * np.median(errors) if len(errors) else 0:.2g} %; on joints whose torque is less than the "
