@@ -37,7 +37,7 @@ def moving(robot, samples: int, seed: int = 0, names: int = 1) -> Dataset:
     return Dataset(tuple(parts), robot.joints)
 
 
-@pytest.mark.parametrize("form", usually(["shared", "chain"], ["naive", "structured", "shared", "chain"]))
+@pytest.mark.parametrize("form", usually(["shared"], ["naive", "structured", "shared", "chain"]))
 def test_contract(form):
     """Every form keeps the contract of a model, without a robot."""
     joints = ("a", "b")
