@@ -52,8 +52,7 @@ def inquire(
     """
     everywhere = []  # in a comparison first what both logs show
     if not compares:
-        nominal, rows = evidence.residual((), np.zeros(0)), evidence.role == ROLES.index("train")
-        evidence = replace(evidence, shown=nominal - noise.left_by_terms(evidence, rows))
+        evidence = replace(evidence, shown=noise.shown_by_terms(evidence, evidence.role == ROLES.index("train")))
         everywhere = events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.yields]
 

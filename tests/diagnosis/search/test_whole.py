@@ -1,6 +1,7 @@
 """The search as a whole: what it does with trials that cannot be."""
 
 import numpy as np
+import pytest
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.search.whole import inquire
@@ -18,19 +19,24 @@ def test_another_kind_of_a_drop_may_be_likely():
     assert found[("stribeck_friction", 1)]["exponent"] == 1.0 and ("quadratic_friction", 1) not in found
 
 
-def test_a_weak_drive_gives_less_of_its_friction_too():
-    """A drive gives 0.8 of what is logged from 12.3 to 21.7 s; friction is several times what its links ask for."""
-    names = ("coulomb_friction", "viscous_friction", "torque_gain_change", "payload_change", "external_contact")
+@pytest.mark.parametrize(
+    ("start", "end", "rubs"), [(12.3, 21.7, 1.0), (6.1, 30.0, 0.0)], ids=["rubs", "most of the log"]
+)
+def test_a_weak_drive_gives_less_of_its_friction_too(start, end, rubs):
+    """A drive gives 0.8 of what is logged: for a time, where friction is several times what its links ask for; and for
+    most of the log, where there is none, and what the drive lacks is not taken for friction."""
+    names = ("coulomb_friction", "viscous_friction", "torque_gain_error")
+    names += ("torque_gain_change", "payload_change", "external_contact")
 
     def weak(t, m):
         friction = np.zeros_like(m.q)
-        friction[:, 1] = 60.0 * np.sign(m.qd[:, 1]) + 20.0 * m.qd[:, 1]
+        friction[:, 1] = rubs * (60.0 * np.sign(m.qd[:, 1]) + 20.0 * m.qd[:, 1])
         whole = (friction + inverse_dynamics(arm(), m.q, m.qd, m.qdd)) * (np.arange(3) == 1)
-        return friction + (1 / 0.8 - 1) * whole * ((t > 12.3) & (t < 21.7))[:, None]
+        return friction + (1 / 0.8 - 1) * whole * ((t > start) & (t < end))[:, None]
 
     evidence = evidence_of(log_of(raw(*moved(30.0), weak, torque=0.05, position=1e-6)), names)
     inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), 6, compares=False)
-    (found,) = [a for a in inquiry.whole.acting if a.when is not None]
+    (found,) = inquiry.whole.acting if not rubs else [a for a in inquiry.whole.acting if a.when is not None]
     assert (found.effect.name, found.joint) == ("torque_gain_change", 1)
-    assert np.allclose([found.when.start, found.when.end], [12.3, 21.7], atol=0.05)
+    assert np.allclose([found.when.start, found.when.end], [start, end], atol=0.05)
     assert np.isclose(found.parameters["gain"], 0.8, atol=0.005)
