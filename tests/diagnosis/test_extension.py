@@ -64,7 +64,7 @@ def test_friction_that_the_urdf_states_is_told_beside_what_was_found(arm, tmp_pa
     (tmp_path / "states.urdf").write_text(text)
     found = (("viscous_friction", 0, {"damping": 0.5}), ("coulomb_friction", 2, {"coulomb": 1.9}))
     (said,) = beside_dynamics(model(load_urdf(tmp_path / "states.urdf"), *found))
-    assert "1 of 2 values are within 10 %" in said and said.endswith("; axis1 damping 0.7, found 0.5.")
+    assert "1 of 2 values are within 10 %" in said and said.endswith("; axis1 damping 0.7, estimated 0.5.")
     assert beside_dynamics(model(arm, *found)) == ()
 
 

@@ -14,7 +14,7 @@ ODD = {
     "a filter of order 1000": ("run", "data=real_log data.path=log.h5 data.filter_order=1000", "data.filter_order"),
     "an endless task": ("run", "data.duration=1e300", "data.duration"),
     "a rate beyond any clock": ("run", "data.rate=1e300", "data.rate"),
-    "a robot that is a mapping": ("run", "robot._target_=builtins.dict", "allowed: a Robot"),
+    "a robot that is a mapping": ("run", "robot._target_=builtins.dict", "class dict; allowed: Robot"),
     "a robot that is a number": ("run", "robot=5", "robot=5; allowed"),
     "a model that is code": ("run", "model._target_=os.getcwd", "os.getcwd: "),
     "options that are none": ("run", "figures=null", "figures=None; allowed: figures.formats=…"),
