@@ -121,7 +121,8 @@ class Search:
     def _joined(self, hypothesis: Hypothesis, chosen: Refined) -> Hypothesis | None:
         """A hypothesis with one effect in the place of two that come and go, if that does no worse; None if no two may
         be one. It acts from the start of the first window to the end of the second, because a rest in between says
-        nothing of it; or in both windows, as a load does that is picked up in every cycle."""
+        nothing of it; or in both windows, as a load does that is picked up in every cycle. A drive does not become as
+        weak again and again: that would fit a torque at one posture, which the catalogue lacks."""
         for i, k in permutations(range(len(hypothesis)), 2):
             one, other = chosen.acting[i], chosen.acting[k]
             if one.when is None or other.when is None or one.when.trajectory != other.when.trajectory:
@@ -130,7 +131,7 @@ class Search:
             ways = []
             if (one.effect, one.joint) == (other.effect, other.joint) and len(windows) == 2:
                 ways.append(windows[0]._replace(end=max(when.end for when in windows)))
-            if all(a.end <= b.start for a, b in pairwise(windows)):
+            if not one.effect.factor and all(a.end <= b.start for a, b in pairwise(windows)):
                 ways.append(together(windows))
             both = tuple(trial_at(self.evidence, a) for a in (one, other))
             trials = [trial_at(self.evidence, replace(one, when=when)) for when in ways]
