@@ -19,6 +19,7 @@ from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
 from invdyn_cli.log import Log
+from invdyn_cli.report.wording import UNSEEN
 from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.gear import RESOLVED
@@ -326,7 +327,7 @@ def count(seed: int, name: str) -> Counted:
     covered = tuple(bool(x.covered) for x in terms)
     false = tuple(map(said_of, false))
     hidden = (anomaly.effect, anomaly.joint) if anomaly else None
-    unseen = any((f.effect, f.joint) == hidden for f in diagnosis.findings if f not in found)
+    unseen = any((f.effect, f.joint) == hidden for f in diagnosis.findings if f.status in UNSEEN)
     return Counted(
         seed,
         one.said,

@@ -26,6 +26,7 @@ from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     NO_BREAK,
     STATUS_WORDS,
+    UNSEEN,
     advised,
     capital,
     cause,
@@ -289,7 +290,7 @@ def _blind_spots(diagnosis: Diagnosis) -> str:
     """Effects that this log cannot show, joints with the same reason and the same advice in one row."""
     rows: dict[tuple[str, str, str], dict[str, None]] = {}
     for x in diagnosis.findings:
-        if x.status in ("not_excited", "not_observable"):
+        if x.status in UNSEEN:
             rows.setdefault((x.effect, x.status, x.advice), {})[place(x)] = None
     body, every = "", joints_of(diagnosis)
     for (effect, status, advice), places in rows.items():

@@ -11,6 +11,7 @@ from invdyn_cli.report.quantities import best_gain, gain_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     EACH_LOG,
+    UNSEEN,
     capital,
     cause,
     causes,
@@ -127,7 +128,7 @@ def unseen_line(diagnosis: Diagnosis) -> str:
     """'This log cannot show: Stribeck friction (joint3, joint4), …', nothing where nothing was hidden."""
     hidden: dict[str, dict[str, None]] = {}
     for x in diagnosis.findings:
-        if x.status in ("not_excited", "not_observable"):
+        if x.status in UNSEEN:
             hidden.setdefault(x.effect, {})[place(x)] = None  # once, with one encoder or with another
     every = joints_of(diagnosis)
     said = [

@@ -16,13 +16,12 @@ from rich.text import Text
 from invdyn_cli.report.html import document, section, table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import STATUS_STYLE
-from invdyn_cli.report.wording import CLAIMS, VERDICT_WORDS, capital, cause, headline_of, words
+from invdyn_cli.report.wording import CLAIMS, UNSEEN, VERDICT_WORDS, capital, cause, headline_of, words
 from invdyn_cli.types import Finding, Quantity
 
 TORQUE = "rms_of_term_N_m"
 """Where a finding's evidence has the RMS torque of its effect on each joint."""
 
-HIDDEN = ("not_excited", "not_observable")
 DATE = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?:[-_T ]?([0-2]\d)[-_:h]?([0-5]\d))?(?!\d)")
 """A date in a file's name, with or without a time: 2026-11-24, 20261124_2103."""
 
@@ -182,7 +181,7 @@ def _holds(log: Diagnosed, finding: Finding) -> bool:
 def _hides(log: Diagnosed, finding: Finding) -> bool:
     """Whether the log could not have shown it."""
     return any(
-        x.effect == finding.effect and x.joint in (finding.joint, None) for x in log.findings if x.status in HIDDEN
+        x.effect == finding.effect and x.joint in (finding.joint, None) for x in log.findings if x.status in UNSEEN
     )
 
 

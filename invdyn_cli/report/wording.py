@@ -13,6 +13,9 @@ from invdyn_cli.report.quantities import quantity_text, unit_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis, EffectText, Finding, Quantity
 
+UNSEEN = ("not_excited", "not_observable")
+"""Statuses of effects that a log cannot show."""
+
 STATUS_WORDS = {
     "named": "named",
     "ambiguous": "ambiguous",

@@ -32,7 +32,7 @@ from invdyn_cli.report import diagnosis_figures
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import imports, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, job, launch
-from invdyn_cli.verbs.objects import instantiate
+from invdyn_cli.verbs.objects import instantiate, refuse_other_class
 from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 
@@ -188,10 +188,7 @@ def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:
         if not isinstance(node, DictConfig) or "_target_" not in node:
             raise UsageError(f"diagnosis.effects has {node}; allowed: {{_target_: module.Class, …}}")
         effect = instantiate(node)
-        if not isinstance(effect, KINDS):
-            kinds = ", ".join(kind.__name__ for kind in KINDS)
-            got = f"diagnosis.effects: {node._target_} makes an object of class {type(effect).__name__}"
-            raise UsageError(f"{got}; allowed: {kinds}")
+        refuse_other_class(effect, "diagnosis.effects", node, *KINDS)
         made[effect.name] = effect
     return made
 
@@ -204,7 +201,5 @@ def learner_of(config: DictConfig) -> AbstractModel | None:
     if not isinstance(node, DictConfig) or "_target_" not in node:
         raise UsageError(f"diagnosis.learner={node}; allowed: null, a model", advice="model@diagnosis.learner=ffnn")
     learner = instantiate(node)
-    if not isinstance(learner, AbstractModel):
-        got = f"diagnosis.learner: {node._target_} makes an object of class {type(learner).__name__}"
-        raise UsageError(f"{got}; allowed: an AbstractModel", advice="model@diagnosis.learner=ffnn")
+    refuse_other_class(learner, "diagnosis.learner", node, AbstractModel, advice="model@diagnosis.learner=ffnn")
     return learner

@@ -42,6 +42,17 @@ def trusted(config: DictConfig) -> list[str]:
     return names
 
 
+def refuse_other_class(made: Any, option: str, node: DictConfig, *kinds: type, advice: str = "") -> None:
+    """Refuse what a config node of an option makes, if it is of none of these classes.
+
+    Raises:
+        UsageError: with its class and those that are allowed.
+    """
+    if not isinstance(made, kinds):
+        got = f"{option}: {node._target_} makes an object of class {type(made).__name__}"
+        raise UsageError(f"{got}; allowed: {', '.join(kind.__name__ for kind in kinds)}", advice=advice)
+
+
 def instantiate(node: DictConfig, **more: Any) -> Any:
     """The object that a config node describes (`_target_`), nested ones too, in plain Python values.
 

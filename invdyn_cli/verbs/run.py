@@ -20,7 +20,7 @@ from invdyn_cli.tracking.contract import AbstractTracker, Tracked, flat, mean_cu
 from invdyn_cli.types import Header, Robot, RunRecord
 from invdyn_cli.verbs import imports, origin, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, job, launch
-from invdyn_cli.verbs.objects import instantiate
+from invdyn_cli.verbs.objects import instantiate, refuse_other_class
 from invdyn_cli.verbs.screen import Screen
 
 FORMATS = ("png", "svg", "pdf")
@@ -109,10 +109,7 @@ def make_tracker(config: DictConfig) -> AbstractTracker:
     if not isinstance(node, DictConfig) or "_target_" not in node:
         raise UsageError(f"tracker={node}; allowed: a name that invdyn run --help lists")
     made = instantiate(node)
-    if not isinstance(made, AbstractTracker):
-        raise UsageError(
-            f"tracker: {node._target_} makes an object of class {type(made).__name__}; allowed: AbstractTracker"
-        )
+    refuse_other_class(made, "tracker", node, AbstractTracker)
     made.refuse_missing()
     return made
 
@@ -158,8 +155,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
             raise
         console.warn(f"no robot: {error}")
         return None
-    if not isinstance(robot, Robot):
-        raise UsageError(f"robot: {node._target_} makes an object of class {type(robot).__name__}; allowed: Robot")
+    refuse_other_class(robot, "robot", node, Robot)
     return robot
 
 
@@ -208,9 +204,7 @@ def make_log_source(config: DictConfig) -> AbstractSource:
 def make_object(config: DictConfig, group: str, kind: type) -> Any:
     """What a group's config makes, if it is of that kind and can be stored."""
     made = instantiate(config[group])
-    if not isinstance(made, kind):
-        got = f"{group}: {config[group]._target_} makes an object of class {type(made).__name__}"
-        raise UsageError(f"{got}; allowed: {kind.__name__}")
+    refuse_other_class(made, group, config[group], kind)
     try:
         json.dumps(registry.encode(made))
     except TypeError:

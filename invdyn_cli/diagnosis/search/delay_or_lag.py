@@ -56,6 +56,5 @@ def distinguish(
             candidate = trial_at(evidence, trial.acting[i])
             judge.refresh()
             hypothesis = (*hypothesis[:i], candidate, *hypothesis[i + 1 :])
-        unclear = step.sum() < naming.MIN_CLEAR_DIFFERENCE or naming.chance(step, 0.0) > naming.DOUBT
-        close[hypothesis[i].key] = bool(unclear)
+        close[hypothesis[i].key] = naming.as_well(step, 0.0, naming.MIN_CLEAR_DIFFERENCE)
     return hypothesis, chosen, close

@@ -91,8 +91,8 @@ def _simplified(
         if general.effect.changes_inertials and general.effect.of_joint:
             # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
             for simpler in _split(hypothesis, i, pool):
-                as_well = _as_well(*_lost(judge, always, simpler, hypothesis))
-                if as_well and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
+                equal = as_well(*_lost(judge, always, simpler, hypothesis))
+                if equal and not judge.refused(always + simpler, judge.verdict(always + simpler).theta):
                     return _simplified(judge, always, simpler, pool)
             for one in (rival.candidate for rival in rivals(judge, always, hypothesis, i, pool) if rival.equal):
                 if judge.freedom(one) < judge.freedom(general) + (0.5 if _is_usual(one) else -1):
@@ -129,9 +129,10 @@ def _lost(
     return one.blocks - now.blocks, PRICE_OF_COEFFICIENT * more + dearer
 
 
-def _as_well(step: np.ndarray, extra: float) -> bool:
-    """Whether what costs `extra`, and leaves `step` (B,) more in each block, does as well."""
-    return bool(step.sum() + extra < LEAST_DIFFERENCE or chance(step, extra) > DOUBT)
+def as_well(step: np.ndarray, extra: float, least: float = LEAST_DIFFERENCE) -> bool:
+    """Whether what costs `extra`, and leaves `step` (B,) more in each block, does as well: with less than `least` noise
+    variances in all, or by the draw of the blocks."""
+    return bool(step.sum() + extra < least or chance(step, extra) > DOUBT)
 
 
 def asked_for(step: np.ndarray, extra: float) -> bool:
@@ -176,7 +177,7 @@ def rivals(
         excess = float(step.sum() + dearer + simpler)
         error = float(np.std(step, ddof=1) * np.sqrt(len(step))) if len(step) > 1 else abs(excess)
         refused = judge.refused((*always, *others, c), other.theta)
-        equal = _as_well(step, excess - float(step.sum()))
+        equal = as_well(step, excess - float(step.sum()))
         share = 1 - (float(step.sum()) + dearer) / whole if whole > 0 else 0.0
         equal &= share > LEAST_SHARE or excess < MIN_CLEAR_DIFFERENCE
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
