@@ -33,7 +33,7 @@ from invdyn_cli.report.canvas import (
     thinned,
 )
 from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_window
-from invdyn_cli.report.overlay import OVERLAY, overlay
+from invdyn_cli.report.overlay import OPENING, OVERLAY, opening, overlay
 from invdyn_cli.report.overview import overview
 from invdyn_cli.report.quantities import best_gain
 from invdyn_cli.report.replay_figure import REPLAY, replay_figure
@@ -71,8 +71,8 @@ JOINTS = "joints"
 def draw_all(
     diagnosis: Diagnosis, folder: str | Path, formats: Sequence[str] = ("png",), helper: Executor | None = None
 ) -> list[Path]:
-    """Draw the overview, the torques, the replay, failed residual tests and every cause's picture into `folder`, once
-    per format (png, svg, pdf); every other one in the process of `helper`, if there is one.
+    """Draw the opening, the overview, the torques, the replay, failed residual tests and every cause's picture into
+    `folder`, once per format (png, svg, pdf); every other one in the process of `helper`, if there is one.
 
     The paths come back. Nothing is drawn without signals: a log that is unusable has nothing to show.
     """
@@ -101,7 +101,8 @@ def _figures(diagnosis: Diagnosis) -> dict[str, Callable[[], Figure]]:
     """What there is to draw: name and figure."""
     made: dict[str, Callable[[], Figure]] = {}
     if diagnosis.signals is not None:
-        made |= {OVERVIEW: partial(overview, diagnosis), OVERLAY: partial(overlay, diagnosis)}
+        made |= {OPENING: partial(opening, diagnosis), OVERVIEW: partial(overview, diagnosis)}
+        made[OVERLAY] = partial(overlay, diagnosis)
     if diagnosis.replay is not None:
         made[REPLAY] = partial(replay_figure, diagnosis)
     if failing(diagnosis):

@@ -1,45 +1,74 @@
-"""The picture that opens a diagnosis: measured torque beside that of the nominal and of the extended model."""
+"""Measured torque beside that of the nominal and of the extended model: of one joint, to open a report, and of all."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, label_below, limit_around, plain, shape_of, thinned
-from invdyn_cli.report.exhibits import as_numpy, telling_window
+from invdyn_cli.report.exhibits import Rows, as_numpy, exhibits, telling_window
 from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import joints_of
+from invdyn_cli.report.wording import causes, joints_of
 from invdyn_cli.types import Diagnosis
 
-OVERLAY = "torques"
-"""What the picture's file is called."""
+OPENING, OVERLAY = "torque", "torques"
+"""What the pictures' files are called."""
+
+
+def opening(diagnosis: Diagnosis) -> Figure:
+    """The torque of the joint that the largest anomaly shows on, in the seconds in which its term varies most; without
+    an anomaly, of the joint on which the nominal model is most at fault."""
+    assert diagnosis.signals is not None
+    signals = as_numpy(diagnosis.signals)
+    shown = next((x for number, _ in causes(diagnosis) for x in exhibits(diagnosis) if x.number == number), None)
+    if shown is None:
+        changing = _fault(signals)
+        column, around = int(np.argmax(np.nanstd(changing, axis=0))), None
+    else:
+        changing, column, around = shown.term, shown.column, shown.finding.window
+    where = shown.finding.trajectory if shown is not None else None
+    rows = telling_window(signals, changing, [column], where=where, around=around)
+    figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
+    axes = figure.subplots()
+    _curves(axes, diagnosis, signals, rows, column)
+    axes.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
+    add_legend(figure, axes)
+    return figure
 
 
 def overlay(diagnosis: Diagnosis) -> Figure:
     """Every joint's torques in the held-out seconds in which the nominal model is most at fault."""
     assert diagnosis.signals is not None
-    joints, units, signals = joints_of(diagnosis), units_of(diagnosis), as_numpy(diagnosis.signals)
-    n, fault = len(joints), signals.tau - signals.nominal
-    rows = telling_window(signals, fault / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300), range(n))
+    signals, n = as_numpy(diagnosis.signals), len(joints_of(diagnosis))
+    rows = telling_window(signals, _fault(signals), range(n))
     height, columns = shape_of(n)
     figure = Figure(figsize=(WIDTH, 1.35 * height + 1.0), layout="constrained")
     figure.suptitle("Measured and modelled torque", x=0.01, ha="left", fontsize=11, fontweight="bold")
     grid = figure.subplots(height, columns, squeeze=False, sharex=True)
-    t = signals.t[rows]
     for i, axes in enumerate(grid.flat[:n]):
-        measured, nominal, extended = (x[rows, i] for x in (signals.tau, signals.nominal, signals.extended))
-        axes.plot(*thinned(t, nominal), color=BEFORE, lw=1.6, label="nominal model")
-        axes.plot(*thinned(t, measured), color=MEASURED, lw=1.6, label="measured")
-        axes.plot(*thinned(t, extended), color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="extended model")
-        limit_around(axes, measured, np.concatenate([nominal, extended]))
-        before, after = (
-            significant(x.get(joints[i], {}).get("rmse")) for x in (diagnosis.baseline, diagnosis.extended)
-        )
-        axes.set_title(plain(f"{joints[i]}    held-out RMSE {before} → {after} {units[joints[i]]}"))
-        axes.set_ylabel(f"torque [{units[joints[i]]}]")
-        axes.margins(x=0.01)
+        _curves(axes, diagnosis, signals, rows, i)
         label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
     for axes in grid.flat[n:]:
         axes.remove()
     add_legend(figure, grid.flat[0])
     return figure
+
+
+def _fault(signals: Rows) -> np.ndarray:
+    """(R, n) what the nominal model misses, in standard deviations of the measured torque."""
+    return (signals.tau - signals.nominal) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)
+
+
+def _curves(axes: Axes, diagnosis: Diagnosis, signals: Rows, rows: slice, i: int) -> None:
+    """Joint i: the three torques, its held-out errors in the title."""
+    joint, unit, t = joints_of(diagnosis)[i], list(units_of(diagnosis).values())[i], signals.t[rows]
+    measured, nominal, extended = (x[rows, i] for x in (signals.tau, signals.nominal, signals.extended))
+    axes.plot(*thinned(t, nominal), color=BEFORE, lw=1.6, label="nominal model")
+    axes.plot(*thinned(t, measured), color=MEASURED, lw=1.6, label="measured")
+    axes.plot(*thinned(t, extended), color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="extended model")
+    limit_around(axes, measured, np.concatenate([nominal, extended]))
+    before, after = (significant(x.get(joint, {}).get("rmse")) for x in (diagnosis.baseline, diagnosis.extended))
+    axes.set_title(plain(f"{joint}    held-out RMSE {before} → {after} {unit}"))
+    axes.set_ylabel(f"torque [{unit}]")
+    axes.margins(x=0.01)

@@ -14,6 +14,7 @@ from invdyn_cli.report.diagnosis_figures import JOINTS as EACH
 from invdyn_cli.report.diagnosis_figures import PANELS, draw, draw_all
 from invdyn_cli.report.diagnosis_page import page
 from invdyn_cli.report.exhibits import exhibits, recordings, telling_window
+from invdyn_cli.report.overlay import opening
 from invdyn_cli.report.wording import claims, picture
 from invdyn_cli.types import EffectText, Quantity
 from tests.commands import usually
@@ -54,12 +55,32 @@ def drawn(tmp_path_factory):
 
 
 def test_every_cause_has_a_picture(drawn):
-    """The overview, failed residual tests and one picture for every named or ambiguous finding are drawn, each of a
-    legible size."""
+    """The opening, the overview, failed residual tests and one picture for every named or ambiguous finding are drawn,
+    each of a legible size."""
     diagnosis, paths = drawn
     names = [picture(k + 1, x) for k, x in enumerate(claims(diagnosis))]
-    assert [x.stem for x in paths] == ["overview", "torques", "residual_tests", *names] and len(names) == 5
+    assert [x.stem for x in paths] == ["torque", "overview", "torques", "residual_tests", *names] and len(names) == 5
     assert all(min(imread(x).shape[:2]) > 300 for x in paths)
+
+
+@pytest.mark.parametrize("effect", ["torque_gain_change", "payload", "torque_ripple"])
+def test_the_opening_shows_the_largest_anomaly(effect):
+    """Its joint, in its window where it has one: friction that every arm has does not open the report."""
+    found = diagnosis_of([("coulomb_friction", 0, {}), (effect, None if effect in ARM else 2, {})], trajectories=2)
+    shown = next(x for x in exhibits(found) if x.finding.effect == effect)
+    axes = opening(found).axes[0]
+    assert axes.get_title().startswith(JOINTS[shown.column])
+    if shown.finding.window is not None:
+        (start, end), (low, high) = shown.finding.window, axes.get_xlim()
+        assert low < start < end < high
+
+
+def test_the_opening_without_an_anomaly():
+    """The joint that the nominal model misses most, by the spread of its torque."""
+    found = nothing_found()
+    signals = found.signals
+    signals.tau[:, 3] += 5 * np.std(signals.tau[:, 3]) * np.sign(signals.qd[:, 3])
+    assert opening(found).axes[0].get_title().startswith(JOINTS[3])
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
@@ -197,7 +218,7 @@ def test_recordings_end_at_gaps():
 
 def test_nothing_found_has_an_overview(tmp_path):
     """Without causes and without a noise floor overview and torques are drawn; a log without signals gives none."""
-    assert [x.stem for x in draw_all(nothing_found(), tmp_path)] == ["overview", "torques"]
+    assert [x.stem for x in draw_all(nothing_found(), tmp_path)] == ["torque", "overview", "torques"]
     assert draw_all(log_unusable(), tmp_path) == []
 
 
@@ -213,7 +234,7 @@ def test_broken_signals_are_survived(effect, tmp_path):
         name: Quantity(math.nan, x.unit, [math.nan, math.nan]) for name, x in claims(diagnosis)[0].parameters.items()
     }
     diagnosis = replace(diagnosis, findings=(replace(diagnosis.findings[0], parameters=broken),))
-    assert len(draw_all(diagnosis, tmp_path)) == 3
+    assert len(draw_all(diagnosis, tmp_path)) == 4
 
 
 def test_few_samples_are_survived(tmp_path):
@@ -228,7 +249,7 @@ def test_names_are_no_formulas(tmp_path):
     joints = ("$a_1$", r"b\frac_{", "c/d", "../e", "<f>", "g h", "ü")
     paths = draw_all(one("coulomb_friction", joints=joints), tmp_path)
     paths += draw_all(one("payload", column=None, joints=joints), tmp_path / "arm")
-    assert len(paths) == 6 and all(x.parent in (tmp_path, tmp_path / "arm") for x in paths)
+    assert len(paths) == 8 and all(x.parent in (tmp_path, tmp_path / "arm") for x in paths)
 
 
 def test_jax_arrays_will_do():

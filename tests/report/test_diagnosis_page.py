@@ -9,7 +9,7 @@ import pytest
 from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.report.diagnosis_figures import draw_all
-from invdyn_cli.report.diagnosis_page import page, write_report
+from invdyn_cli.report.diagnosis_page import OPENING_CAPTION, page, write_report
 from invdyn_cli.report.quantities import gain_text, quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import claims, joints_of, law, picture, words
@@ -46,7 +46,7 @@ class Reader(HTMLParser):
 
 def placeholders(diagnosis, folder):
     """Files named as the figures of a diagnosis."""
-    names = ["overview", *(picture(k + 1, x) for k, x in enumerate(claims(diagnosis)))]
+    names = ["torque", "overview", *(picture(k + 1, x) for k, x in enumerate(claims(diagnosis)))]
     for name in names:
         (folder / f"{name}.png").write_bytes(b"PNG")
     return [folder / f"{name}.png" for name in names]
@@ -60,11 +60,11 @@ def written(tmp_path_factory):
 
 
 def test_report_is_one_file(written):
-    """The page parses, holds a picture per cause and the overview, and refers to nothing outside of itself."""
+    """The page parses, holds the opening, the overview and a picture per cause, and needs nothing outside of itself."""
     _, path = written
     text = path.read_text("utf-8")
     reader = Reader(text)
-    assert reader.tags.count("img") == 6 and not {"script", "link", "iframe"} & set(reader.tags)
+    assert reader.tags.count("img") == 7 and not {"script", "link", "iframe"} & set(reader.tags)
     assert all(x.startswith("data:image/png;base64,") for name, x in reader.attributes if name == "src")
     assert not re.search(r"https?:|//[a-z]|url\(|@import", re.sub(r"base64,[^\"]*", "", text))
 
@@ -82,10 +82,13 @@ def test_what_is_left_is_told(written):
 
 
 def test_the_first_screen_says_what_to_do(written):
-    """After the verdict come what to do next, the causes, the standard terms and the residual; the trajectory to record
-    is a link, and what stays open, what is left and what is wrong with the log are each a line."""
+    """After the verdict and one picture of the torques come what to do next, the causes, the standard terms and the
+    residual; the trajectory to record is a link, and what stays open, what is left and what is wrong with the log are
+    each a line."""
     diagnosis, path = written
-    heads = re.findall(r"<h2>(.*?)</h2>", path.read_text("utf-8"))
+    text = path.read_text("utf-8")
+    heads = re.findall(r"<h2>(.*?)</h2>", text)
+    assert text.partition("<h2>")[0].count("<img") == 1 and OPENING_CAPTION in text.partition("<h2>")[0]
     assert heads[:4] == ["What to do next", "Causes", "Standard terms", "Residual"]
     text = page(diagnosis, "lbr", [], {}, "record_next.csv")
     said = text.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
@@ -184,8 +187,8 @@ def test_everything_is_escaped(tmp_path):
     figures = placeholders(diagnosis, tmp_path)
     text = write_report(diagnosis, bad, figures, tmp_path / "report.html").read_text("utf-8")
     reader = Reader(text)
-    assert len(figures) == 6 and "<b>x" not in text and "<td><i></td>" not in text
-    assert reader.tags.count("img") == 6 and reader.text.count(bad) > 15
+    assert len(figures) == 7 and "<b>x" not in text and "<td><i></td>" not in text
+    assert reader.tags.count("img") == 7 and reader.text.count(bad) > 15
 
 
 def test_nan_is_a_dash():

@@ -94,7 +94,7 @@ def test_leaves_its_files(diagnosed):
     files = json.loads((folder / "diagnosis.json").read_text())["files"]
     assert set(files) == {"model", "urdf", "mjcf", "report"} and names == {*files.values(), "diagnosis.json", "figures"}
     drawn = {p.name for p in (folder / "figures").iterdir()}
-    assert drawn == {"overview.png", "torques.png", "replay.png", "finding_01_coulomb_friction.png"}
+    assert drawn == {"torque.png", "overview.png", "torques.png", "replay.png", "finding_01_coulomb_friction.png"}
     assert all(
         word in said for word in ("Explained.", "Coulomb friction", JOINT, "unexplained", "This log cannot show")
     )
