@@ -149,7 +149,7 @@ def _why_alone(asked: Sequence[_Asked]) -> Iterator[str]:
     single = [one for one in asked if one.common is not None]
     if single:
         names = ", ".join(name for name in _differing(single) if name != "seed")
-        what = f"; here {names} differ, too" if names else ""
+        what = f"; these jobs also differ in {names}" if names else ""
         yield (
             f"{_jobs([one.job.number for one in single])}: fitted one by one, because jobs are fitted in one program "
             f"only if nothing but seed and learning rates differs{what}"

@@ -66,7 +66,7 @@ def test_what_does_not_belong_together_says_so(command, monkeypatch):
     said = command("run", "-m", "model=quick", "model.hidden=[4],[5]", *TINY)
     assert said.err[0] == (
         "jobs 0 to 1: fitted one by one, because jobs are fitted in one program only if nothing but seed and learning "
-        "rates differs; here model.hidden differ, too"
+        "rates differs; these jobs also differ in model.hidden"
     )
 
 

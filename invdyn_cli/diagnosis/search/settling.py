@@ -133,6 +133,8 @@ class Search:
                 ways.append(windows[0]._replace(end=max(when.end for when in windows)))
             if not one.effect.factor and all(a.end <= b.start for a, b in pairwise(windows)):
                 ways.append(together(windows))
+            if not ways:
+                continue
             both = tuple(trial_at(self.evidence, a) for a in (one, other))
             trials = [trial_at(self.evidence, replace(one, when=when)) for when in ways]
             self._add([*both, *trials])
