@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.checks.commands import CommandLag, CommandSigns, Comma
 from invdyn_cli.diagnosis.checks.derivatives import DerivativeConsistency
 from invdyn_cli.diagnosis.checks.description import OTHERWISE_MOUNTED, Description
 from invdyn_cli.diagnosis.checks.excitation import Excitation
+from invdyn_cli.diagnosis.checks.held_rows import HeldRows
 from invdyn_cli.diagnosis.checks.model import ModelMismatch
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.checks.power import PowerOff
@@ -34,6 +35,7 @@ from invdyn_cli.types import Check, Examination, Robot
 
 CHECKS: tuple[AbstractCheck, ...] = (
     NotFinite(),
+    HeldRows(),
     Duplicates(),
     WrappedAngles(),
     MotionUnits(),

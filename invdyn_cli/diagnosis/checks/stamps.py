@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -16,7 +17,15 @@ ORDER = 4
 """Order of the differences in which a motion is far smaller than what a sample at another time adds to it."""
 
 NEAR = 10
-"""Number of stamps on either side of a long step that tell whether one is missing in it."""
+"""Number of stamps on either side of a long step that tell whether some are missing in it."""
+
+LONG = 1.25
+"""Periods of a step in which a stamp may be missing: with two periods and stamps that vary by a tenth of one, six
+standard deviations from it."""
+
+WANDERS = 2.0
+"""Deviation from a regular clock, in standard deviations of the steps, above which the clock wanders: stamps that are
+late by chance deviate by 0.7, and somewhat more if they do so for a part of the time."""
 
 BLOCKS = 20
 """Number of parts of a recording, each left out once, from which the standard error is taken."""
@@ -91,14 +100,16 @@ def regular(t: np.ndarray) -> np.ndarray:
     """The regular clock nearest to stamps t (T,) [s], of which single ones may be missing: then all later ones are
     later, and after a late stamp they are not."""
     steps = np.diff(t)
-    period = float(np.median(steps))
-    count = np.ones(len(t))
-    count[0] = 0.0
-    for k in np.flatnonzero(steps > 1.5 * period) + 1:
-        before, after = t[max(0, k - NEAR) : k], t[k : k + NEAR]
-        ends = before + period * np.arange(len(before))[::-1], after - period * np.arange(len(after))
-        count[k] = max(1.0, np.round((ends[1].mean() - ends[0].mean()) / period))
-    places = np.cumsum(count)
+    period, rows = float(np.median(steps)), np.arange(len(t))
+    late = t - period * rows
+    starts = [0, *(np.flatnonzero(steps > LONG * period) + 1).tolist()]
+    missing, before = np.zeros(len(starts)), float(np.median(late[:NEAR]))
+    for i, (start, end) in enumerate(pairwise([*starts, len(t)])):
+        missing[i] = np.round((np.median(late[start : min(end, start + NEAR)]) - before) / period)
+        if end - start >= NEAR:
+            before = float(np.median(late[end - NEAR : end])) - period * missing[i]
+    missing = np.minimum.accumulate(np.maximum(missing, 0.0)[::-1])[::-1]
+    places = rows + np.repeat(missing, np.diff([*starts, len(t)]))
     slope, start = np.polyfit(places, t, 1)
     return start + slope * places
 
@@ -124,9 +135,9 @@ def followed(raw: RawTrajectory, stretches: Sequence[np.ndarray]) -> Followed | 
         return None
     x, y, away, step = (np.concatenate(parts) for parts in (speeds, changes, off, steps))
     deviation = float(np.std(away))
-    if not 0 < deviation <= np.std(step):  # a clock that wanders, or one without variations
+    if not 0 < deviation <= WANDERS * np.std(step):  # a clock that wanders, or one without variations
         return None
-    weights = 1 / np.maximum(np.mean((y - x * _slopes(x, y)) ** 2, axis=0), 1e-300)
+    weights = precision(x, y)
     towards, squares = (np.array([p.sum() for p in np.array_split(z @ weights, BLOCKS)]) for z in (x * y, x * x))
     if not squares.sum() > 0:
         return None
@@ -136,6 +147,7 @@ def followed(raw: RawTrajectory, stretches: Sequence[np.ndarray]) -> Followed | 
     return Followed(float(share), error, deviation)
 
 
-def _slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Least-squares slope of every column of y (T, n) on that of x (T, n)."""
-    return np.sum(x * y, axis=0) / np.maximum(np.sum(x * x, axis=0), 1e-300)
+def precision(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """One over the variance of every column of y (T, n) about its least-squares line through zero over that of x."""
+    slopes = np.sum(x * y, axis=0) / np.maximum(np.sum(x * x, axis=0), 1e-300)
+    return 1 / np.maximum(np.mean((y - x * slopes) ** 2, axis=0), 1e-300)
