@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli import leftovers
-from invdyn_cli.diagnosis import extension, gains, repeats, since, standard, transition, wear, yielding
+from invdyn_cli.diagnosis import extension, gains, rattling, repeats, since, standard, transition, wear, yielding
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
@@ -154,6 +154,7 @@ def decided(
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
     made = replace(made, findings=lateness.taken_back(made.findings, effects, case.examination))
+    made = made if case.compares else rattling.told(evidence, made, more, effects)
     progress(0.9, "model")
     written, unnamed = (more, ()) if case.compares else _fuller(inquiry, columns, made, more, unsure)
     model = _written(case, written)

@@ -160,10 +160,10 @@ def _bases(evidence: Evidence, motion: Mapping[str, np.ndarray], j: int, used: n
         "angle": Basis(_hats(q, used), q, f"{angle} [{unit}]"),
         "ripple": Basis(q[:, None], q, f"{angle} [{unit}]"),
         "load": Basis(np.hstack([loaded, loaded * way[:, None]]), load, f"torque of the nominal model [{torque}]"),
-        "load_zeros": _around(load, parts, motion["t"], used, "time since the load changed sign [s]"),
+        "load_zeros": around(load, parts, motion["t"], used, "time since the load changed sign [s]"),
         "acceleration": Basis(_hats(qdd, used), qdd, f"acceleration [{unit}/s²]"),
         "torque_slope": Basis(slope[:, None], slope, f"rate of the torque [{torque}/s]"),
-        "reversals": _around(qd, parts, motion["t"], used, "time since the joint reversed [s]"),
+        "reversals": around(qd, parts, motion["t"], used, "time since the joint reversed [s]"),
         "neighbours": _neighbours(evidence, motion, j, used),
         "time": Basis(_hats(rows, used, 5), rows / len(rows), "time, share of the log"),
     }
@@ -175,7 +175,7 @@ def _hats(x: np.ndarray, used: np.ndarray, knots: int = KNOTS) -> np.ndarray:
     return np.stack([np.interp(x, at, row) for row in np.eye(len(at))], axis=1)
 
 
-def _around(x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray, quantity: str) -> Basis:
+def around(x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray, quantity: str) -> Basis:
     """Indicators of the time since a quantity (R,) changed its sign, as they are and with the new sign."""
     least = SWING * float(np.quantile(np.abs(x[used]), 0.9))
     since, way = np.full(len(x), np.nan), np.zeros(len(x))

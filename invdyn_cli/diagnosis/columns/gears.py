@@ -104,6 +104,11 @@ def load_on(evidence: Evidence, joint: int, beside: Beside = ()) -> np.ndarray:
     return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
 
 
+def inertia_on(evidence: Evidence, joint: int) -> np.ndarray:
+    """(T,) of all pieces: the inertia that a joint carries [kg m2; kg]."""
+    return np.concatenate([mass[joint] for mass, _ in _answers(evidence, joint)])
+
+
 def _yields(
     evidence: Evidence,
     effect: AbstractGearEffect,
