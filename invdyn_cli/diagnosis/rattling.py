@@ -18,6 +18,7 @@ from invdyn_cli.diagnosis.decide.findings import Made, joined
 from invdyn_cli.diagnosis.residual_tests import around
 from invdyn_cli.diagnosis.standard import Beside
 from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.recording.rows import runs
 from invdyn_cli.types import Finding, Quantity
 
 FLIGHT = 0.2
@@ -34,6 +35,9 @@ LOUDER = 20.0
 without play, where load and velocity often change their signs together, they were at most 7 times as large; on 3 with
 play 50 to 780 times."""
 
+CALM = 0.9
+"""Share of the other rows, without the largest squares: the load also changes its sign by too little to be seen."""
+
 MOSTLY = 0.5
 """Share of what is left on the joint that must lie there, and of the changes of sign that must show it."""
 
@@ -45,15 +49,16 @@ class Blows(NamedTuple):
     """What is left on a joint after its load changed its sign.
 
     Attributes:
-        louder: mean square there, in that far from such changes.
-        share: of all squares that are left on the joint.
-        count: number of such changes.
-        moved: sum of squares, over the inertia that the joint carries.
+        blows_over_rest: mean square there, in that far from such changes, or before them.
+        share_of_residual: the squares there, of all that are left on the joint.
+        changes_of_load: their number.
+        moved: the squares there over the inertia that the joint carries: largest where a blow falls, because by its
+            joint's motion it makes less than that on all others.
     """
 
-    louder: float
-    share: float
-    count: int
+    blows_over_rest: float
+    share_of_residual: float
+    changes_of_load: int
     moved: float
 
 
@@ -74,27 +79,22 @@ def told(evidence: Evidence, made: Made, more: Beside, effects: Mapping[str, Abs
         elif effect is not None and effect.reaches_others:
             load = load + term
     found = {j: x for j in range(evidence.dofs) if (x := blows(evidence, left[:, j], load[:, j], j))}
-    if not found:
+    j = max(found, key=lambda k: found[k].moved, default=None)
+    if j is None or found[j].blows_over_rest < LOUDER or found[j].share_of_residual < MOSTLY:
         return made
-    j = max(found, key=lambda k: found[k].moved)
-    one = found[j]
-    if one.louder < LOUDER or one.share < MOSTLY:
-        return made
-    numbers = {"blows_over_rest": one.louder, "share_of_residual": one.share, "changes_of_load": one.count}
-    gears_there = [f for f in claims if f.joint == names[j] and f.effect in effects and effects[f.effect].yields]
-    if gears_there:
+    numbers = found[j]._asdict()
+    there = [f.joint == names[j] and f.effect in effects and effects[f.effect].yields for f in claims]
+    if any(there):
         doubted = [
             or_else(replace(f, evidence={**f.evidence, **numbers}), (play.name,))
-            if f in gears_there and f.effect != play.name
+            if own and f.effect != play.name
             else f
-            for f in claims
+            for f, own in zip(claims, there, strict=True)
         ]
         return replace(made, findings=(*doubted, *made.findings[len(claims) :]))
-    unknown = {x: Quantity(None, y.unit) for x, y in play.parameters.items() if x not in play.defaults}
-    finding = Finding(
-        play.name, names[j], "ambiguous", (UNKNOWN,), unknown, advice=play.advice, evidence=numbers, text=play.text
-    )
-    return joined(made, [finding], [np.zeros_like(left)])
+    sizes = {name: Quantity(None, x.unit) for name, x in play.parameters.items() if name not in play.defaults}
+    said = {"advice": play.advice, "evidence": numbers, "text": play.text}
+    return joined(made, [Finding(play.name, names[j], "ambiguous", (UNKNOWN,), sizes, **said)], [np.zeros_like(left)])
 
 
 def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) -> Blows | None:
@@ -105,20 +105,23 @@ def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) ->
         return None
     since, turned = (around(x, evidence.piece, t, used, "").over for x in (load, evidence.on_rows("qd")[:, joint]))
     used = used & ~(np.abs(turned) < REVERSAL)
-    after, far = used & (since >= 0) & (since < FLIGHT), used & ~np.isfinite(since)
-    events = np.flatnonzero(np.diff(after.astype(int)) == 1)
-    before = used & (since < BEFORE)
+    after, far, before = used & (since >= 0) & (since < FLIGHT), used & ~np.isfinite(since), used & (since < BEFORE)
+    events, squares = runs(after), left**2
     if len(events) < FEWEST or far.sum() < after.sum():
         return None
-    squares = left**2
-    quiet = max(float(np.mean(squares[x])) for x in (far, before) if x.any())
-    each = [float(np.mean(x)) for x in np.split(squares[after], np.flatnonzero(np.diff(np.flatnonzero(after)) > 1) + 1)]
-    if not quiet > 0 or np.mean(np.array(each) > LOUDER * quiet) < MOSTLY:
+    quiet = max(_mostly(squares[x]) for x in (far, before) if x.any())
+    loud = [np.mean(squares[start:end]) > LOUDER * quiet for start, end in events]
+    if not quiet > 0 or np.mean(loud) < MOSTLY:
         return None
-    sum_there = float(np.sum(squares[after]))
+    there = float(np.sum(squares[after]))
     return Blows(
-        float(np.mean(squares[after])) / quiet,
-        sum_there / float(np.sum(squares[used])),
-        len(each),
-        sum_there / float(np.mean(gears.inertia_on(evidence, joint))),
+        blows_over_rest=float(np.mean(squares[after])) / quiet,
+        share_of_residual=there / float(np.sum(squares[used])),
+        changes_of_load=len(events),
+        moved=there / float(np.mean(gears.inertia_on(evidence, joint))),
     )
+
+
+def _mostly(squares: np.ndarray) -> float:
+    """The mean of the smallest of these."""
+    return float(np.mean(np.sort(squares)[: max(1, int(CALM * len(squares)))]))

@@ -1,0 +1,83 @@
+"""Blows of flanks that bounce, written into the torque of a log: play, if they follow changes of the load."""
+
+import numpy as np
+import pytest
+
+from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.pipeline import diagnose
+from invdyn_cli.diagnosis.rattling import blows
+from invdyn_cli.types import Motion
+from tests.commands import usually
+from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, raw
+
+SIZE = 0.3
+"""Of the blows, in RMS torques of the joint."""
+
+
+def struck(t: np.ndarray, when: np.ndarray, seed: int) -> np.ndarray:
+    """(T,) ringing of 15 to 25 Hz for 0.15 s from each of these times, of either sign and random size."""
+    draw, out = np.random.default_rng(seed), np.zeros(len(t))
+    for start in when:
+        lag = t - start
+        ring = np.sin(2 * np.pi * draw.uniform(15, 25) * lag + draw.uniform(0, 2 * np.pi)) * np.exp(
+            -np.maximum(lag, 0) / 0.04
+        )
+        out += draw.choice([-1, 1]) * draw.uniform(0.5, 1.5) * np.where((lag >= 0) & (lag < 0.15), ring, 0.0)
+    return out
+
+
+def hidden(joint: int, moments: str, seed: int):
+    """A term of a joint: blows after its load changed its sign, after its velocity did, or at as many other times."""
+
+    def term(t: np.ndarray, m: Motion) -> np.ndarray:
+        load = inverse_dynamics(arm(), m.q, m.qd, m.qdd)[:, joint]
+        size, turned = SIZE * np.sqrt(np.mean(load**2)), {"load": load, "velocity": m.qd[:, joint]}
+        when = t[1:][np.diff(np.sign(turned.get(moments, load))) != 0]
+        if moments == "random":
+            when = np.random.default_rng(seed).uniform(t[0], t[-1], len(when))
+        out = np.zeros_like(m.q)
+        out[:, joint] = size * struck(t, when, seed)
+        return out
+
+    return term
+
+
+def changes_most() -> int:
+    """The joint whose load changes its sign most often in the motion of these tests."""
+    _, m = moved()
+    load = inverse_dynamics(arm(), m.q, m.qd, m.qdd)
+    return int(np.argmax(np.sum(np.diff(np.sign(load), axis=0) != 0, axis=0)))
+
+
+@pytest.mark.parametrize("moments", ["load", "velocity", "random"])
+def test_blows_are_those_after_changes_of_load(moments):
+    """After such changes they are told, with most of what is left; after reversals of velocity, or anywhere, not."""
+    j = changes_most()
+    t, m = moved()
+    term = hidden(j, moments, 1)
+    evidence = evidence_of(log_of(raw(t, m, term, torque=0.005)), ["viscous_friction"], cutoffs=(40.0,))
+    left = evidence.residual((), np.zeros(0))
+    found = blows(evidence, left[:, j], evidence.nominal[:, j], j)
+    if moments == "load":
+        assert found is not None and found.blows_over_rest > 20 and found.share_of_residual > 0.7
+    else:
+        assert found is None
+
+
+@pytest.mark.parametrize("moments", usually(["load"], ["load", "velocity", "random"]))
+def test_play_that_no_formula_predicts_is_told(moments):
+    """A diagnosis tells play of unknown size, or an effect that the catalogue lacks, on the joint with blows after
+    changes of load, and no other anomaly; with other blows it tells no play."""
+    j = changes_most()
+    t, m = moved()
+    log = log_of(raw(t, m, hidden(j, moments, 2), torque=0.005, position=1e-6))
+    diagnosis = diagnose(log, arm(), options=Options(replay=False))
+    claims = [f for f in diagnosis.findings if f.status in ("named", "ambiguous") and f.group == "anomaly"]
+    if moments != "load":
+        assert not any(f.effect == "backlash" for f in claims)
+        return
+    (play,) = claims
+    assert (play.effect, play.joint, play.status) == ("backlash", arm().joints[j], "ambiguous")
+    assert play.alternatives == (("unknown",),) and play.parameters["gap"].value is None
+    assert diagnosis.verdict == "partly_explained"
