@@ -36,9 +36,6 @@ NO_BODY = 0.1
 """Share of the evidence for a body that inertials which can be may lose at most: a slightly wrong model loses a percent
 (`invdyn experiment confusion`), bristles that were told as a payload for 0.7 s lost a quarter."""
 
-MOST = 1e6
-"""Gain over what stays unexplained that is told at most: nothing may stay."""
-
 VAGUE = 0.1
 """Of a ripple's cycles, by which they may be unknown."""
 
@@ -174,7 +171,7 @@ def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndar
         evidence={
             **facts(evidence, term),
             **_equals(robot, rivals),
-            "gain_over_unexplained": min(over_unknown(claimed), MOST),
+            "gain_over_unexplained": over_unknown(claimed),
         },
         group=acting.effect.group,
         text=acting.effect.text,

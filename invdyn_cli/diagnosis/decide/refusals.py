@@ -70,10 +70,15 @@ ALIKE = "no different effect explains the data equally well"
 """What refuses both of such effects."""
 
 
+MOST = 1e6
+"""Largest figure of `over_unknown`."""
+
+
 def over_unknown(claim: Claim) -> float:
-    """The gain of a claim, as a multiple of what its coefficients would explain of an unknown cause."""
+    """The gain of a claim, as a multiple of what its coefficients would explain of an unknown cause; within -MOST and
+    MOST, because nothing may stay unknown."""
     needed = OUTWEIGHED + PICKED_UP * (claim.inquiry.judge.freedom(claim.candidate) - 1)
-    return claim.gain / max(needed * claim.unknown, 1e-300)
+    return float(np.clip(claim.gain / max(needed * claim.unknown, 1e-300), -MOST, MOST))
 
 
 def _why_unknown(claim: Claim) -> str:
