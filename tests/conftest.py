@@ -3,6 +3,7 @@
 `jax_numpy_rank_promotion="raise"` is not set: a number per joint meets rows of samples all over `rigid_body`.
 """
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,9 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(ENVIRONMENT["XDG_CAC
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.01")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
 """What one worker has compiled the other one, the commands and the next run take over; before jax is imported."""
+
+gc.set_threshold(100_000, 50, 1000)
+"""JAX makes many objects that live on: with Python's own thresholds a tenth of the time goes into looking at them."""
 
 CHECKED = ("maths", "training", "experiment", "store", "adaptation")
 beartype_packages([f"invdyn_cli.{name}" for name in CHECKED], conf=BeartypeConf(is_pep484_tower=True))

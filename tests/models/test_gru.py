@@ -30,8 +30,13 @@ def data():
 
 
 def test_contract(data):
-    """It keeps the contract of a model with a memory, and so does a hybrid that has one in it."""
+    """It keeps the contract of a model with a memory."""
     check_model(SMALL, data)
+
+
+@pytest.mark.benchmark  # the hybrid's contract without a memory is in tests/test_experiment.py
+def test_contract_of_a_hybrid(data):
+    """So does a hybrid that has one in it."""
     check_model(Hybrid(Pest(friction="coulomb_viscous"), SMALL), data)
 
 

@@ -167,7 +167,7 @@ def supported(
             name, told = _titled(inquiry, worst.candidate), ""
             if why and not any(r.equal for r in worst.rivals):
                 told = f"{name[0].upper()}{name[1:]} was tried, but it is not claimed: {why}."
-            out.append(Refused(worst.candidate, row.name, float(row.figure(worst)), float(row.least), told))
+            out.append(Refused(worst.candidate, row.name, float(row.figure(worst)), round(float(row.least), 9), told))
         elif inquiry.wear and (vague := _vague(claims)):
             place, rival = vague
             one, other = sorted(_titled(inquiry, x) for x in (hypothesis[place], rival.candidate))
