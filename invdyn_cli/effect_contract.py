@@ -348,8 +348,13 @@ class AbstractMotionEffect(AbstractEffect):
 
 
 class AbstractGearEffect(AbstractEffect):
-    """An effect between motor and link, that lets the link move against the motor whose angle is logged."""
+    """An effect between motor and link, that lets the link move against the motor whose angle is logged.
 
+    Attributes:
+        sharp: whether a trial beside its true parameters fits worse than nothing, and is refined before it is compared.
+    """
+
+    sharp: ClassVar[bool] = False
     point = "gear"
     adds = False
     loaded = True

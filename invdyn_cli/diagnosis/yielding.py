@@ -73,9 +73,10 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
 
 
 def _nearest_dragged(evidence: Evidence, one: EffectInstance, loss: Callable[[np.ndarray], float]) -> EffectInstance:
-    """A trial whose link has friction, with the share of that, and the compliance, that have the least `loss`; any
-    other as it is."""
-    if not any(name in one.parameters for name in one.effect.chosen):
+    """A trial of a sharp effect whose link has friction, with the share of that, and the compliance, that have the
+    least `loss`; any other as it is."""
+    assert isinstance(one.effect, AbstractGearEffect)
+    if not one.effect.sharp or not any(name in one.parameters for name in one.effect.chosen):
         return one
     alike = (one, *(replace(one, parameters=x) for x in one.effect.relatives(one.parameters)))
     return min((_nearest(evidence, x, loss) for x in alike), key=lambda x: x[1])[0]

@@ -6,7 +6,7 @@ the link's motion. Load is the torque that would keep the link on the motor's mo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,52 +28,21 @@ BLOW, SLOWED = 1, 1.5
 then takes that much of the link's speed against it."""
 
 
-@dataclass(frozen=True)
-class Backlash(AbstractGearEffect):
-    """Play of the gear: where the transmitted torque changes its sign, the link moves freely until it reaches the other
-    flank of the teeth. Friction of the link itself, as of its bearings, is transmitted like a load; the joint's other
-    friction acts on the motor.
+LINK_FRICTION = {"link_coulomb": Parameter("N m", 0.0), "link_damping": Parameter("N m s/rad", 0.0)}
+NO_FRICTION = dict.fromkeys(LINK_FRICTION, 0.0)
+
+
+class Gear(AbstractGearEffect):
+    """A gear whose link may have friction of its own, as of its bearings, which is transmitted like a load; the joint's
+    other friction acts on the motor.
 
     Attributes:
-        gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
         shares: of a joint's friction that the link may have.
+        others: friction of the link that is tried beside a found one, over that.
     """
 
-    gaps: tuple[float, ...] = tuple(0.0004 * 2 ** (k / 4) for k in (*range(0, 20, 2), *range(20, 25)))
-    shares: tuple[float, ...] = (0.3, 0.9)
-
-    name = "backlash"
-    title = "backlash"
-    meaning = "Play in the gear: the link moves freely by this angle before the motor drives it again."
-    equation = "link free of the motor within ±gap/2; on it: link_coulomb sign(qd) + link_damping qd"
-    reference = "Nordin and Gutman, Automatica 2002"
-    parameters = {
-        "gap": Parameter("rad", 1e-5, 0.1),
-        "link_coulomb": Parameter("N m", 0.0),
-        "link_damping": Parameter("N m s/rad", 0.0),
-    }
-    defaults = {"link_coulomb": 0.0, "link_damping": 0.0}
-    chosen = ("link_coulomb", "link_damping")
-    confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
-    advice = "the same slow motion with a load of constant sign and with a load that changes sign; or a link encoder"
-    panels = ("loops_over_load",)
-    needs = ("motion", "load_zeros")
-    shows = ("load_zeros",)
-
-    def typical(self, usual: UsualJoint) -> dict[str, Any]:
-        return {"gap": USUAL_GAP, **self.defaults}
-
-    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        rubs = any(parameters.get(name) for name in self.chosen)
-        return SimulatorTerms(
-            {"gap": parameters["gap"]}, lost="has the friction of its link on the motor" if rubs else ""
-        )
-
-    def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
-        return [{"gap": x} for x in self.gaps]
-
-    def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
-        return _within_gap(np.asarray(load), np.asarray(inertia), parameters["gap"], rate)
+    shares: tuple[float, ...]
+    others: ClassVar[tuple[float, ...]] = (0.6, 0.8, 1.25, 1.6)
 
     def drag(self, parameters: Parameters, qd: Array) -> Array | float:
         own = self.whole(parameters)
@@ -84,8 +53,52 @@ class Backlash(AbstractGearEffect):
 
     def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
         own = self.whole(parameters)
-        more = ({**own, **{name: x * own[name] for name in self.chosen}} for x in (0.6, 0.8, 1.25, 1.6))
+        more = ({**own, **{name: x * own[name] for name in LINK_FRICTION}} for x in self.others)
         return [x for x in more if x["link_coulomb"] > 0]
+
+    def lost(self, parameters: Parameters) -> str:
+        """What a simulator's joint does not hold of it."""
+        return "has the friction of its link on the motor" if any(map(parameters.get, LINK_FRICTION)) else ""
+
+
+@dataclass(frozen=True)
+class Backlash(Gear):
+    """Play of the gear: where the transmitted torque changes its sign, the link moves freely until it reaches the other
+    flank of the teeth.
+
+    Attributes:
+        gaps: to try [rad]; the found one is refined between them. Flanks part and meet elsewhere at half as much again.
+    """
+
+    gaps: tuple[float, ...] = tuple(0.0004 * 2 ** (k / 4) for k in (*range(0, 20, 2), *range(20, 25)))
+    shares: tuple[float, ...] = (0.3, 0.9)
+
+    sharp = True
+    name = "backlash"
+    title = "backlash"
+    meaning = "Play in the gear: the link moves freely by this angle before the motor drives it again."
+    equation = "link free of the motor within ±gap/2; on it: link_coulomb sign(qd) + link_damping qd"
+    reference = "Nordin and Gutman, Automatica 2002"
+    parameters = {"gap": Parameter("rad", 1e-5, 0.1), **LINK_FRICTION}
+    defaults = NO_FRICTION
+    chosen = tuple(LINK_FRICTION)
+    confounders = (("presliding_hysteresis",), ("stribeck_friction",), ("joint_elasticity",), ("coulomb_friction",))
+    advice = "the same slow motion with a load of constant sign and with a load that changes sign; or a link encoder"
+    panels = ("loops_over_load",)
+    needs = ("motion", "load_zeros")
+    shows = ("load_zeros",)
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        return {"gap": USUAL_GAP, **self.defaults}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms({"gap": parameters["gap"]}, lost=self.lost(parameters))
+
+    def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
+        return [{"gap": x} for x in self.gaps]
+
+    def deflection(self, parameters: Parameters, load: Array, inertia: Array, rate: float) -> tuple[Array, Array]:
+        return _within_gap(np.asarray(load), np.asarray(inertia), parameters["gap"], rate)
 
     def compliance(self, parameters: Parameters) -> float:
         return parameters["gap"]
@@ -95,7 +108,7 @@ class Backlash(AbstractGearEffect):
 
 
 @dataclass(frozen=True)
-class JointElasticity(AbstractGearEffect):
+class JointElasticity(Gear):
     """A compliant gear: a spring between motor and link.
 
     Attributes:
@@ -103,19 +116,28 @@ class JointElasticity(AbstractGearEffect):
         ratios: damping ratios of that resonance that are tried where a spring was found: below the resonance they play
             no part. The default is more than most gears have, or every error of the measured motion would ring on
             (docs/decisions/011).
+        nearby: stiffnesses that are tried with these ratios, over the one that was found: the more a spring is damped,
+            the stiffer it fits where its resonance lies in the band.
     """
 
     resonances: tuple[float, ...] = (2.7, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0)
     ratios: tuple[float, ...] = (0.1, 0.05, 0.02)
+    nearby: tuple[float, ...] = (0.7, 0.84, 1.0, 1.19)
+    shares: tuple[float, ...] = (0.1, 0.3, 1.0)
+
+    others = (0.35, *Gear.others)
 
     name = "joint_elasticity"
     title = "joint elasticity"
     meaning = "A gear that deflects under load."
-    equation = "torque = stiffness δ + 2 damping_ratio √(stiffness inertia) dδ/dt, δ = motor angle − link angle"
+    equation = (
+        "torque = stiffness δ + 2 damping_ratio √(stiffness inertia) dδ/dt, δ = motor angle − link angle; the link has "
+        "link_coulomb sign(qd) + link_damping qd"
+    )
     reference = "Spong, ASME JDSMC 1987"
-    parameters = {"stiffness": Parameter("N m/rad", 1.0), "damping_ratio": Parameter("-", 1e-3, 0.99)}
-    defaults = {"damping_ratio": 0.2}
-    chosen = ("damping_ratio",)
+    parameters = {"stiffness": Parameter("N m/rad", 1.0), "damping_ratio": Parameter("-", 1e-3, 0.99), **LINK_FRICTION}
+    defaults = {"damping_ratio": 0.2, **NO_FRICTION}
+    chosen = ("damping_ratio", *LINK_FRICTION)
     confounders = (("torque_delay",), ("actuator_lag",), ("rotor_inertia",), ("link_inertia_error",), ("backlash",))
     advice = "a chirp up to the resonance: the phase of a delay is linear in frequency, that of a spring is quadratic"
     panels = ("loops_over_load",)
@@ -126,7 +148,7 @@ class JointElasticity(AbstractGearEffect):
         return {"stiffness": max(usual.inertia * (2 * np.pi * USUAL_RESONANCE) ** 2, 1.0), **self.defaults}
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        return SimulatorTerms({"compliance": 1 / parameters["stiffness"]})
+        return SimulatorTerms({"compliance": 1 / parameters["stiffness"]}, lost=self.lost(parameters))
 
     def shapes(self, load: Array, inertia: Array, rate: float) -> Sequence[Parameters]:
         return [{"stiffness": float(np.median(inertia)) * (2 * np.pi * f) ** 2} for f in self.resonances]
@@ -136,7 +158,9 @@ class JointElasticity(AbstractGearEffect):
         return _on_spring(np.asarray(load), np.asarray(inertia), parameters["stiffness"], ratio, rate)
 
     def relatives(self, parameters: Parameters) -> Sequence[Parameters]:
-        return [{**parameters, "damping_ratio": x} for x in self.ratios]
+        own = parameters["stiffness"]
+        swinging = [{"stiffness": k * own, "damping_ratio": x} for x in self.ratios for k in self.nearby]
+        return [*super().relatives(parameters), *({**parameters, **x} for x in swinging)]
 
     def compliance(self, parameters: Parameters) -> float:
         return 1 / parameters["stiffness"]

@@ -37,7 +37,12 @@ def parameters(name: str, d: np.random.Generator) -> dict[str, Any]:
         },
         "torque_offset_drift": lambda: {"rate": u(-0.3, 0.3)},
         "backlash": lambda: {"gap": u(0.001, 0.01), "link_coulomb": u(0.0, 0.3), "link_damping": u(0.0, 0.3)},
-        "joint_elasticity": lambda: {"stiffness": u(50, 5000), "damping_ratio": u(0.02, 0.4)},
+        "joint_elasticity": lambda: {
+            "stiffness": u(50, 5000),
+            "damping_ratio": u(0.02, 0.4),
+            "link_coulomb": u(0.0, 0.3),
+            "link_damping": u(0.0, 0.3),
+        },
         "thermal_friction_drift": lambda: {"cold": u(2, 3), "warm": u(0.5, 1.5), "time_constant": u(2, 20)},
         "torque_ripple": lambda: {"amplitude": u(0.1, 2), "cycles": u(3, 40), "phase": u(-3, 3)},
         "joint_spring": lambda: {"stiffness": u(0.5, 20), "rest": u(-1, 1)},

@@ -31,7 +31,7 @@ NAMES = {
     "coupled_friction": {"coulomb", "damping", "armature", "ratio"},
     "torque_offset_drift": {"rate"},
     "backlash": {"gap", "link_coulomb", "link_damping"},
-    "joint_elasticity": {"stiffness", "damping_ratio"},
+    "joint_elasticity": {"stiffness", "damping_ratio", "link_coulomb", "link_damping"},
     "thermal_friction_drift": {"cold", "warm", "time_constant"},
     "torque_ripple": {"amplitude", "cycles", "phase"},
     "joint_spring": {"stiffness", "rest"},
