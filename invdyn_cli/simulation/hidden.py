@@ -53,7 +53,9 @@ KINDS = {
         {"gap": ABOVE},
         {"rotor": ABOVE, "stiffness": ABOVE, "damping_ratio": FROM, "link_coulomb": FROM, "link_damping": FROM},
     ),
-    "joint_elasticity": Kind({"stiffness": ABOVE}, {"damping": FROM, "rotor": ABOVE}),
+    "joint_elasticity": Kind(
+        {"stiffness": ABOVE}, {"damping": FROM, "rotor": ABOVE, "link_coulomb": FROM, "link_damping": FROM}
+    ),
     "torque_ripple": Kind({"amplitude": NUMBER, "cycles": ABOVE, "phase": NUMBER}),
     "joint_spring": Kind({"stiffness": FROM, "rest": NUMBER}),
     "rotor_inertia": Kind({"armature": FROM}),

@@ -22,17 +22,19 @@ TEETH = 2e4
 """[N m/rad] that few steps of the physics resolve."""
 
 
-def worn(seed: int, folder, bits: int, gap: float = 0.0, share: float = 0.0) -> tuple[Case, Hidden]:
+def worn(
+    seed: int, folder, bits: int, gap: float = 0.0, share: float = 0.0, spring: bool = False
+) -> tuple[Case, Hidden]:
     """The case of a worn arm of three joints, and what was hidden last: this play in one of them, if it is above zero,
-    with a `share` of the joint's friction on the link."""
+    or a `spring`, with a `share` of the joint's friction on the link."""
     draw = np.random.default_rng(seed)
     (folder / "arm.urdf").write_text(random_arm(draw, 3))
     robot = load_urdf(folder / "arm.urdf")
     scene = scene_of(robot, Multisine(), 25.0, seed)
     hidden = drawn_wear(draw, scene)
-    if gap:
-        one = sized(draw, scene, "backlash")
-        soft = {"gap": gap, "stiffness": TEETH, "damping_ratio": 0.3}
+    if gap or spring:
+        one = sized(draw, scene, "joint_elasticity" if spring else "backlash")
+        soft = {} if spring else {"gap": gap, "stiffness": TEETH, "damping_ratio": 0.3}
         rubs = {x.effect: x for x in hidden if x.joint == one.joint}
         for effect, size in (("coulomb_friction", "coulomb"), ("viscous_friction", "damping")):
             whole = rubs[effect].parameters[size]
@@ -83,6 +85,19 @@ def test_play_is_seen_behind_which_the_link_rubs(tmp_path):
         for name in ("link_coulomb", "link_damping"):
             assert play.parameters[name] / 2.5 < case.gear.parameters[name] < 2.5 * play.parameters[name]
         sized += is_sized(case, gap)
+    assert sized >= 2
+
+
+def test_a_spring_is_seen_behind_which_the_link_rubs(tmp_path):
+    """So is a spring, with half to all of the friction on the link: on three arms, with its joint and, on at least two,
+    its stiffness within 15 %."""
+    sized = 0
+    for seed in range(3):
+        share = float(np.random.default_rng([seed, 9]).uniform(0.5, 1.0))
+        case, spring = worn(seed, tmp_path, 18, share=share, spring=True)
+        assert case.gear is not None
+        assert case.gear.key == ("joint_elasticity", case.robot.joints.index(str(spring.joint)))
+        sized += abs(case.gear.parameters["stiffness"] / spring.parameters["stiffness"] - 1) < 0.15
     assert sized >= 2
 
 
