@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out, judged
+from invdyn_cli.diagnosis.columns.gears import inertia_on
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
 from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
 from invdyn_cli.diagnosis.decide.doubt import BEYOND, UNKNOWN, or_else
@@ -35,6 +36,10 @@ from invdyn_cli.types import Examination, Finding, Robot
 NO_BODY = 0.1
 """Share of the evidence for a body that inertials which can be may lose at most: a slightly wrong model loses a percent
 (`invdyn experiment confusion`), bristles that were told as a payload for 0.7 s lost a quarter."""
+
+PLAINLY, ELSEWHERE = 0.8, 4.0
+"""Share of another joint's error from which a gear plainly lowers it; and multiple of what a gear may save on its own
+joint that it may save there, per inertia: one, but for the part that terms of its own joint take over."""
 
 VAGUE = 0.1
 """Of a ripple's cycles, by which they may be unknown."""
@@ -204,13 +209,26 @@ def _doubted(
         more.append((candidate.effect.name,))
     doubtful = acting.effect.group != "standard" and finding.evidence["gain_over_unexplained"] < BEYOND
     no_body = i in sized.costs and sized.costs[i] > NO_BODY * claimed.evidence
-    if doubtful or no_body or _is_vague(finding) or not held_out(evidence):
+    elsewhere = acting.effect.yields and _moves_others_more(evidence, finding)
+    if doubtful or no_body or elsewhere or _is_vague(finding) or not held_out(evidence):
         more.append(UNKNOWN)
     if not (finding.alternatives or more):
         return finding
     finding = or_else(finding, *more)
     possible = {name for one in finding.alternatives for name in one if len(one) == 1}
     return replace(finding, rejected=tuple(x for x in finding.rejected if x[0] not in possible))
+
+
+def _moves_others_more(evidence: Evidence, finding: Finding) -> bool:
+    """Whether a gear lowers the squares of another joint more than of its own, each over the inertia that it carries:
+    torque by which a link's motion against its motor moves other links is less than that, whatever the arm."""
+    names = evidence.robot.joints
+    saved = {
+        j: (x.rmse_before**2 - x.rmse_after**2) / np.mean(inertia_on(evidence, names.index(j)))
+        for j, x in finding.gain.items()
+        if j == finding.joint or x.rmse_after < PLAINLY * x.rmse_before
+    }
+    return bool(max(saved.values(), default=0.0) > ELSEWHERE * max(saved.get(str(finding.joint), 0.0), 0.0))
 
 
 def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import held_out
-from invdyn_cli.diagnosis.decide.findings import _special_cases, perhaps_stribeck
+from invdyn_cli.diagnosis.columns.gears import inertia_on
+from invdyn_cli.diagnosis.decide.findings import _moves_others_more, _special_cases, perhaps_stribeck
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.recording.pieces import ROLES
-from invdyn_cli.types import Finding
+from invdyn_cli.types import Finding, Gain
 from tests.diagnosis.analytic import candidate, evidence_of, judged, log_of, moved, raw
 
 
@@ -26,6 +27,21 @@ def test_rest_is_no_gain_and_no_loss():
     before, after = (np.where(evidence.valid, x, y) for x, y in ((2.0, 5.0), (1.0, 50.0)))
     gain = gain_of(evidence, 0, before, after)
     assert gain is not None and (gain.rmse_before, gain.rmse_after) == pytest.approx((2.0, 1.0))
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_gear_moves_its_own_joint_most(joint):
+    """A link that swings against its motor puts on another joint at most the torque that both inertias allow, here 0.3
+    of it; what gains these is a gear of that joint alone."""
+    evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), ())
+    inertia = [float(np.mean(inertia_on(evidence, j))) for j in range(3)]
+    swing = [np.sqrt(inertia[joint] * inertia[k]) * (1.0 if k == joint else 0.3) for k in range(3)]
+    names = evidence.robot.joints
+    gains = {
+        names[k]: Gain(float(np.hypot(x, 1e-3 * x)), 1e-3 * float(x), 1.0, 0.0, (0, 1)) for k, x in enumerate(swing)
+    }
+    told = [_moves_others_more(evidence, Finding("backlash", name, "named", gain=gains)) for name in names]
+    assert told == [k != joint for k in range(3)]
 
 
 def test_a_joint_that_rests_in_all_that_is_held_out():
