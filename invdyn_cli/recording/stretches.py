@@ -41,7 +41,7 @@ def stretches(log: Log, cutoff: float = CUTOFF) -> tuple[Stretch, ...]:
     """The windows of all trajectories that are time series, and long enough for the filter."""
     series = {raw.name for raw in log.trajectories if is_series(raw)}
     made = []
-    for raw, rows in windows(log):
+    for raw, rows in windows(log.trajectories):
         rate = 1 / median_step(raw.t[rows]) if len(rows) > 1 else 0.0
         at = min(cutoff, rate / 5)
         inset = settling(rate, at) if at > 0 else 0

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.log import RawTrajectory
 from invdyn_cli.recording.rows import median_step, uninterrupted
 from invdyn_cli.recording.selection import LEARNED, STEP, STILL
 
@@ -22,9 +22,9 @@ SHORTER = 1, 2, 4
 other, and one of them would cover less than LEARNED of its distance."""
 
 
-def windows(log: Log, most: int = MOST) -> Iterator[tuple[RawTrajectory, np.ndarray]]:
-    """Trajectories with row numbers of uninterrupted stretches, together not many more than `most` rows."""
-    pieces = [(raw, rows) for raw in log.trajectories for rows in uninterrupted(raw)]
+def windows(trajectories: Iterable[RawTrajectory], most: int = MOST) -> Iterator[tuple[RawTrajectory, np.ndarray]]:
+    """These trajectories with row numbers of uninterrupted stretches, together not many more than `most` rows."""
+    pieces = [(raw, rows) for raw in trajectories for rows in uninterrupted(raw)]
     total = sum(len(rows) for _, rows in pieces)
     for raw, rows in pieces:
         share = int(most * len(rows) / max(total, 1))

@@ -36,7 +36,7 @@ def test_windows_of_the_checks_show_joints_that_take_turns():
     """A third of the log in windows of 20 s, the last at its end, would begin every 68 s, and show one joint."""
     t, q = turns(68 / JOINTS)
     one = replace(raw(*moved(seconds=360.0, rate=50.0)), q=q)
-    parts = [rows for _, rows in windows(log_of(one), len(t) // JOINTS)]
+    parts = [rows for _, rows in windows(log_of(one).trajectories, len(t) // JOINTS)]
     assert np.all(covered(q, [q[rows] for rows in parts]) > 0.4 / JOINTS)
     assert len(np.concatenate(parts)) == pytest.approx(len(t) / JOINTS, rel=0.02)
     assert np.all(np.concatenate([np.diff(rows) for rows in parts]) == 1)

@@ -1,5 +1,6 @@
 """Time stamps that vary while the samples do not: positions tell which of both it is."""
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -33,20 +34,16 @@ BLOCKS = 20
 
 class Followed(NamedTuple):
     """How far positions follow the variations of their stamps: the share, 1 for samples at these times and 0 for
-    samples at regular times, its standard error, and the variations' standard deviation [s]."""
+    samples at regular times, its standard error, and what varies, in words."""
 
     share: float
     error: float
-    deviation: float
+    said: str
 
 
 @dataclass(frozen=True)
-class IrregularStamps(AbstractCheck):
-    """Stamps that vary about a regular clock though positions were sampled at regular times: a program wrote them late.
-    To believe them makes accelerations of speed times their variation.
-
-    Differences of q of order ORDER are nothing but noise where samples are regular; where they were taken at their
-    stamps, they are the speed times the same differences of the stamps. Least squares tell the share of it.
+class AbstractLateStamps(AbstractCheck):
+    """Stamps that vary though the samples were taken at regular times, which least squares on the positions tell.
 
     Attributes:
         share: from which, by three standard errors, the positions are nearer to regular samples than to their stamps.
@@ -55,11 +52,20 @@ class IrregularStamps(AbstractCheck):
     name: ClassVar[str] = "clock_jitter"
     share: float = 0.5
 
+    @abc.abstractmethod
+    def followed(self, raw: RawTrajectory) -> Followed | None:
+        """How far positions follow such stamps of a trajectory; None where there are none, or where it is too short or
+        does not move enough to tell."""
+
+    @abc.abstractmethod
+    def regular(self, raw: RawTrajectory) -> tuple[np.ndarray, str]:
+        """Stamps (T,) [s] at regular times, and what was done, in words."""
+
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory; the value is the share."""
         found = []
         for raw in log.trajectories:
-            told = followed(raw, [rows for _, rows in windows(replace(log, trajectories=(raw,)))])
+            told = self.followed(raw)
             if told is None or abs(told.share) + 3 * told.error > self.share:
                 continue
             found.append(
@@ -69,31 +75,49 @@ class IrregularStamps(AbstractCheck):
                     raw.name,
                     value=told.share,
                     threshold=self.share,
-                    seen=f"time stamps vary by {1e3 * told.deviation:.2g} ms about a regular clock, but positions show "
-                    f"only {100 * abs(told.share):.2g} % of this variation (standard error {100 * told.error:.2g} %)",
+                    seen=f"{told.said}, but positions show only {100 * abs(told.share):.2g} % of this (standard error "
+                    f"{100 * told.error:.2g} %)",
                     meaning="samples were taken regularly and stamped late: with these stamps, speeds and "
                     "accelerations are noise",
                     advice="time stamps from the controller, not from the program that writes the log",
-                    source="least squares on differences of fourth order; halfway between both",
+                    source="least squares on differences of positions; halfway between both",
                 )
             )
         return found
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
-        """Regular stamps between gaps."""
+        """Regular stamps."""
         where, notes = {c.trajectory for c in found}, []
 
         def change(raw: RawTrajectory) -> RawTrajectory:
             if raw.name not in where:
                 return raw
-            t = raw.t.copy()
-            for rows in uninterrupted(raw):
-                if len(rows) > ORDER:
-                    t[rows] = regular(t[rows])
-            notes.append(f"{raw.name}: time stamps put on the regular clock about which they vary")
+            t, done = self.regular(raw)
+            notes.append(f"{raw.name}: {done}")
             return replace(raw, t=t)
 
         return each(log, change), notes
+
+
+@dataclass(frozen=True)
+class IrregularStamps(AbstractLateStamps):
+    """Stamps that vary about a regular clock: a program wrote them late. To believe them makes accelerations of speed
+    times their variation.
+
+    Differences of q of order ORDER are nothing but noise where samples are regular; where they were taken at their
+    stamps, they are the speed times the same differences of the stamps.
+    """
+
+    def followed(self, raw: RawTrajectory) -> Followed | None:
+        return followed(raw, [rows for _, rows in windows((raw,))])
+
+    def regular(self, raw: RawTrajectory) -> tuple[np.ndarray, str]:
+        """Between gaps."""
+        t = raw.t.copy()
+        for rows in uninterrupted(raw):
+            if len(rows) > ORDER:
+                t[rows] = regular(t[rows])
+        return t, "time stamps put on the regular clock about which they vary"
 
 
 def regular(t: np.ndarray) -> np.ndarray:
@@ -144,7 +168,8 @@ def followed(raw: RawTrajectory, stretches: Sequence[np.ndarray]) -> Followed | 
     share = towards.sum() / squares.sum()
     others = (towards.sum() - towards) / np.maximum(squares.sum() - squares, 1e-300)
     error = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((others - others.mean()) ** 2)))
-    return Followed(float(share), error, deviation)
+    said = f"time stamps vary by {1e3 * deviation:.2g} ms about a regular clock"
+    return Followed(float(share), error, said)
 
 
 def precision(x: np.ndarray, y: np.ndarray) -> np.ndarray:
