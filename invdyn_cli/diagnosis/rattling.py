@@ -68,32 +68,35 @@ def told(evidence: Evidence, made: Made, more: Beside, effects: Mapping[str, Abs
     play = next((e for e in effects.values() if e.yields and "load_zeros" in e.shows), None)
     if play is None or not any(c.effect is play for c in evidence.candidates):
         return made
-    claims, terms = made.findings[: len(made.terms)], made.terms
-    names = evidence.robot.joints
+    claims, names = made.findings[: len(made.terms)], evidence.robot.joints
     load = evidence.nominal + more.columns.of(np.where(more.columns.inertial, more.found.theta, 0.0))
     left = np.array(more.residual)
-    for one, term in zip(claims, terms, strict=True):
-        effect = effects.get(one.effect)
-        if effect is not None and effect.yields:
+    yields = [f.effect in effects and effects[f.effect].yields for f in claims]
+    for one, term, gear in zip(claims, made.terms, yields, strict=True):
+        if gear:
             left += term
-        elif effect is not None and effect.reaches_others:
+        elif one.effect in effects and effects[one.effect].reaches_others:
             load = load + term
     found = {j: x for j in range(evidence.dofs) if (x := blows(evidence, left[:, j], load[:, j], j))}
     j = max(found, key=lambda k: found[k].moved, default=None)
     if j is None or found[j].blows_over_rest < LOUDER or found[j].share_of_residual < MOSTLY:
         return made
-    numbers = found[j]._asdict()
-    there = [f.joint == names[j] and f.effect in effects and effects[f.effect].yields for f in claims]
-    if any(there):
-        doubted = [
+    numbers, share = found[j]._asdict(), 100 * found[j].share_of_residual
+    there = [f for f, gear in zip(claims, yields, strict=True) if gear and f.joint == names[j]]
+    if there:
+        doubted = (
             or_else(replace(f, evidence={**f.evidence, **numbers}), (play.name,))
-            if own and f.effect != play.name
+            if f in there and f.effect != play.name
             else f
-            for f, own in zip(claims, there, strict=True)
-        ]
+            for f in claims
+        )
         return replace(made, findings=(*doubted, *made.findings[len(claims) :]))
+    seen = (
+        f"{share:.0f} % of the squared residual lie within {FLIGHT:g} s after the load of the joint changed its sign."
+    )
+    meaning = f"{play.meaning} Here its flanks seem to bounce, at times that no formula predicts: {seen}"
     sizes = {name: Quantity(None, x.unit) for name, x in play.parameters.items() if name not in play.defaults}
-    said = {"advice": play.advice, "evidence": numbers, "text": play.text}
+    said = {"advice": play.advice, "evidence": numbers, "text": play.text._replace(meaning=meaning)}
     return joined(made, [Finding(play.name, names[j], "ambiguous", (UNKNOWN,), sizes, **said)], [np.zeros_like(left)])
 
 

@@ -80,4 +80,5 @@ def test_play_that_no_formula_predicts_is_told(moments):
     (play,) = claims
     assert (play.effect, play.joint, play.status) == ("backlash", arm().joints[j], "ambiguous")
     assert play.alternatives == (("unknown",),) and play.parameters["gap"].value is None
+    assert play.text is not None and "after the load of the joint changed its sign" in play.text.meaning
     assert diagnosis.verdict == "partly_explained"
