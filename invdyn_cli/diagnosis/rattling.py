@@ -82,13 +82,13 @@ def told(evidence: Evidence, made: Made, more: Beside, effects: Mapping[str, Abs
     if j is None or found[j].blows_over_rest < LOUDER or found[j].share_of_residual < MOSTLY:
         return made
     numbers, share = found[j]._asdict(), 100 * found[j].share_of_residual
-    there = [f for f, gear in zip(claims, yields, strict=True) if gear and f.joint == names[j]]
-    if there:
+    there = [gear and f.joint == names[j] for f, gear in zip(claims, yields, strict=True)]
+    if any(there):
         doubted = (
             or_else(replace(f, evidence={**f.evidence, **numbers}), (play.name,))
-            if f in there and f.effect != play.name
+            if own and f.effect != play.name
             else f
-            for f in claims
+            for f, own in zip(claims, there, strict=True)
         )
         return replace(made, findings=(*doubted, *made.findings[len(claims) :]))
     seen = (

@@ -1,13 +1,19 @@
 """Blows of flanks that bounce, written into the torque of a log: play, if they follow changes of the load."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.decide.findings import Made
 from invdyn_cli.diagnosis.pipeline import diagnose
-from invdyn_cli.diagnosis.rattling import blows
-from invdyn_cli.types import Motion
+from invdyn_cli.diagnosis.rattling import blows, told
+from invdyn_cli.diagnosis.standard import Beside
+from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.types import Finding, Motion
 from tests.commands import usually
 from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, raw
 
@@ -82,3 +88,18 @@ def test_play_that_no_formula_predicts_is_told(moments):
     assert play.alternatives == (("unknown",),) and play.parameters["gap"].value is None
     assert play.text is not None and "after the load of the joint changed its sign" in play.text.meaning
     assert diagnosis.verdict == "partly_explained"
+
+
+def test_a_spring_that_was_named_there_may_be_play():
+    """A claimed spring on the joint with blows gets play as its alternative; one on another joint does not."""
+    j = changes_most()
+    t, m = moved()
+    evidence = evidence_of(log_of(raw(t, m, hidden(j, "load", 3), torque=0.005)), ["backlash"], cutoffs=(40.0,))
+    left, names = evidence.residual((), np.zeros(0)), evidence.robot.joints
+    springs = tuple(Finding("joint_elasticity", name, "named") for name in names)
+    terms = (np.zeros_like(left),) * len(springs)
+    made = Made(springs, (), (), ({},), terms, left, left, left, left, (), ())
+    nothing = SimpleNamespace(inertial=np.zeros(1, bool), of=lambda _: np.zeros_like(left))
+    more = cast(Beside, SimpleNamespace(columns=nothing, found=SimpleNamespace(theta=np.zeros(1)), residual=left))
+    found = told(evidence, made, more, EFFECTS).findings
+    assert [f.alternatives for f in found] == [(("backlash",),) if name == names[j] else () for name in names]
