@@ -21,8 +21,7 @@ NEAR = 10
 """Number of stamps on either side of a long step that tell whether some are missing in it."""
 
 LONG = 1.25
-"""Periods of a step in which a stamp may be missing: with two periods and stamps that vary by a tenth of one, six
-standard deviations from it."""
+"""Periods of a step above which stamps may be missing in it; those around it tell how many."""
 
 WANDERS = 2.0
 """Deviation from a regular clock, in standard deviations of the steps, above which the clock wanders: stamps that are

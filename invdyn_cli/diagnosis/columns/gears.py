@@ -105,8 +105,8 @@ def load_on(evidence: Evidence, joint: int, beside: Beside = ()) -> np.ndarray:
 
 
 def inertia_on(evidence: Evidence, joint: int) -> np.ndarray:
-    """(T,) of all pieces: the inertia that a joint carries [kg m2; kg]."""
-    return np.concatenate([mass[joint] for mass, _ in _answers(evidence, joint)])
+    """(T,) of all pieces: the inertia that a joint carries [kg m^2; kg], above zero."""
+    return np.maximum(np.concatenate([mass[joint] for mass, _ in _answers(evidence, joint)]), LEAST_INERTIA)
 
 
 def _yields(
