@@ -32,7 +32,7 @@ LINK_FRICTION = {"link_coulomb": Parameter("N m", 0.0), "link_damping": Paramete
 NO_FRICTION = dict.fromkeys(LINK_FRICTION, 0.0)
 
 
-class AbstractRubbingGear(AbstractGearEffect):
+class AbstractRubbingGearEffect(AbstractGearEffect):
     """A gear whose link may have friction of its own, as of its bearings, which is transmitted like a load; the joint's
     other friction acts on the motor.
 
@@ -62,7 +62,7 @@ class AbstractRubbingGear(AbstractGearEffect):
 
 
 @dataclass(frozen=True)
-class Backlash(AbstractRubbingGear):
+class Backlash(AbstractRubbingGearEffect):
     """Play of the gear: where the transmitted torque changes its sign, the link moves freely until it reaches the other
     flank of the teeth.
 
@@ -108,7 +108,7 @@ class Backlash(AbstractRubbingGear):
 
 
 @dataclass(frozen=True)
-class JointElasticity(AbstractRubbingGear):
+class JointElasticity(AbstractRubbingGearEffect):
     """A compliant gear: a spring between motor and link.
 
     Attributes:
@@ -125,7 +125,7 @@ class JointElasticity(AbstractRubbingGear):
     nearby: tuple[float, ...] = (0.7, 0.84, 1.0, 1.19)
     shares: tuple[float, ...] = (0.1, 0.3, 1.0)
 
-    others = (0.35, *AbstractRubbingGear.others)
+    others = (0.35, *AbstractRubbingGearEffect.others)
 
     name = "joint_elasticity"
     title = "joint elasticity"
