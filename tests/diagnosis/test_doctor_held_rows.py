@@ -39,7 +39,7 @@ def blocked(t: np.ndarray, draw: np.random.Generator, least: float, jitter: floa
 @pytest.mark.parametrize(("least", "jitter", "lost"), [(0.0, 0.0, 0.0), (2e-5, 2e-4, 0.0), (2e-5, 6e-4, 0.01)])
 def test_what_was_held_back_has_no_gaps(log, arm, least, jitter, lost):
     """Rows that a blocked program wrote together, some lost: gaps are told as none, and every row's time is right to a
-    quarter of a step, up to a common delay, or to as many steps as rows were lost among them."""
+    quarter of a step, up to a common delay: positions tell where among them rows were lost."""
     raw, draw = log.trajectories[0], np.random.default_rng(7)
     keep = draw.random(len(raw.t)) >= lost
     stamps = blocked(raw.t, draw, 0.0, jitter)[keep]
@@ -52,7 +52,7 @@ def test_what_was_held_back_has_no_gaps(log, arm, least, jitter, lost):
     assert len(run.t) == len(kept.t)
     off = (run.t - kept.t - least * np.arange(len(kept.t))) * RATE
     off -= np.median(off)
-    assert np.mean(np.abs(off) < 0.25) > (0.9 if lost else 0.999) and np.abs(off).max() < (2.25 if lost else 0.5)
+    assert np.abs(off).max() < 0.25
 
 
 def test_a_log_that_is_written_in_blocks(log, arm):

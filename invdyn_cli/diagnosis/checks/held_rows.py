@@ -1,6 +1,6 @@
 """Rows that a program held back, and stamped together when it wrote them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,6 +15,9 @@ FEWEST = 3
 
 NEAR = 10
 """Number of rows on either side from which the regular clock is taken."""
+
+SMOOTH, TINY = 6, 1e-18
+"""Degree of the polynomial that a joint follows for the time of held rows; least mean square of what it leaves."""
 
 LEFT = 0.25
 """Share of the time by which the first of such rows is late that the last one may be late, beside a period: a lost row
@@ -51,7 +54,7 @@ class HeldRows(AbstractLateStamps):
         """For the rows that were held back."""
         t, period, groups = raw.t.copy(), _period(raw.t), list(held(raw.t))
         for rows in groups:
-            t[rows.start + 1 : rows.stop] = _in_time(raw.t, rows, period)
+            t[rows.start + 1 : rows.stop] = _in_time(raw, rows, period)
         return t, f"rows that were written together ({len(groups)} times) put on a regular clock"
 
 
@@ -75,15 +78,31 @@ def held(t: np.ndarray) -> Iterator[slice]:
             yield slice(int(k), last + 1)
 
 
-def _in_time(t: np.ndarray, rows: slice, period: float) -> np.ndarray:
-    """Regular stamps, before the last one, for all but the first of some rows that were `held`: if rows were lost, the
-    first ones. Of the NEAR rows on either side, which vary, the earliest for its place counts."""
-    first, last = rows.start, rows.stop - 1
+def _in_time(raw: RawTrajectory, rows: slice, period: float) -> np.ndarray:
+    """Regular stamps [s] for all but the first of some rows that were `held`. Of the NEAR rows on either side, which
+    vary, the earliest for its place counts. If rows were lost among them, the positions tell where."""
+    t, first, last = raw.t, rows.start, rows.stop - 1
     ahead, behind = t[max(0, first - NEAR) : first + 1], t[last : last + NEAR + 1]
     before = np.min(ahead + period * np.arange(len(ahead))[::-1])
     after = np.min(behind - period * np.arange(len(behind)))
-    lost = max(0.0, np.round((after - before) / period) - (last - first))
-    return before + period * (lost + np.arange(1, last - first + 1))
+    count = last - first
+    lost = [0] * max(0, round((after - before) / period) - count)
+    outside = slice(max(0, first - 2 * NEAR), last + 1 + 2 * NEAR)
+    q = raw.q[outside]
+
+    def stamps(lost: Sequence[int]) -> np.ndarray:
+        return before + period * (1 + np.arange(count) + np.sum([np.arange(count) >= k for k in lost], axis=0))
+
+    def rough(lost: Sequence[int]) -> float:
+        """How far the positions are from a smooth course, with one more step before each of these rows."""
+        moved = np.concatenate([t[outside.start : first + 1], stamps(lost), t[last + 1 : outside.stop]]) - before
+        course = np.vander(moved / np.abs(moved).max(), SMOOTH + 1)
+        left = q - course @ np.linalg.lstsq(course, q, rcond=None)[0]
+        return float(np.sum(np.log(np.mean(left**2, axis=0) + TINY)))
+
+    for i in range(len(lost)):
+        lost[i] = min(range(count), key=lambda k: rough([*lost[:i], k, *lost[i + 1 :]]))
+    return stamps(lost)
 
 
 def _period(t: np.ndarray) -> float:
