@@ -89,3 +89,13 @@ def test_a_gap_stays_a_gap(log, arm):
     corrected, examination = doctor.correct(replace(log, trajectories=(taken(raw, keep),)), arm)
     assert len(seen(examination, "gaps")) == 1 and not seen(examination, "clock_jitter")
     np.testing.assert_array_equal(corrected.trajectories[0].t, raw.t[keep])
+
+
+def test_where_many_rows_were_lost_nobody_looks(log, arm):
+    """A program that stands still for 3 s and keeps the last 2.5 s of rows: the lost ones are the first, and the others
+    keep their places."""
+    raw = log.trajectories[0]
+    kept = taken(raw, (raw.t <= 10.0) | (raw.t > 10.5))
+    late = np.where((kept.t > 10.0) & (kept.t < 13.0), 13.0, kept.t)
+    corrected, _ = doctor.correct(replace(log, trajectories=(replace(kept, t=late),)), arm, checks=[HeldRows()])
+    np.testing.assert_allclose(corrected.trajectories[0].t, kept.t, atol=0.5 / RATE)

@@ -1,6 +1,7 @@
 """Rows that a program held back, and stamped together when it wrote them."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,11 +20,16 @@ NEAR = 10
 SMOOTH, TINY = 6, 1e-18
 """Degree of the polynomial that a joint follows for the time of held rows; least mean square of what it leaves."""
 
+MOST_LOST, LONGEST = 5, 0.5
+"""Lost rows, and [s] of held ones, up to which the positions tell where: of more the polynomial knows nothing, and all
+places would take minutes."""
+
 LEFT = 0.25
 """Share of the time by which the first of such rows is late that the last one may be late, beside a period: a lost row
 makes it a period later."""
 
 
+@dataclass(frozen=True)
 class HeldRows(AbstractLateStamps):
     """A long step, and then as many short ones as make up for it: rows that waited for a busy computer or network, and
     got their stamps when they were written.
@@ -70,7 +76,7 @@ def held(t: np.ndarray) -> Iterator[slice]:
         late = steps[k] - period
         after = t[k + 1 : k + 1 + int(2 * late / period)]
         behind = np.maximum(after - t[k] - period * np.arange(1, len(after) + 1), period)
-        last = k + 1 + int(np.argmin(behind))
+        last = k + 1 + int(np.argmax(behind <= behind.min() + SHORT * period))  # the first of those that are least late
         if last - k <= FEWEST or np.median(steps[k + 1 : last]) >= SHORT * period:
             continue
         if behind.min() <= LEFT * late + period:
@@ -80,7 +86,8 @@ def held(t: np.ndarray) -> Iterator[slice]:
 
 def _in_time(raw: RawTrajectory, rows: slice, period: float) -> np.ndarray:
     """Regular stamps [s] for all but the first of some rows that were `held`. Of the NEAR rows on either side, which
-    vary, the earliest for its place counts. If rows were lost among them, the positions tell where."""
+    vary, the earliest for its place counts. If a few rows were lost among a few, the positions tell where; else it
+    were the first ones."""
     t, first, last = raw.t, rows.start, rows.stop - 1
     ahead, behind = t[max(0, first - NEAR) : first + 1], t[last : last + NEAR + 1]
     before = np.min(ahead + period * np.arange(len(ahead))[::-1])
@@ -100,7 +107,7 @@ def _in_time(raw: RawTrajectory, rows: slice, period: float) -> np.ndarray:
         left = q - course @ np.linalg.lstsq(course, q, rcond=None)[0]
         return float(np.sum(np.log(np.mean(left**2, axis=0) + TINY)))
 
-    for i in range(len(lost)):
+    for i in range(len(lost) if len(lost) <= MOST_LOST and count * period <= LONGEST else 0):
         lost[i] = min(range(count), key=lambda k: rough([*lost[:i], k, *lost[i + 1 :]]))
     return stamps(lost)
 
