@@ -2,7 +2,7 @@
 
 A link with play flies from one flank to the other where the torque that its joint transmits changes its sign, and
 bounces there. When and how often depends on less than a log shows, so that no model of play follows the torque. Its
-blows are seen all the same: most of what is left on the joint lies in the moments after its load changed its sign.
+blows are seen all the same: most of the squared residual of the joint lies shortly after changes of sign of its load.
 """
 
 from collections.abc import Mapping
@@ -39,18 +39,18 @@ CALM = 0.9
 """Share of the other rows, without the largest squares: the load also changes its sign by too little to be seen."""
 
 MOSTLY = 0.5
-"""Share of what is left on the joint that must lie there, and of the changes of sign that must show it."""
+"""Share of the joint's squared residual that must lie there, and of the changes of sign that must show it."""
 
 FEWEST = 5
 """Changes of sign."""
 
 
 class Blows(NamedTuple):
-    """What is left on a joint after its load changed its sign.
+    """The squared residual of a joint after changes of sign of its load.
 
     Attributes:
         blows_over_rest: mean square there, in that far from such changes, or before them.
-        share_of_residual: the squares there, of all that are left on the joint.
+        share_of_residual: the squares there, of all of the joint.
         changes_of_load: their number.
         moved: the squares there over the inertia that the joint carries: largest where a blow falls, because by its
             joint's motion it makes less than that on all others.
@@ -101,8 +101,8 @@ def told(evidence: Evidence, made: Made, more: Beside, effects: Mapping[str, Abs
 
 
 def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) -> Blows | None:
-    """What is left (R,) of a joint's torque after its `load` (R,) changed its sign; None where it does so too rarely,
-    or where that looks like what comes before."""
+    """The squared residual (R,) of a joint after changes of sign of its `load` (R,); None where these are too few, or
+    where it is no larger than elsewhere."""
     t, used = evidence.on_rows("t"), evidence.valid[:, joint]
     if not used.any():
         return None
@@ -121,7 +121,7 @@ def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) ->
         blows_over_rest=float(np.mean(squares[after])) / quiet,
         share_of_residual=there / float(np.sum(squares[used])),
         changes_of_load=len(events),
-        moved=there / float(np.mean(gears.inertia_on(evidence, joint))),
+        moved=there / gears.inertia_on(evidence, joint),
     )
 
 

@@ -20,15 +20,16 @@ def opening(diagnosis: Diagnosis) -> Figure:
     """The torque of the joint that the largest anomaly shows on, in the seconds in which its term varies most; without
     an anomaly, of the joint on which the nominal model is most at fault."""
     assert diagnosis.signals is not None
-    signals = as_numpy(diagnosis.signals)
-    shown = next((x for number, _ in causes(diagnosis) for x in exhibits(diagnosis) if x.number == number), None)
-    if shown is None:
-        changing = _fault(signals)
-        column, around = int(np.argmax(np.nanstd(changing, axis=0))), None
+    signals, anomalies = as_numpy(diagnosis.signals), causes(diagnosis)
+    if anomalies:
+        number, finding = anomalies[0]
+        shown = exhibits(diagnosis)[number - 1]
+        column, seen = shown.column, {"where": finding.trajectory, "around": finding.window}
+        rows = telling_window(signals, shown.term, [column], **seen)
     else:
-        changing, column, around = shown.term, shown.column, shown.finding.window
-    where = shown.finding.trajectory if shown is not None else None
-    rows = telling_window(signals, changing, [column], where=where, around=around)
+        fault = _fault(signals)
+        column = int(np.argmax(np.nanstd(fault, axis=0)))
+        rows = telling_window(signals, fault, [column])
     figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
     axes = figure.subplots()
     _curves(axes, diagnosis, signals, rows, column)

@@ -58,7 +58,8 @@ def changes_most() -> int:
 
 @pytest.mark.parametrize("moments", ["load", "velocity", "random"])
 def test_blows_are_those_after_changes_of_load(moments):
-    """After such changes they are told, with most of what is left; after reversals of velocity, or anywhere, not."""
+    """Blows after such changes are told, with most of the squared residual; after reversals of velocity, or at random
+    times, they are not."""
     j = changes_most()
     t, m = moved()
     term = hidden(j, moments, 1)

@@ -83,8 +83,8 @@ def test_what_is_left_is_told(written):
 
 def test_the_first_screen_says_what_to_do(written):
     """After the verdict and one picture of the torques come what to do next, the causes, the standard terms and the
-    residual; the trajectory to record is a link, and what stays open, what is left and what is wrong with the log are
-    each a line."""
+    residual. The trajectory to record is a link. Each ambiguity, each joint whose residual is not noise, and each
+    defect of the log has a line."""
     diagnosis, path = written
     text = path.read_text("utf-8")
     heads = re.findall(r"<h2>(.*?)</h2>", text)

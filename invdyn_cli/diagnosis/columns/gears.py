@@ -104,9 +104,10 @@ def load_on(evidence: Evidence, joint: int, beside: Beside = ()) -> np.ndarray:
     return np.concatenate([load for load, _ in _carried(evidence, joint, beside)])
 
 
-def inertia_on(evidence: Evidence, joint: int) -> np.ndarray:
-    """(T,) of all pieces: the inertia that a joint carries [kg m^2; kg], above zero."""
-    return np.maximum(np.concatenate([mass[joint] for mass, _ in _answers(evidence, joint)]), LEAST_INERTIA)
+def inertia_on(evidence: Evidence, joint: int) -> float:
+    """The mean inertia that a joint carries [kg m^2; kg], above zero."""
+    every = np.concatenate([mass[joint] for mass, _ in _answers(evidence, joint)])
+    return float(np.mean(np.maximum(every, LEAST_INERTIA)))
 
 
 def _yields(

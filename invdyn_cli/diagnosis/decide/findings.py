@@ -224,11 +224,11 @@ def _moves_others_more(evidence: Evidence, finding: Finding) -> bool:
     torque by which a link's motion against its motor moves other links is less than that, whatever the arm."""
     names = evidence.robot.joints
     saved = {
-        j: (x.rmse_before**2 - x.rmse_after**2) / np.mean(inertia_on(evidence, names.index(j)))
+        j: (x.rmse_before**2 - x.rmse_after**2) / inertia_on(evidence, names.index(j))
         for j, x in finding.gain.items()
         if j == finding.joint or x.rmse_after < PLAINLY * x.rmse_before
     }
-    return bool(max(saved.values(), default=0.0) > ELSEWHERE * max(saved.get(str(finding.joint), 0.0), 0.0))
+    return max(saved.values(), default=0.0) > ELSEWHERE * max(saved.get(str(finding.joint), 0.0), 0.0)
 
 
 def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:

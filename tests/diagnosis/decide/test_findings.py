@@ -34,7 +34,7 @@ def test_a_gear_moves_its_own_joint_most(joint):
     """A link that swings against its motor puts on another joint at most the torque that both inertias allow, here 0.3
     of it; what gains these is a gear of that joint alone."""
     evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), ())
-    inertia = [float(np.mean(inertia_on(evidence, j))) for j in range(3)]
+    inertia = [inertia_on(evidence, j) for j in range(3)]
     swing = [np.sqrt(inertia[joint] * inertia[k]) * (1.0 if k == joint else 0.3) for k in range(3)]
     names = evidence.robot.joints
     gains = {
