@@ -11,9 +11,10 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import passing_candidate, passing_columns
 from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
+from invdyn_cli.diagnosis.search.edges import together
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import Noise
-from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed
+from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed, times_carried
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.maths.statistics import effective_number
@@ -123,29 +124,45 @@ def proposed(
     beside = Lasting.beside(evidence, lasting, used)
     for residual in residuals:
         left = residual.copy()
-        least = max(PRICE, share * float(np.sum(used * residual**2)))
+        squares = float(np.sum(used * residual**2))
+        least, each = (max(PRICE, x * squares) for x in (share, SHARE))
         for _ in range(MOST):
             refit = beside.explained(left)
-            tries = [_window(evidence, p, left, refit, measured, beside) for p in everywhere]
+            tries = [_window(evidence, p, left, refit, measured, beside, each) for p in everywhere]
             value, when, after = max(tries, key=lambda x: x[0], default=(0.0, None, left))
             if value <= least or when is None:
                 break
             left = after
             for one in (when, *_other_end(evidence, when)):
                 if not any(_alike(one, other) for other in (*known, *made)):
-                    made.append(one._replace(number=first + len(made)))
-    return {when: [passing_candidate(evidence, p.effect, p.joint, when) for p in everywhere] for when in made}
+                    made.append(_numbered(one, first + len(made)))
+    return {
+        when: [
+            passing_candidate(evidence, p.effect, p.joint, when)
+            for p in everywhere
+            if not (when.again and p.effect.factor)
+        ]
+        for when in made
+    }
+
+
+def _numbered(one: TimeWindow, number: int) -> TimeWindow:
+    """All windows of one effect with its number."""
+    return together([w._replace(number=number) for w in one.each])
 
 
 def _alike(one: TimeWindow, other: TimeWindow) -> bool:
-    """Whether two windows are the same, except for some rows at their edges."""
-    apart = abs(one.start - other.start) + abs(one.end - other.end)
-    return one.trajectory == other.trajectory and apart < SAME
+    """Whether two effects have the same windows, except for some rows at their edges."""
+    pairs = zip(one.each, other.each, strict=False)
+    near = all(abs(a.start - b.start) + abs(a.end - b.end) < SAME for a, b in pairs)
+    return one.trajectory == other.trajectory and len(one.again) == len(other.again) and near
 
 
 def _other_end(evidence: Evidence, when: TimeWindow) -> list[TimeWindow]:
     """What is left of the trajectory, if the window is at one of its ends: a change until then is one from then on."""
     first, last = evidence.recording.ends[when.trajectory]
+    if when.again:
+        return []
     if when.start - first < EDGE < last - when.end:
         return [when._replace(start=when.end, end=last)]
     if last - when.end < EDGE < when.start - first:
@@ -160,7 +177,7 @@ def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
     t, first, short = evidence.on_rows("t"), 0, 0
     for number, piece in enumerate(evidence.recording.pieces):
         at = evidence.piece == number
-        own = [w for w in windows if w.trajectory == piece.trajectory]
+        own = [w for one in windows for w in one.each if w.trajectory == piece.trajectory]
         edges = np.unique([-np.inf, *(x for w in own for x in (w.start, w.end)), np.inf])
         part = np.searchsorted(edges, t[at], side="right") - 1
         mine = np.zeros(at.sum(), int)
@@ -188,10 +205,16 @@ def interleaved(evidence: Evidence, windows: Iterable[TimeWindow]) -> Evidence:
 
 
 def _window(
-    evidence: Evidence, place: Place, left: np.ndarray, refit: np.ndarray, measured: Noise, lasting: Lasting
+    evidence: Evidence,
+    place: Place,
+    left: np.ndarray,
+    refit: np.ndarray,
+    measured: Noise,
+    lasting: Lasting,
+    each: float,
 ) -> tuple[float, TimeWindow | None, np.ndarray]:
     """The explained squares of an effect in its best window, minus its price; the window, and what is then left
-    (R, n)."""
+    (R, n). A load may be there several times, if each explains `each`."""
     t, k = evidence.on_rows("t"), len(place.columns)
     names, used = evidence.trajectory, lasting.used
     best: tuple[float, TimeWindow | None, np.ndarray] = -np.inf, None, left
@@ -200,40 +223,58 @@ def _window(
         if len(rows) < 2 * k:
             continue
         windowed, time = Windowed(lasting, place.columns, place.precision, left, refit, rows), t[rows]
-        step = max(CELL, (time[-1] - time[0]) / GRID)
-        grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
-        first, last = np.triu_indices(len(grid), 1)
-        a, b = grid[first], grid[last]
-        long = time[b - 1] - time[a] >= SHORTEST
         moves = used[rows][:, windowed.felt] > 0
-        count = np.concatenate([np.zeros((1, len(windowed.felt))), np.cumsum(moves, axis=0)])[grid]
-        outside = np.median(np.diff(time)) * (moves.sum(axis=0) - count[last] + count[first])
-        long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
-        long &= outside.mean(axis=1) >= EDGE
-        if not long.any():
+        span = _span(windowed, time, moves)
+        if span is None:
             continue
-        at = np.flatnonzero(long)[np.argmax(windowed.gains(grid, first[long], last[long]))]
-        a, b = _sharpened(windowed, int(a[at]), int(b[at]), time, 2 * step)
-        value = float(windowed.gain(windowed.between(a, b)[None])[0]) - PRICE_OF_COEFFICIENT * k
-        ends = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
-        if value <= best[0] or ends:
+        spans, value = [span], windowed.gained([span])
+        if place.effect.load:
+            several = times_carried(windowed, span, time, each, SHORTEST)
+            gained = windowed.gained(several) - each * (len(several) - 1)
+            spans, value = (several, gained) if gained > value else (spans, value)
+        value -= PRICE_OF_COEFFICIENT * k
+        (a, b), *more = spans
+        lasts = time[a] < time[0] + EDGE and time[b - 1] > time[-1] - EDGE
+        if value <= best[0] or (lasts and not more):
             continue
-        factors, made, after = windowed.fitted(a, b)
+        factors, made, after = windowed.fitted(spans)
         if place.effect.refuse(place.effect.found(factors.tolist(), {}, evidence.robot, place.joint)):
             continue
-        there, own = rows[a:b], used[rows[a:b]]
+        inside = np.concatenate([np.arange(a, b) for a, b in spans])
+        there, own = rows[inside], used[rows[inside]]
         of_joints = own * ((after + made)[there] ** 2 - after[there] ** 2)
-        seen = outside[at] >= EDGE
+        seen = np.median(np.diff(time)) * (moves.sum(axis=0) - moves[inside].sum(axis=0)) >= EDGE
         if of_joints[:, windowed.felt][:, seen].sum() < SEEN * of_joints.sum():
             continue
         gained = of_joints.sum(axis=1)
         excess = np.sum((own * ((after + made)[there] ** 2 - measured.deviation**2))[:, windowed.felt])
-        moving = gained[moves[a:b].any(axis=1)]
+        moving = gained[moves[inside].any(axis=1)]
         if gained.sum() - PRICE_OF_COEFFICIENT * k > WITHIN * excess and _spread(moving) > EVEN:
-            start = time[0] if not a else (time[a - 1] + time[a]) / 2
-            end = time[-1] if b == len(time) else (time[b - 1] + time[b]) / 2
-            best = value, TimeWindow(str(name), float(start), float(end)), after
+            between = np.concatenate([time[:1], (time[1:] + time[:-1]) / 2, time[-1:]])
+            when = together([TimeWindow(str(name), float(between[a]), float(between[b])) for a, b in spans])
+            best = value, when, after
     return best
+
+
+def _span(windowed: Windowed, time: np.ndarray, moves: np.ndarray) -> tuple[int, int] | None:
+    """The rows from one to another in which an effect explains most; None: no window is possible.
+
+    Args:
+        moves: (R, m) whether each joint that feels it moves.
+    """
+    step = max(CELL, (time[-1] - time[0]) / GRID)
+    grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
+    first, last = np.triu_indices(len(grid), 1)
+    a, b = grid[first], grid[last]
+    long = time[b - 1] - time[a] >= SHORTEST
+    count = np.concatenate([np.zeros((1, moves.shape[1])), np.cumsum(moves, axis=0)])[grid]
+    outside = np.median(np.diff(time)) * (moves.sum(axis=0) - count[last] + count[first])
+    long &= (time[a] >= time[0] + EDGE) | (time[b - 1] <= time[-1] - EDGE)
+    long &= outside.mean(axis=1) >= EDGE
+    if not long.any():
+        return None
+    at = np.flatnonzero(long)[np.argmax(windowed.gains(grid, first[long], last[long]))]
+    return _sharpened(windowed, int(a[at]), int(b[at]), time, 2 * step)
 
 
 def _spread(gained: np.ndarray) -> float:

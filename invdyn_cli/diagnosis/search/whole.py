@@ -71,7 +71,7 @@ def inquire(
     def proposed(inquiry: Inquiry, held: Windows) -> Windows:
         """All windows anew, now that the rest is known."""
         acting = inquiry.whole.acting
-        refined = [w for a in acting if a.when is not None for w in a.when.each]
+        refined = [w for a in acting if a.when is not None for w in (a.when, *a.when.each)]
         residuals = [inquiry.whole.residual]
         if refined:
             residuals.append(inquiry.model.without(inquiry.whole, [a for a in acting if a.when is None]))

@@ -4,7 +4,7 @@ A model that was fitted without an event is a compromise: friction and links tak
 opposite at all other times. The best window in such a residual is not that of the event.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,12 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.equations import inverse_root
 from invdyn_cli.diagnosis.search.shared_part import Hypothesis, columns_of, precision_of
+
+Spans = Sequence[tuple[int, int]]
+"""Windows of a trajectory: the first row of each, and the row behind its last."""
+
+FITTED_ANEW = 10
+"""Number of times, at most, that factors and windows of what comes and goes several times are found in turn."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +108,37 @@ class Windowed:
         """(W,) squares that the effect explains in windows with these sums (W, k, k + 1 + p)."""
         return _explained(*self._equations(sums))
 
-    def fitted(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Factors (k,) of the effect's columns in the window of the rows from `a` to `b`, its torque (R, n), and what
-        the model leaves with it, all that lasts being fitted anew."""
-        sums = self.between(a, b)
+    def gained(self, spans: Spans) -> float:
+        """The squares that the effect explains in all these windows together."""
+        return float(self.gain(self._within(spans)[None])[0])
+
+    def fitted(self, spans: Spans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Factors (k,) of the effect's columns in these windows, its torque (R, n), and what the model leaves with it,
+        all that lasts being fitted anew."""
+        factors, lasting = self._refitted(spans)
+        made = np.zeros_like(self.left)
+        for a, b in spans:
+            there = self.rows[a:b]
+            made[there] = np.tensordot(factors, self.columns[:, :, there], 1).T
+        return factors, made, self.left - made - self.lasting.torque(lasting)
+
+    def saved(self, spans: Spans) -> np.ndarray:
+        """(r,) weighted squares that the effect saves on every row if it is there, as fitted in these windows."""
+        factors, lasting = self._refitted(spans)
+        without = (self.left - self.lasting.torque(lasting))[self.rows]
+        made = np.tensordot(factors, self.columns[:, :, self.rows], 1).T
+        return np.sum(self.lasting.used[self.rows] * (without**2 - (without - made) ** 2), axis=1)
+
+    def _refitted(self, spans: Spans) -> tuple[np.ndarray, np.ndarray]:
+        """Factors (k,) of the columns in these windows, and the coefficients (p,) of what lasts beside them."""
+        sums = self._within(spans)
         normal, moment = self._equations(sums[None])
         factors = np.linalg.solve(normal[0], moment[0])
-        made = np.zeros_like(self.left)
-        there = self.rows[a:b]
-        made[there] = np.tensordot(factors, self.columns[:, :, there], 1).T
-        lasting = self.refit - factors @ sums[:, len(factors) + 1 :]
-        return factors, made, self.left - made - self.lasting.torque(lasting)
+        return factors, self.refit - factors @ sums[:, len(factors) + 1 :]
+
+    def _within(self, spans: Spans) -> np.ndarray:
+        """`between`'s sums over the rows of all these windows."""
+        return np.sum([self.between(a, b) for a, b in spans], axis=0)
 
     def _equations(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (W, k, k) and moments (W, k), what lasts being projected out."""
@@ -136,3 +162,47 @@ class Windowed:
 def _explained(normal: np.ndarray, moment: np.ndarray) -> np.ndarray:
     """(W,) squares that factors explain, of normal matrices (W, k, k) and moments (W, k)."""
     return np.einsum("wa,wa->w", moment, np.linalg.solve(normal, moment[..., None])[..., 0])
+
+
+def times_carried(windowed: Windowed, span: tuple[int, int], time: np.ndarray, least: float, shortest: float) -> Spans:
+    """All windows in which an effect that was found in one of them acts, however often it comes and goes.
+
+    With its factors, each row says whether it is there. It comes where from then on it saves `least` before it would
+    cost as much, and goes where the reverse holds: then no other windows save more, if each must be worth `least`.
+    Its factors are fitted anew in these, until they stay the same; none is shorter than `shortest` [s], nor are gaps.
+    """
+    spans: Spans = [span]
+    for _ in range(FITTED_ANEW):
+        before, spans = spans, _lasting_long(best_windows(windowed.saved(spans), least), time, shortest)
+        if not spans or spans == before:
+            break
+    return spans or [span]
+
+
+def best_windows(saved: np.ndarray, least: float) -> list[tuple[int, int]]:
+    """The windows in which the sum of `saved` (r,), less `least` for each, is largest."""
+    total = np.append(0.0, np.cumsum(saved))
+    spans, low, high, there = [], 0, 0, False
+    for row, value in enumerate(total.tolist()):
+        if there:
+            if value > total[high]:
+                high = row
+            elif value < total[high] - least:
+                spans.append((low, high))
+                low, there = row, False
+        elif value < total[low]:
+            low = row
+        elif value > total[low] + least:
+            high, there = row, True
+    return [*spans, (low, high)] if there else spans
+
+
+def _lasting_long(spans: Spans, time: np.ndarray, shortest: float) -> Spans:
+    """These windows without gaps and then without windows that are too short."""
+    joined: list[tuple[int, int]] = []
+    for a, b in spans:
+        if joined and time[a] - time[joined[-1][1] - 1] < shortest:
+            joined[-1] = joined[-1][0], b
+        else:
+            joined.append((a, b))
+    return [(a, b) for a, b in joined if time[b - 1] - time[a] >= shortest]

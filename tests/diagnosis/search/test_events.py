@@ -83,6 +83,15 @@ def test_a_window_is_found_to_a_row(name):
     assert [window.number for window in found] == list(range(len(found)))
 
 
+def test_a_load_is_found_in_all_windows():
+    """A load that is carried four times is one effect in four windows, to a row each: the first that is proposed."""
+    spans = [(1.2, 2.9), (4.0, 6.1), (7.5, 9.6), (11.0, 13.2)]
+    evidence = seen(lambda t, m: sum(within(payload, span)(t, m) for span in spans), seconds=15.0)
+    first = next(iter(looked_for(evidence)))
+    assert np.allclose([(one.start, one.end) for one in first.each], spans, atol=1.5 / evidence.recording.filter.rate)
+    assert {one.number for one in first.each} == {0}
+
+
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_window_is_found_to_a_row_beside_what_lasts(name):
     """So it is in nearly half of the log, where every joint has friction, springs and links of unknown size: fitted

@@ -1,10 +1,12 @@
 """What an effect explains in a window, with all that lasts fitted anew, as a least-squares fit of each window does."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.search.shared_part import columns_of, precision_of
-from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed
+from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed, best_windows
 from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 
@@ -42,3 +44,19 @@ def test_gains_are_those_of_a_fit_for_each_window():
     assert windowed.gains(grid, first, last) == pytest.approx(expected, rel=1e-6)
     each = np.array([windowed.between(a, b) for a, b in zip(grid[first], grid[last], strict=True)])
     assert windowed.gain(each) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_windows_save_more(seed):
+    """Of all ways to part eleven rows into windows that cost something each."""
+    draw = np.random.default_rng(seed)
+    saved, price = draw.normal(0.3, 2.0, 11), draw.uniform(0.5, 4.0)
+
+    def worth(there: np.ndarray) -> float:
+        return float(saved @ there - price * np.sum(np.diff(there, prepend=0) > 0))
+
+    ways = np.array(list(product([0, 1], repeat=len(saved))))
+    there = np.zeros(len(saved))
+    for a, b in best_windows(saved, price):
+        there[a:b] = 1
+    assert worth(there) == pytest.approx(max(map(worth, ways)))
