@@ -254,12 +254,15 @@ def _window(d: np.random.Generator, s: Scene, shortest: float, longest: float) -
 
 
 def _contact(d: np.random.Generator, s: Scene, j: int) -> dict[str, Any]:
-    """A force as large as some share of the torque of the joint that feels it most, half a metre away."""
+    """A force as large as some share of the torque of the joint that feels it most, half a metre away; of two arms, one
+    is touched at the joint frame's origin, the other up to 0.15 m from it along each axis."""
     force = d.normal(size=3)
     size = 4 * _share(d) * s.torque.max() / np.linalg.norm(force)
     start = d.uniform(0.05, 0.9) * s.duration
     end = min(start + d.uniform(0.5, 4.0), s.duration)
-    return {"force": [float(size * x) for x in force], "window": [float(start), float(end)]}
+    where = np.random.default_rng([19, s.seed])
+    point = {"point": where.uniform(-0.15, 0.15, 3).tolist()} if where.random() < 0.5 else {}
+    return {"force": [float(size * x) for x in force], "window": [float(start), float(end)], **point}
 
 
 SIZES: Mapping[str, Callable[[np.random.Generator, Scene, int], dict[str, Any]]] = {

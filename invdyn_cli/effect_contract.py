@@ -50,7 +50,7 @@ class AbstractEffect(abc.ABC):
     chosen: ClassVar[tuple[str, ...]] = ()
     """Parameters that take only a few values, as the ratios of gears do: they are tried, not refined, and have no
     interval."""
-    defaults: ClassVar[Mapping[str, float]] = {}
+    defaults: ClassVar[Mapping[str, Any]] = {}
     """Values of parameters that a description may leave out."""
     passing: ClassVar[bool] = False
     """Whether it acts in a time window only; the window is then estimated with it."""
@@ -103,6 +103,8 @@ class AbstractEffect(abc.ABC):
     """Whether it acts on a joint or its link; if not, on the whole arm."""
     needs: ClassVar[tuple[str, ...]] = ()
     """What a joint's motion must have to show it, names of `diagnosis.checks.excitation.NEEDS`."""
+    placed_by: ClassVar[str] = ""
+    """Of a force: name of the parameter (3,) [m] that places it on its link, in the joint's frame; "": nothing does."""
     sum_of: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     """Of an effect that is always the sum of others: their names, and how much the parameter of each adds to each
     parameter here."""
@@ -419,6 +421,10 @@ class AbstractForceEffect(AbstractEffect):
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
         """(k, n, T) joint torques that balance unit forces, for a motion (n, T)."""
 
+    def placed(self, trial: Parameters, robot: Robot, joint: int | None, motion: Motion) -> Array:
+        """The same for forces where `trial` places them."""
+        return self.basis(robot, joint, motion)
+
     @abc.abstractmethod
     def read(self, coefficients: Sequence[float]) -> dict[str, Any]:
         """Parameters from the columns' coefficients."""
@@ -430,7 +436,7 @@ class AbstractForceEffect(AbstractEffect):
     def found(
         self, coefficients: Sequence[float], trial: Parameters, robot: Robot, joint: int | None
     ) -> dict[str, Any]:
-        return self.read(coefficients)
+        return {**self.read(coefficients), **{name: x for name, x in trial.items() if name == self.placed_by}}
 
     def coordinates(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         return self.coefficients(parameters)

@@ -157,7 +157,7 @@ def _moving(robot: Robot, acting: Sequence[EffectInstance], motion: Motion, stre
     for one in acting:
         share = weight(one.when, stretch)
         if isinstance(one.effect, AbstractForceEffect) and np.any(share):
-            columns = one.effect.basis(robot, one.joint, motion)
+            columns = one.effect.placed(one.parameters, robot, one.joint, motion)
             torque = torque + share * np.tensordot(one.effect.coefficients(one.parameters), columns, 1)
         elif isinstance(one.effect, AbstractBodyEffect) and one.when is not None and np.any(share):
             other = one.effect.changed(one.parameters, robot, one.joint)

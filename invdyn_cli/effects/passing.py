@@ -82,15 +82,18 @@ class TorqueGainChange(AbstractChannelEffect):
 
 @dataclass(frozen=True)
 class ExternalContact(AbstractForceEffect):
-    """A force on the arm from outside, constant in the base frame, at the origin of a joint's frame. If the axes of
-    several joints meet there, the force is the same for all their frames: the outermost joint is named."""
+    """A force on the arm from outside, constant in the base frame, at a point of the link that a joint moves. Without a
+    point it is at the joint frame's origin. If the axes of several joints meet there, the force is the same for all
+    their frames: the outermost joint is named."""
 
     name = "external_contact"
     title = "external contact"
     meaning = "A force on the arm from something that it touched."
-    equation = "−Jᵀ force, J of the joint frame's origin, for a time"
+    equation = "−Jᵀ force, J of point in the joint's frame (without one: its origin), for a time"
     reference = "Haddadin, De Luca and Albu-Schäffer, IEEE T-RO 2017"
-    parameters = {"force": Parameter("N")}
+    parameters = {"force": Parameter("N"), "point": Parameter("m", -2.0, 2.0)}
+    defaults = {"point": (0.0, 0.0, 0.0)}
+    placed_by = "point"
     scale = 300.0
     passing = True
     confounders = (("external_contact",), ("payload_change",), ("torque_gain_change",))
@@ -99,8 +102,11 @@ class ExternalContact(AbstractForceEffect):
     shows = ("time",)
 
     def basis(self, robot: Robot, joint: int | None, motion: Motion) -> Array:
+        return self.placed({}, robot, joint, motion)
+
+    def placed(self, trial: Parameters, robot: Robot, joint: int | None, motion: Motion) -> Array:
         assert joint is not None
-        return force_columns(robot, joint, motion)
+        return force_columns(robot, joint, np.asarray(self.whole(trial)["point"], float), motion)
 
     def read(self, coefficients: Sequence[float]) -> dict[str, Any]:
         return {"force": np.asarray(coefficients, float)}

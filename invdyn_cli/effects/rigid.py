@@ -33,10 +33,10 @@ def body_columns(robot: Robot, moves: np.ndarray, motion: Motion) -> np.ndarray:
     return _in_parts(lambda *part: np.tensordot(moves, columns(*part), 1), motion)
 
 
-def force_columns(robot: Robot, link: int, motion: Motion) -> np.ndarray:
-    """Torques (3, n, T) that hold unit forces along the base's axes at the origin of a link's frame, in the postures of
-    a motion (n, T)."""
-    return _in_parts(partial(_force_columns, _kinematics(robot), link), motion)
+def force_columns(robot: Robot, link: int, point: np.ndarray, motion: Motion) -> np.ndarray:
+    """Torques (3, n, T) that hold unit forces along the base's axes at a point (3,) [m] of a link's frame, in the
+    postures of a motion (n, T)."""
+    return _in_parts(partial(_force_columns, _kinematics(robot), link, point), motion)
 
 
 def gravity_columns(robot: Robot, falls: np.ndarray, q: Array) -> np.ndarray:
@@ -75,9 +75,9 @@ def _regressor(kinematics: tuple, gravity, q, qd, qdd):
 
 
 @jax.jit
-def _force_columns(kinematics: tuple, link, q, qd, qdd):
+def _force_columns(kinematics: tuple, link, point, q, qd, qdd):
     n = len(q)
-    return rigid_body.force_columns(_robot(kinematics, jnp.zeros((n, 10)), jnp.zeros(3)), link, q)
+    return rigid_body.force_columns(_robot(kinematics, jnp.zeros((n, 10)), jnp.zeros(3)), link, point, q)
 
 
 class _Static:

@@ -86,13 +86,14 @@ def regressor(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
 
 
 @jax.jit
-def force_columns(robot: Robot, link: Array | int, q: Array) -> Array:
-    """Torques (3, n, *batch) that hold unit forces along the base's axes at the origin of a link's frame, in postures
-    q (n, *batch): -J' of that point (the velocity of the origin is w x origin + u for each joint's twist)."""
+def force_columns(robot: Robot, link: Array | int, point: Array, q: Array) -> Array:
+    """Torques (3, n, *batch) that hold unit forces along the base's axes at a point (3,) [m] of a link's frame, in
+    postures q (n, *batch): -J' of that point (its velocity is w x point + u for each joint's twist)."""
     still = jnp.zeros_like(q)
     links = link_motions(robot, q, still, still)
     w, u = links.twist
-    moved = _add(u, _cross(w, tuple(x[link] for x in links.origin)))
+    rotation, origin = jax.tree.map(lambda x: x[link], (links.rotation, links.origin))
+    moved = _add(u, _cross(w, _add(origin, _rotate(rotation, tuple(jnp.asarray(point))))))
     carried = _over(jnp.asarray(carries(robot), float)[:, link], jnp.ndim(q))
     return -jnp.stack(_scale(carried, moved))
 

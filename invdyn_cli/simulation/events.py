@@ -50,11 +50,12 @@ class Load:
 
 @dataclass(frozen=True)
 class Contact:
-    """A force (3,) [N] in the base frame, at the origin of a joint's frame."""
+    """A force (3,) [N] in the base frame, at a point (3,) [m] of a joint's frame."""
 
     joint: int
     force: np.ndarray
     window: Window
+    point: Sequence[float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Events:
     def bodies(self) -> list[Body]:
         """Bodies without mass with which the arm is built: the loads, then the points of contact."""
         absent = [Body(0.0, x.body.com, x.body.radius) for x in self.loads]
-        return absent + [Body(0.0, (0.0, 0.0, 0.0), 0.0, x.joint) for x in self.contacts]
+        return absent + [Body(0.0, x.point, 0.0, x.joint) for x in self.contacts]
 
 
 class Stage:

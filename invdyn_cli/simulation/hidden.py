@@ -68,7 +68,7 @@ KINDS = {
     "torque_saturation": Kind({"limit": ABOVE}),
     "payload": Kind({"mass": ABOVE, "com": VECTOR}, {"radius": FROM}, of_joint=False),
     "payload_change": _event({"mass": ABOVE, "com": VECTOR}, {"radius": FROM, "ramp": FROM}, of_joint=False),
-    "external_contact": _event({"force": VECTOR}),
+    "external_contact": _event({"force": VECTOR}, {"point": VECTOR}),
     "link_inertia_error": Kind({}, {"mass": NUMBER, "com": VECTOR, "inertia": NUMBER}),
     "base_tilt": Kind({"angle": NUMBER, "azimuth": NUMBER}, of_joint=False),
     "encoder_offset": Kind({"offset": NUMBER}),
@@ -301,7 +301,7 @@ def _put_event(events: Events, one: Hidden, i: Any, p: dict[str, Any]) -> None:
         case "payload_change":
             events.loads.append(Load(Body(p["mass"], p["com"], p.get("radius", 0.02)), window))
         case "external_contact":
-            events.contacts.append(Contact(i, np.asarray(p["force"], float), window))
+            events.contacts.append(Contact(i, np.asarray(p["force"], float), window, p.get("point", (0.0, 0.0, 0.0))))
 
 
 def _stribeck(qd, load, coulomb: float, static: float, velocity: float, exponent: float = 2.0):

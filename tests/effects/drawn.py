@@ -55,7 +55,7 @@ def parameters(name: str, d: np.random.Generator) -> dict[str, Any]:
         "torque_saturation": lambda: {"limit": u(0.5, 2)},
         "payload": lambda: {"mass": u(0.2, 3), "com": u(-0.1, 0.1, 3), "inertia": u(-0.01, 0.01, 6)},
         "payload_change": lambda: {"mass": u(0.2, 3), "com": u(-0.1, 0.1, 3), "inertia": u(-0.01, 0.01, 6)},
-        "external_contact": lambda: {"force": u(-20, 20, 3)},
+        "external_contact": lambda: {"force": u(-20, 20, 3), "point": u(-0.2, 0.2, 3)},
         "link_inertia_error": lambda: {
             "mass": u(-0.5, 2),
             "moment": u(-0.2, 0.2, 3),

@@ -44,7 +44,7 @@ NAMES = {
     "torque_saturation": {"limit"},
     "payload": {"mass", "com"},
     "payload_change": {"mass", "com"},
-    "external_contact": {"force"},
+    "external_contact": {"force", "point"},
     "base_tilt": {"angle", "azimuth"},
     "encoder_offset": {"offset"},
     "link_inertia_error": {"mass"},

@@ -88,22 +88,24 @@ def test_payload_change(seed, ramp, apollo):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_contact(seed, apollo):
-    """A force in the base frame at a joint's origin adds minus the Jacobian's transpose times it, by Pinocchio's
+    """A force in the base frame at a point of a link adds minus the Jacobian's transpose times it, by Pinocchio's
     Jacobian, in the window; joints behind it do not feel it."""
     draw, window = drawn(seed)
-    i, force = int(draw.integers(3, 7)), draw.uniform(-30, 30, 3)
-    tr = recorded(apollo, Hidden("external_contact", apollo.joints[i], {"force": force.tolist(), "window": window}))
+    i, force, point = int(draw.integers(2, 6)), draw.uniform(-30, 30, 3), draw.uniform(-0.05, 0.05, 3)
+    hidden = {"force": force.tolist(), "point": point.tolist(), "window": window}
+    tr = recorded(apollo, Hidden("external_contact", apollo.joints[i], hidden))
     x, model = truth(apollo, tr), pinocchio_model(apollo)
     data, joint = model.createData(), model.getJointId(apollo.joints[i])
     term = np.zeros_like(x.q)
     for k in np.flatnonzero((x.t > window[0]) & (x.t < window[1])):
         pin.computeJointJacobians(model, data, x.q[k])
         jacobian = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        term[k] = -jacobian[:3].T @ force
+        moment = np.cross(data.oMi[joint].rotation @ point, force)
+        term[k] = -jacobian[:3].T @ force - jacobian[3:].T @ moment
     left = (filtered(x.logged) - filtered(x.nominal + term))[far_from(*window)]
     assert np.all(rms(left, 0) < 1e-3 * rms(filtered(x.nominal + term), 0))
     assert rms(filtered(term)) > 0.02 * rms(filtered(x.nominal))
-    assert np.abs(term[:, i:]).max() < 1e-9 * np.abs(term).max()
+    assert np.abs(term[:, i + 1 :]).max() < 1e-9 * np.abs(term).max()
 
 
 EVENTS = {

@@ -59,7 +59,9 @@ class Bodies(AbstractKind[AbstractBodyEffect]):
     ) -> Candidate:
         return _linearised(evidence, effect, joint, trial)
 
-    def basis(self, evidence: Evidence, effect: AbstractBodyEffect, joint: int | None, piece: int) -> np.ndarray:
+    def basis(
+        self, evidence: Evidence, effect: AbstractBodyEffect, joint: int | None, piece: int, place: Parameters
+    ) -> np.ndarray:
         moves = np.stack([inertial.reshape(-1) for inertial, *_ in effect.directions(evidence.robot, joint)])
         return body_columns(evidence.robot, moves, evidence.recording.pieces[piece].motion)
 
@@ -97,7 +99,7 @@ class Forces(AbstractKind[AbstractForceEffect]):
         self, evidence: Evidence, effect: AbstractForceEffect, joint: int | None, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
         count = len(evidence.recording.pieces)
-        columns = filtered(evidence.recording, [self.basis(evidence, effect, joint, k) for k in range(count)])
+        columns = filtered(evidence.recording, [self.basis(evidence, effect, joint, k, trial) for k in range(count)])
         where = {j: ((), evidence.append(j, list(columns[:, j]))) for j in range(evidence.dofs)}
         return Candidate(effect, joint, {}, where, effect.precision(evidence.robot, joint, len(columns)))
 
@@ -106,8 +108,10 @@ class Forces(AbstractKind[AbstractForceEffect]):
     ) -> Candidate:
         return known(evidence, effect, joint)
 
-    def basis(self, evidence: Evidence, effect: AbstractForceEffect, joint: int | None, piece: int) -> np.ndarray:
-        return np.asarray(effect.basis(evidence.robot, joint, evidence.recording.pieces[piece].motion))
+    def basis(
+        self, evidence: Evidence, effect: AbstractForceEffect, joint: int | None, piece: int, place: Parameters
+    ) -> np.ndarray:
+        return np.asarray(effect.placed(place, evidence.robot, joint, evidence.recording.pieces[piece].motion))
 
 
 def _slope(evidence: Evidence, effect: AbstractMotionEffect, joint: int) -> Candidate:

@@ -56,9 +56,11 @@ class Channels(AbstractKind[AbstractChannelEffect]):
         columns = {joint: (numbers[:1], numbers[1:])}
         return Candidate(effect, joint, trial, columns, 1 / np.square(reach), quieter)
 
-    def basis(self, evidence: Evidence, effect: AbstractChannelEffect, joint: int, piece: int) -> np.ndarray:
+    def basis(
+        self, evidence: Evidence, effect: AbstractChannelEffect, joint: int, piece: int, place: Parameters
+    ) -> np.ndarray:
         if not effect.factor:
-            return super().basis(evidence, effect, joint, piece)
+            return super().basis(evidence, effect, joint, piece, place)
         row = (np.arange(evidence.dofs) == joint)[:, None] * evidence.states[piece][joint].transmitted
         return row[None]
 

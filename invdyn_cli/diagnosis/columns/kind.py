@@ -35,8 +35,9 @@ class AbstractKind(abc.ABC, Generic[E]):
         """The candidate of an effect at parameters that were found, together with others."""
         return self.candidate(evidence, effect, joint, at, beside)
 
-    def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int) -> np.ndarray:
-        """Columns (k, n, T) of a piece, for an effect that may act in a time window; UsageError for one that cannot."""
+    def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int, place: Parameters) -> np.ndarray:
+        """Columns (k, n, T) of a piece, for an effect that may act in a time window, where `place` has it; UsageError
+        for one that cannot."""
         got = f"{effect.name} acts on {effect.point}, and such an effect cannot act for a time only (passing = True)"
         raise UsageError(f"{got}; allowed with it: effects on bodies, forces, and channels that have a factor")
 

@@ -8,6 +8,9 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.effects.composition import EffectInstance
 
+REACH = 0.2
+"""[m] Prior scale of a force's distance from the origin of its joint's frame, along each axis."""
+
 EDGES = ("start", "end")
 """Coordinates of a window [s]."""
 
@@ -19,8 +22,10 @@ def flat(evidence: Evidence, acting: Sequence[EffectInstance]) -> tuple[np.ndarr
     for number, a in enumerate(acting):
         row = coordinates(evidence, a)
         if row is not None:
-            values += row
+            place = a.parameters.get(a.effect.placed_by, ())
+            values += [*row, *map(float, place)]
             labels += [(number, "", index) for index in range(len(row))]
+            labels += [(number, a.effect.placed_by, index) for index in range(len(place))]
         else:
             refined = {name: x for name, x in a.parameters.items() if name not in a.effect.chosen}
             values += [float(x) for x in refined.values()]
@@ -44,10 +49,12 @@ def with_parameters(
     for number, a in enumerate(acting):
         own = {(name, index): x for (k, name, index), x in zip(labels, theta, strict=True) if k == number}
         linear = [x for (name, _), x in own.items() if not name]
+        place = [x for (name, _), x in own.items() if name and name == a.effect.placed_by]
         if a.when is not None:
             a = replace(a, when=a.when._replace(**{name: float(own[name, 0]) for name in EDGES}))
         if linear:
-            made.append(replace(a, parameters=a.effect.found(linear, a.parameters, evidence.robot, a.joint)))
+            trial = {**a.parameters, a.effect.placed_by: place} if place else a.parameters
+            made.append(replace(a, parameters=a.effect.found(linear, trial, evidence.robot, a.joint)))
         else:
             refined = {name: float(x) for (name, _), x in own.items() if name not in EDGES}
             made.append(replace(a, parameters={**a.parameters, **refined}))
@@ -73,4 +80,7 @@ def precision_of(evidence: Evidence, acting: Sequence[EffectInstance], labels) -
         own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]
         if own:
             out[own] = a.effect.precision(evidence.robot, a.joint, len(own))
+        out[[k for k, (of, name, _) in enumerate(labels) if of == number and name and name == a.effect.placed_by]] = (
+            REACH**-2
+        )
     return out

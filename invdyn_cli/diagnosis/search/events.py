@@ -14,6 +14,7 @@ from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
 from invdyn_cli.diagnosis.search.edges import together
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.diagnosis.search.placed import place
 from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed, times_carried
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
@@ -118,7 +119,7 @@ def proposed(
     """
     if not everywhere:
         return {}
-    made: list[TimeWindow] = []
+    made: dict[TimeWindow, np.ndarray] = {}
     first = 1 + max((when.number for when in known), default=-1)
     used = evidence.valid * measured.weights * (evidence.role != ROLES.index("reference"))[:, None]
     beside = Lasting.beside(evidence, lasting, used)
@@ -132,18 +133,18 @@ def proposed(
             value, when, after = max(tries, key=lambda x: x[0], default=(0.0, None, left))
             if value <= least or when is None:
                 break
-            left = after
             for one in (when, *_other_end(evidence, when)):
                 if not any(_alike(one, other) for other in (*known, *made)):
-                    made.append(_numbered(one, first + len(made)))
-    return {
-        when: [
-            passing_candidate(evidence, p.effect, p.joint, when)
-            for p in everywhere
-            if not (when.again and p.effect.factor)
-        ]
-        for when in made
-    }
+                    made[_numbered(one, first + len(made))] = left
+            left = after
+    windows: Windows = {}
+    for when, left in made.items():
+        some = [p for p in everywhere if not (when.again and p.effect.factor)]
+        own = [passing_candidate(evidence, p.effect, p.joint, when) for p in some]
+        forces = {c.effect.name: c for c in own if c.effect.placed_by}
+        moved = (place(evidence, c, when, lasting, used, left) for c in forces.values())
+        windows[when] = [*own, *(c for c in moved if c)]
+    return windows
 
 
 def _numbered(one: TimeWindow, number: int) -> TimeWindow:

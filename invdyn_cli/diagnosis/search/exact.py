@@ -185,7 +185,7 @@ def _jacobian(evidence: Evidence, model: Model, acting, theta, labels, beside: S
         a = acting[number]
         if not name and a.when is not None:
             if index == 0:
-                passing = passing_columns(evidence, a.effect, a.joint, a.when)
+                passing = passing_columns(evidence, a.effect, a.joint, a.when, a.parameters)
             before += _parts(i, passing[index])
             continue
         if not name:  # torque is linear in a body's coordinates, and its columns are there already

@@ -57,9 +57,6 @@ class Grams:
         self.alike: dict[Kind, Alike] = {}
         self._places: dict[Candidate, tuple[Kind, int]] = {}
         self._evidence, self._room = evidence, list(self.parts)
-        self._fold = np.full(len(rows), -1)
-        for fold, block in zip(self.folds, self.blocks, strict=True):
-            self._fold[block] = fold
 
     @classmethod
     def of(cls, evidence: Evidence, rows: np.ndarray) -> "Grams":
@@ -87,9 +84,9 @@ class Grams:
                 # columns are neighbours in memory: few columns are taken from many
                 room[:, :known, :known] = self.parts[j]
                 self._room[j] = room
-            for fold, gram in enumerate(room):
-                rows = table[self.used[:, j] & (self._fold == fold)]
-                gram[:count, known:count] = rows.T @ rows[:, known:]
+            new = self.used[:, j, None] * table[:, known:]
+            for fold, block in zip(self.folds, self.blocks, strict=True):
+                room[fold, :count, known:count] += table[block].T @ new[block]
             room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
             self.parts[j] = room[:, :count, :count]
             self.totals[j] = self.parts[j].sum(0)

@@ -19,7 +19,9 @@ from invdyn_cli.diagnosis.search.inquiry import Inquiry, beside
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise
+from invdyn_cli.diagnosis.search.placed import placed
 from invdyn_cli.diagnosis.search.steps import search
+from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
 
 ROUNDS = 3
@@ -27,6 +29,10 @@ ROUNDS = 3
 
 WORTH = 0.97
 """Of what was left before a round beyond ROUNDS, or before windows, what it must come below for another to follow."""
+
+MOSTLY, NEARLY = 0.1, 0.8
+"""Of what two windows explain that have NEARLY the same time, as a share of the time of both, what one of them may
+leave: what comes and goes gradually is told as two that come one after the other."""
 
 PLAINLY = 0.5
 """Of the loss of a search that tries drives that two joints share at last, what one that tries them from the first step
@@ -58,6 +64,7 @@ class Search:
         widened: set[tuple] = set()
         for number in range(rounds):
             self._add(sharpened(self.judge, self.always, hypothesis, self.pool))
+            hypothesis = placed(self.judge, self.always, hypothesis)
             seen.append({c.key for c in hypothesis})
             refined = self._refined(hypothesis)
             odd = unlikely(self.evidence, self.model, self.noise, refined) | self._feigned(hypothesis)
@@ -121,8 +128,9 @@ class Search:
     def _joined(self, hypothesis: Hypothesis, chosen: Refined) -> Hypothesis | None:
         """A hypothesis with one effect in the place of two that come and go, if that does no worse; None if no two may
         be one. It acts from the start of the first window to the end of the second, because a rest in between says
-        nothing of it; or in both windows, as a load does that is picked up in every cycle. A drive does not become as
-        weak again and again: that would fit a torque at one posture, which the catalogue lacks."""
+        nothing of it; or in both windows, as a load does that is picked up in every cycle; or, as a force that comes
+        and goes gradually, once where two windows are nearly the same. A drive does not become as weak again and again:
+        that would fit a torque at one posture, which the catalogue lacks."""
         for i, k in permutations(range(len(hypothesis)), 2):
             one, other = chosen.acting[i], chosen.acting[k]
             if one.when is None or other.when is None or one.when.trajectory != other.when.trajectory:
@@ -141,6 +149,8 @@ class Search:
             rest = tuple(c for n, c in enumerate(hypothesis) if n not in (i, k))
             every = (*self._around(hypothesis), *rest)
             most = self.judge.loss((*every, *both))
+            if (one.effect, one.joint) == (other.effect, other.joint) and _at_once(one.when, other.when):
+                most += MOSTLY * (self.judge.loss(every) - most)
             for trial in trials:
                 if self.judge.loss((*every, trial)) <= most:
                     return (*rest, trial)
@@ -188,3 +198,9 @@ def begin(
         return late
     early = best(pool, starts)
     return early if judge.loss((*always, *early)) < asked else late
+
+
+def _at_once(one: TimeWindow, other: TimeWindow) -> bool:
+    """Whether two windows have nearly the same time."""
+    common = min(one.end, other.end) - max(one.start, other.start)
+    return common > NEARLY * (max(one.end, other.end) - min(one.start, other.start))

@@ -129,6 +129,11 @@ class Windowed:
         made = np.tensordot(factors, self.columns[:, :, self.rows], 1).T
         return np.sum(self.lasting.used[self.rows] * (without**2 - (without - made) ** 2), axis=1)
 
+    def equations(self, spans: Spans) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrix (k, k) and moments (k,) of the columns in these windows, what lasts being projected out."""
+        normal, moment = self._equations(self._within(spans)[None])
+        return normal[0], moment[0]
+
     def _refitted(self, spans: Spans) -> tuple[np.ndarray, np.ndarray]:
         """Factors (k,) of the columns in these windows, and the coefficients (p,) of what lasts beside them."""
         sums = self._within(spans)
