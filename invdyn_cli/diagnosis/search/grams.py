@@ -14,6 +14,9 @@ FOLDS = 8
 SPARE = 128
 """Number of columns for which there is space before matrices are copied."""
 
+FEW = 0.7
+"""Share of the columns that must be known for the others to be few."""
+
 Kind = tuple[int, int, int]
 """How many joints candidates act on, and how many fixed and free columns they have on each."""
 
@@ -84,12 +87,21 @@ class Grams:
                 # columns are neighbours in memory: few columns are taken from many
                 room[:, :known, :known] = self.parts[j]
                 self._room[j] = room
-            new = self.used[:, j, None] * table[:, known:]
-            for fold, block in zip(self.folds, self.blocks, strict=True):
-                room[fold, :count, known:count] += table[block].T @ new[block]
+            for fold, gram in enumerate(room):
+                gram[:count, known:count] = self._products(j, fold, table, known)
             room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
             self.parts[j] = room[:, :count, :count]
             self.totals[j] = self.parts[j].sum(0)
+
+    def _products(self, j: int, fold: int, table: np.ndarray, known: int) -> np.ndarray:
+        """(C, C - known) products of all columns of a joint's table (R, C) with those that are new, in a fold. Few are
+        multiplied block by block: to take the rows of a large table costs more than the products."""
+        blocks = [block for own, block in zip(self.folds, self.blocks, strict=True) if own == fold]
+        if known < FEW * table.shape[1]:
+            rows = np.concatenate([table[block][self.used[block, j]] for block in blocks])
+            return rows.T @ rows[:, known:]
+        new = [self.used[block, j, None] * table[block, known:] for block in blocks]
+        return np.sum([table[block].T @ x for block, x in zip(blocks, new, strict=True)], axis=0)
 
     def place(self, c: Candidate) -> tuple[Kind, int]:
         """A candidate's kind and its number there."""

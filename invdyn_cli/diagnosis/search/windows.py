@@ -9,8 +9,11 @@ from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search import events, noise
 from invdyn_cli.diagnosis.search.believed import believed
+from invdyn_cli.diagnosis.search.equations import solved
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.shared_part import precision_of
+from invdyn_cli.diagnosis.search.slopes import Slopes
 from invdyn_cli.diagnosis.search.steps import search
 from invdyn_cli.recording.pieces import ROLES
 
@@ -107,6 +110,7 @@ def terms_of(pool: Sequence[Candidate], wear: Hypothesis) -> Hypothesis:
 def left_by_standard(evidence: Evidence, measured: noise.Noise, rows: np.ndarray, wear: Hypothesis) -> np.ndarray:
     """(R, n) what the standard model leaves; a model of all columns would take up a ripple with those of others."""
     model = (*terms_of(evidence.candidates, wear), *wear)
-    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, model, True)
-    judge.refresh()
-    return evidence.residual(model, judge.quick(model)[1])
+    scale = np.sqrt(measured.weights) * (rows[:, None] & evidence.valid)
+    own, prior = Slopes.free(evidence, model).weighed(scale), precision_of(model)
+    theta = solved(own.normal(), own.moment(evidence.residual(model, np.zeros(len(prior))) * scale), prior)
+    return evidence.residual(model, theta)
