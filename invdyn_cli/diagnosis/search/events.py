@@ -14,7 +14,7 @@ from invdyn_cli.diagnosis.columns.evidence import BLOCK, Candidate, Evidence
 from invdyn_cli.diagnosis.search.edges import together
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import Noise
-from invdyn_cli.diagnosis.search.placed import place
+from invdyn_cli.diagnosis.search.placed import at_best_point
 from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed, times_carried
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
@@ -138,11 +138,11 @@ def proposed(
                     made[_numbered(one, first + len(made))] = left
             left = after
     windows: Windows = {}
-    for when, left in made.items():
+    for when, left in made.items():  # a drive does not become as weak again and again
         some = [p for p in everywhere if not (when.again and p.effect.factor)]
         own = [passing_candidate(evidence, p.effect, p.joint, when) for p in some]
         forces = {c.effect.name: c for c in own if c.effect.placed_by}
-        moved = (place(evidence, c, when, lasting, used, left) for c in forces.values())
+        moved = (at_best_point(evidence, c, when, lasting, used, left) for c in forces.values())
         windows[when] = [*own, *(c for c in moved if c)]
     return windows
 

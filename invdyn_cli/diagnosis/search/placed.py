@@ -36,14 +36,14 @@ def placed(judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis) 
             continue
         others = (*always, *(e for e in hypothesis if e is not c))
         left = judge.evidence.residual(others, judge.quick(others)[1])
-        found = place(judge.evidence, c, c.when, others, judge.weights * judge.grams.used, left)
+        found = at_best_point(judge.evidence, c, c.when, others, judge.weights * judge.grams.used, left)
         judge.refresh()
         if found and judge.quick((*others, found))[0] < judge.quick((*others, c))[0] - ASKED:
             hypothesis = tuple(found if e is c else e for e in hypothesis)
     return hypothesis
 
 
-def place(
+def at_best_point(
     evidence: Evidence, c: Candidate, when: TimeWindow, lasting: Hypothesis, used: np.ndarray, left: np.ndarray
 ) -> Candidate | None:
     """A force on the link, and at the point, that explain most in a window; None if it does as well where it was tried,

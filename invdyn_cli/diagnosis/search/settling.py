@@ -31,8 +31,8 @@ WORTH = 0.97
 """Of what was left before a round beyond ROUNDS, or before windows, what it must come below for another to follow."""
 
 MOSTLY, NEARLY = 0.1, 0.8
-"""Of what two windows explain that have NEARLY the same time, as a share of the time of both, what one of them may
-leave: what comes and goes gradually is told as two that come one after the other."""
+"""Of what two forces explain that act at NEARLY the same time, as a share of the time of both, what one of them may
+leave: a force that comes and goes gradually is told as two that come one after the other."""
 
 PLAINLY = 0.5
 """Of the loss of a search that tries drives that two joints share at last, what one that tries them from the first step
@@ -149,7 +149,7 @@ class Search:
             rest = tuple(c for n, c in enumerate(hypothesis) if n not in (i, k))
             every = (*self._around(hypothesis), *rest)
             most = self.judge.loss((*every, *both))
-            if (one.effect, one.joint) == (other.effect, other.joint) and _at_once(one.when, other.when):
+            if one.effect.placed_by and one.key[:2] == other.key[:2] and _at_once(one.when, other.when):
                 most += MOSTLY * (self.judge.loss(every) - most)
             for trial in trials:
                 if self.judge.loss((*every, trial)) <= most:

@@ -7,7 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.candidates import passing_candidate
 from invdyn_cli.diagnosis.columns.evidence import Candidate
-from invdyn_cli.diagnosis.search.placed import place
+from invdyn_cli.diagnosis.search.placed import at_best_point
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.types import Motion
@@ -40,7 +40,7 @@ def found(point: np.ndarray, tried: int, seed: int) -> Candidate | None:
     evidence = evidence_of(log, ("torque_offset", "viscous_friction"))
     c = passing_candidate(evidence, CONTACT, tried, WINDOW)
     lasting = tuple(evidence.candidates)
-    return place(evidence, c, WINDOW, lasting, evidence.valid / NOISE**2, evidence.residual((), np.zeros(0)))
+    return at_best_point(evidence, c, WINDOW, lasting, evidence.valid / NOISE**2, evidence.residual((), np.zeros(0)))
 
 
 @pytest.mark.parametrize("seed", range(5))
