@@ -2,7 +2,7 @@
 by more than what stays unexplained on its joint."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -178,7 +178,13 @@ def supported(
         hypothesis = hypothesis[:place] + hypothesis[place + 1 :]
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
-    return inquiry, claims, whole, tuple(out)
+    passing = {c.effect.name for c in hypothesis if c.when is not None}
+    return inquiry, claims, whole, tuple(_quiet(x) if x.candidate.effect.name in passing else x for x in out)
+
+
+def _quiet(one: Refused) -> Refused:
+    """The same without a sentence: that a second event of a claimed effect is not claimed would seem to deny that."""
+    return replace(one, told="")
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:
