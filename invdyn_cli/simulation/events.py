@@ -55,7 +55,7 @@ class Contact:
     joint: int
     force: np.ndarray
     window: Window
-    point: Sequence[float] = (0.0, 0.0, 0.0)
+    point: Sequence[float]
 
 
 @dataclass(frozen=True)

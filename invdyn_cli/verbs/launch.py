@@ -69,7 +69,7 @@ def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) ->
     except OSError:
         return complain("the working directory no longer exists. Try: cd to an existing one")
     logging.getLogger("hydra").addHandler(logging.NullHandler())  # what cannot be imported is told in our own line
-    warnings.filterwarnings("ignore", "provider=.* is not available")  # a folder that was removed: as well
+    warnings.filterwarnings("ignore", "provider=.* is not available")  # nor can a folder that was removed
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come to us instead of being printed
     overrides = [a for a in argv if "=" in a and not a.startswith("-")]
     sys.argv = [f"invdyn {verb}", *overrides, *(a for a in argv if a not in overrides)]  # argparse wants them together

@@ -120,6 +120,13 @@ def test_a_recording_has(name, robot, motion):
     assert np.any(np.abs(change[0] - change[1]) > 1e-12, axis=0).tolist() == [EFFECTS[name].point != "channel", True]
 
 
+def test_a_force_at_a_joint_s_origin_is_not_felt_there(robot, motion):
+    """At the second joint's origin, which that joint does not move, only the first feels it."""
+    model = model_of("external_contact", robot, {"force": np.array([3.0, -2.0, 5.0])})
+    change = [m.predict(motion.q, motion.qd, motion.qdd, T, "run") for m in (model, ExtendedModel(robot, ()))]
+    assert np.any(np.abs(change[0] - change[1]) > 1e-12, axis=0).tolist() == [True, False]
+
+
 @pytest.mark.parametrize("name", PASSING)
 def test_what_comes_and_goes(name, robot, motion):
     """In its own trajectory it acts from 1 to 2 s, as the lasting one would, and at no other time; in others never."""

@@ -32,23 +32,26 @@ def motion(robot):
     return Motion(*np.random.default_rng(0).normal(size=(3, robot.dofs, len(T))))
 
 
+@pytest.mark.parametrize("placed", [False, True])
 @pytest.mark.parametrize("joint", range(4))
-def test_a_contact_is_the_jacobians(joint, robot, motion):
-    """The term of a force in the base frame at a point of a link is minus the transposed Jacobian of that point times
-    it, by Pinocchio, to rounding; what the arm's own masses need is left as it is."""
+def test_a_contact_is_the_jacobians(joint, placed, robot, motion):
+    """The term of a force in the base frame at a point of a link, or at a joint's origin, is minus the transposed
+    Jacobian of that point times it, by Pinocchio, to rounding; what the arm's own masses need is left as it is."""
     effect, model = EFFECTS["external_contact"], pinocchio_model(robot)
     given, data = parameters("external_contact", np.random.default_rng(joint)), model.createData()
+    point = given["point"] if placed else np.zeros(3)
+    given = given if placed else {"force": given["force"]}
     wanted = np.empty_like(motion.q)
     for k, q in enumerate(motion.q.T):
         pin.computeJointJacobians(model, data, q)
         frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         own = model.getJointId(robot.joints[joint])
-        jacobian, arm = pin.getJointJacobian(model, data, own, frame), data.oMi[own].rotation @ given["point"]
+        jacobian, arm = pin.getJointJacobian(model, data, own, frame), data.oMi[own].rotation @ point
         wanted[:, k] = -jacobian[:3].T @ given["force"] - jacobian[3:].T @ np.cross(arm, given["force"])
-    columns = effect.placed(given, robot, joint, motion)
+    columns = effect.placed(given, robot, joint, motion) if placed else effect.basis(robot, joint, motion)
     np.testing.assert_allclose(np.tensordot(effect.coefficients(given), columns, 1), wanted, atol=1e-9)
     there = effect.found(effect.coefficients(given), given, robot, joint)
-    assert all(np.array_equal(there[name], given[name]) for name in ("force", "point"))
+    assert there.keys() == given.keys() and all(np.array_equal(there[name], given[name]) for name in given)
     always = link_torque(robot, [EffectInstance(effect, joint, given)], motion, HERE)
     np.testing.assert_allclose(always - rigid_torque(robot, motion), wanted, atol=1e-9)
 

@@ -86,13 +86,15 @@ def test_payload_change(seed, ramp, apollo):
     assert rms(filtered(expected - without.nominal)) > 0.01 * rms(filtered(expected))
 
 
+@pytest.mark.parametrize("placed", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_contact(seed, apollo):
-    """A force in the base frame at a point of a link adds minus the Jacobian's transpose times it, by Pinocchio's
-    Jacobian, in the window; joints behind it do not feel it."""
+def test_contact(seed, placed, apollo):
+    """A force in the base frame at a point of a link, or without one at a joint's origin, adds minus the Jacobian's
+    transpose times it, by Pinocchio's Jacobian, in the window; joints behind it do not feel it."""
     draw, window = drawn(seed)
-    i, force, point = int(draw.integers(2, 6)), draw.uniform(-30, 30, 3), draw.uniform(-0.05, 0.05, 3)
-    hidden = {"force": force.tolist(), "point": point.tolist(), "window": window}
+    i, force = int(draw.integers(2, 6) if placed else draw.integers(3, 7)), draw.uniform(-30, 30, 3)
+    point = draw.uniform(-0.05, 0.05, 3) if placed else np.zeros(3)
+    hidden = {"force": force.tolist(), "window": window, **({"point": point.tolist()} if placed else {})}
     tr = recorded(apollo, Hidden("external_contact", apollo.joints[i], hidden))
     x, model = truth(apollo, tr), pinocchio_model(apollo)
     data, joint = model.createData(), model.getJointId(apollo.joints[i])
@@ -105,7 +107,7 @@ def test_contact(seed, apollo):
     left = (filtered(x.logged) - filtered(x.nominal + term))[far_from(*window)]
     assert np.all(rms(left, 0) < 1e-3 * rms(filtered(x.nominal + term), 0))
     assert rms(filtered(term)) > 0.02 * rms(filtered(x.nominal))
-    assert np.abs(term[:, i + 1 :]).max() < 1e-9 * np.abs(term).max()
+    assert np.abs(term[:, i + placed :]).max() < 1e-9 * np.abs(term).max()
 
 
 EVENTS = {

@@ -80,7 +80,6 @@ def precision_of(evidence: Evidence, acting: Sequence[EffectInstance], labels) -
         own = [k for k, (of, name, _) in enumerate(labels) if of == number and not name]
         if own:
             out[own] = a.effect.precision(evidence.robot, a.joint, len(own))
-        out[[k for k, (of, name, _) in enumerate(labels) if of == number and name and name == a.effect.placed_by]] = (
-            REACH**-2
-        )
+        place = [k for k, (of, name, _) in enumerate(labels) if of == number and name and name == a.effect.placed_by]
+        out[place] = REACH**-2
     return out

@@ -161,9 +161,9 @@ def _alike(one: TimeWindow, other: TimeWindow) -> bool:
 
 def _other_end(evidence: Evidence, when: TimeWindow) -> list[TimeWindow]:
     """What is left of the trajectory, if the window is at one of its ends: a change until then is one from then on."""
-    first, last = evidence.recording.ends[when.trajectory]
     if when.again:
         return []
+    first, last = evidence.recording.ends[when.trajectory]
     if when.start - first < EDGE < last - when.end:
         return [when._replace(start=when.end, end=last)]
     if last - when.end < EDGE < when.start - first:

@@ -19,7 +19,7 @@ from invdyn_cli.diagnosis.search.judge import (
     Hypothesis,
     HypothesisScorer,
 )
-from invdyn_cli.diagnosis.search.windowed import Lasting, Spans, Windowed
+from invdyn_cli.diagnosis.search.windowed import Lasting, Windowed
 from invdyn_cli.effects.composition import TimeWindow
 
 SETTLED = 2.0
@@ -54,14 +54,16 @@ def at_best_point(
         used: (R, n) weights of the rows.
         left: (R, n) what remains without the force.
     """
-    name, rows = c.effect.placed_by, np.flatnonzero(evidence.trajectory == when.trajectory)
-    t = evidence.on_rows("t")[rows]
-    used = used.copy()
-    used[rows[_near_an_edge(evidence, when, t)]] = 0.0
-    spans = [(int(a), int(b)) for a, b in (np.searchsorted(t, [w.start, w.end]) for w in when.each)]
+    name, (inside, near) = c.effect.placed_by, _inside(evidence, when)
+    used = np.where(near[:, None], 0.0, used)
     beside = Lasting.beside(evidence, lasting, used)
-    links = [Link.of(evidence, c, joint, beside, left, rows, spans) for joint in range(evidence.dofs)]
+    refit = beside.explained(left)
     assert c.joint is not None
+    links = []
+    for joint in range(evidence.dofs):
+        columns = _columns(evidence, c, joint)
+        windowed = Windowed(beside, columns, np.zeros(len(columns)), left, refit, np.flatnonzero(inside))
+        links.append(Link.of(*windowed.equations([(0, int(inside.sum()))]), float(1 / np.sqrt(c.precision[0]))))
     tried = [links[c.joint].least_at(np.asarray(c.effect.whole(c.shape)[name], float))]
     least = min(tried + [link.least_at(np.zeros(3)) for link in links]) - ASKED
     best: tuple[int, np.ndarray] | None = None
@@ -75,13 +77,16 @@ def at_best_point(
     return None if best is None else passing_candidate(evidence, c.effect, best[0], when, {name: best[1]})
 
 
-def _near_an_edge(evidence: Evidence, when: TimeWindow, t: np.ndarray) -> np.ndarray:
-    """(R,) where the filter mixes what is in a window with what is not: there the columns below are not exact."""
-    near = np.zeros(len(t), bool)
+def _inside(evidence: Evidence, when: TimeWindow) -> tuple[np.ndarray, np.ndarray]:
+    """(R,) each: rows inside the windows; and rows near an edge, where the filter mixes what is inside with what is not
+    and the columns below are not exact."""
+    t, own = evidence.on_rows("t"), evidence.trajectory == when.trajectory
+    inside, near = np.zeros((2, len(t)), bool)
     for one in when.each:
         reach = min(SETTLED / min(evidence.recording.filter.cutoffs), (one.end - one.start) / 4)
-        near |= (np.abs(t - one.start) < reach) | (np.abs(t - one.end) < reach)
-    return near
+        inside |= own & (t >= one.start) & (t < one.end)
+        near |= own & ((np.abs(t - one.start) < reach) | (np.abs(t - one.end) < reach))
+    return inside, near
 
 
 @dataclass(frozen=True)
@@ -94,23 +99,11 @@ class Link:
     scale: float
 
     @classmethod
-    def of(
-        cls,
-        evidence: Evidence,
-        c: Candidate,
-        joint: int,
-        beside: Lasting,
-        left: np.ndarray,
-        rows: np.ndarray,
-        spans: Spans,
-    ) -> "Link":
-        columns = _columns(evidence, c, joint)
-        windowed = Windowed(beside, columns, np.zeros(len(columns)), left, beside.explained(left), rows)
-        normal, moment = windowed.equations(spans)
+    def of(cls, normal: np.ndarray, moment: np.ndarray, scale: float) -> "Link":
+        """From the normal equations (12, 12) and (12,) of its columns."""
         values, vectors = np.linalg.eigh(normal)
         kept = values > 1e-9 * max(values[-1], 1e-300)
         root = np.sqrt(values[kept])
-        scale = float(1 / np.sqrt(c.precision[0]))
         return cls(root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ moment / root, scale)
 
     @property

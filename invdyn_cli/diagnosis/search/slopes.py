@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.search.equations import solved
 from invdyn_cli.effects.composition import EffectInstance
 
 
@@ -67,6 +68,11 @@ class Slopes:
     def weighed(self, scale: np.ndarray, rows: np.ndarray | slice = slice(None)) -> "Slopes":
         """Some rows, each joint's multiplied by `scale` (R, n)."""
         return replace(self, columns=tuple(x[:, rows] * scale[rows, j] for j, x in enumerate(self.columns)))
+
+    def fitted(self, y: np.ndarray, scale: np.ndarray, precision: np.ndarray) -> np.ndarray:
+        """Coefficients (k,) that explain most of a torque (R, n), each row weighed by scale^2, with the prior."""
+        own = self.weighed(scale)
+        return solved(own.normal(), own.moment(y * scale), precision)
 
     def normal(self) -> np.ndarray:
         """Normal matrix (k, k)."""

@@ -10,7 +10,6 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search import events, noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.composed import Model
-from invdyn_cli.diagnosis.search.equations import solved
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
@@ -175,8 +174,7 @@ def _scale_what_both_show(
     before = evidence.reference_rows
     assert before is not None
     shown, scale = Slopes.free(evidence, always), np.sqrt(weights) * (before[:, None] & evidence.valid)
-    own = shown.weighed(scale)
-    theta = solved(own.normal(), own.moment(evidence.residual((), np.zeros(0)) * scale), precision_of(always))
+    theta = shown.fitted(evidence.residual((), np.zeros(0)), scale, precision_of(always))
     evidence.shown = torque = shown.torque(theta)
     for c in pool:
         if c.effect.factor and c.joint is not None:

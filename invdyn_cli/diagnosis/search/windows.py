@@ -9,7 +9,6 @@ from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search import events, noise
 from invdyn_cli.diagnosis.search.believed import believed
-from invdyn_cli.diagnosis.search.equations import solved
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.shared_part import precision_of
@@ -111,6 +110,6 @@ def left_by_standard(evidence: Evidence, measured: noise.Noise, rows: np.ndarray
     """(R, n) what the standard model leaves; a model of all columns would take up a ripple with those of others."""
     model = (*terms_of(evidence.candidates, wear), *wear)
     scale = np.sqrt(measured.weights) * (rows[:, None] & evidence.valid)
-    own, prior = Slopes.free(evidence, model).weighed(scale), precision_of(model)
-    theta = solved(own.normal(), own.moment(evidence.residual(model, np.zeros(len(prior))) * scale), prior)
-    return evidence.residual(model, theta)
+    prior = precision_of(model)
+    target = evidence.residual(model, np.zeros(len(prior)))
+    return evidence.residual(model, Slopes.free(evidence, model).fitted(target, scale, prior))

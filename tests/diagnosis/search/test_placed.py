@@ -16,8 +16,6 @@ from tests.diagnosis.analytic import Term, arm, beyond, evidence_of, log_of, mov
 NOISE = 0.02
 WINDOW = TimeWindow("run", 3.1, 5.3)
 CONTACT = EFFECTS["external_contact"]
-
-
 LAST = arm().dofs - 1
 
 
