@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, une
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal
 from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
+from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.noise import Noise
@@ -71,7 +72,8 @@ def diagnose(
         gradual = _gradual(*found)
         if gradual != case.recording.transition:
             case = case.with_transition(gradual)
-            found = searched(case, lambda done, note: progress(0.7, f"{note}, friction that changes side gradually"))
+            earlier, why = (found[0] if found[0].wear else None), "friction that changes side gradually"
+            found = searched(case, lambda done, note: progress(0.7, f"{note}, {why}"), earlier)
         return decided(case, *found, options, learner, seed, progress)
 
     with one_blas_thread():
@@ -91,8 +93,11 @@ def _gradual(inquiry: Inquiry, columns: standard.Columns) -> tuple[float, ...]:
     return transition.speeds(columns.behind(rest), inquiry.model.residual(rest), jumping)
 
 
-def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard.Columns]:
-    """The search, beside the standard model where the arm is worn; and the standard model's columns."""
+def searched(
+    case: Case, progress: Progress = silent, earlier: Inquiry | None = None
+) -> tuple[Inquiry, standard.Columns]:
+    """The search, beside the standard model where the arm is worn; and the standard model's columns. What an `earlier`
+    search beside the standard model came to on the same log is where it starts: the arm is worn then."""
     progress(0.5, "search")
     side = case.log.torque_side
 
@@ -106,6 +111,10 @@ def searched(case: Case, progress: Progress = silent) -> tuple[Inquiry, standard
     fitted = None if case.compares else wear.plain(columns, yielding.left(columns, case.gear))
     if fitted is not None:
         return asked(*wear.beside(columns, yielding.believable(columns, case.gear, fitted))), columns
+    if earlier is not None:
+        fitted = wear.of(columns, replace(earlier, model=Model(case.evidence)))
+    if earlier is not None and fitted is not None:
+        return asked(*wear.beside(columns, fitted, earlier.noise.weights, earlier.chosen.acting)), columns
     add_loaded(case.evidence)
     if case.compares:
         case.evidence.candidates = since.candidates(case.evidence, columns)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import fields
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 
@@ -122,6 +123,7 @@ def execute(
         console.note(f"robot: {note}")
     with screen.stages(quiet=console.quiet and not shows) as stage:
         found = source.recorded(robot, stage("data"))
+        motion = cache(partial(stage, "next motion"))  # begins with its first report
         with _drawer(helped) as drawer:  # not before the input was read: wrong input is told without it
             result = explain(
                 found.log,
@@ -134,7 +136,7 @@ def execute(
                 design=config.diagnosis.design,
                 seed=config.seed,
                 progress=stage("diagnose"),
-                designing=stage("next"),
+                designing=lambda done, note: motion()(done, note),
                 notes=[f"data: {note}" for note in found.notes],
             )
             result.save(folder, stage("write"), drawer)

@@ -2,6 +2,7 @@
 
 import json
 import os
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from experiments.arms import random_arm
 from invdyn_cli import load_model
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.effects.catalogue import EFFECTS
+from invdyn_cli.errors import UsageError
 from invdyn_cli.log import Log
 from invdyn_cli.logfile import read_log, write_log
 from invdyn_cli.recording.pieces import Preparation
@@ -244,6 +246,24 @@ def test_a_simulated_arm_is_diagnosed_at_once(folder, command):
     assert said.code == 0, said.err
     assert said.out[-1].endswith("-plant")
     assert ("coulomb_friction", JOINT) in {x[:2] for x in claims(Path(said.out[-1]))}
+
+
+def test_a_step_is_told_when_it_begins(folder, command, monkeypatch):
+    """While the log is diagnosed the screen does not say that the next motion is designed."""
+    begun: list[str] = []
+
+    @contextmanager
+    def stages(**_):
+        yield lambda name: begun.append(name) or (lambda done, note: None)
+
+    def interrupted(*_, progress, **__):
+        progress(0.1, "checked")
+        raise UsageError("enough")
+
+    monkeypatch.setattr("invdyn_cli.verbs.diagnose.screen.stages", stages)
+    monkeypatch.setattr("invdyn_cli.verbs.diagnose.explain", interrupted)
+    assert command("diagnose", f"data.path={folder / 'log.h5'}").code == 2
+    assert begun == ["read", "data", "diagnose"]
 
 
 def test_configs_agree_with_classes():
