@@ -7,6 +7,7 @@ import numpy as np
 import scipy.signal
 
 from invdyn_cli.diagnosis.standard import Columns
+from invdyn_cli.maths import ripple
 from invdyn_cli.maths.signals import butterworth
 from invdyn_cli.recording.pieces import ROLES, needed
 
@@ -21,27 +22,37 @@ LONG = 3.0
 def heard(columns: Columns, target: np.ndarray, possible: Sequence[float]) -> tuple[float, ...]:
     """The cut-off [Hz] of each joint's low-pass (n,): the highest of those `possible`, and no higher than now, up to
     which what the standard model leaves of `target` (R, n) is on average at most DENSER times as dense as in any
-    narrower band."""
+    narrower band. A ripple is no noise: what is left may be without the strongest line over the joint's angle."""
     evidence, filter = columns.evidence, columns.evidence.recording.filter
     rows = evidence.role == ROLES.index("train")
     left = target - columns.of(columns.fit(target, rows).theta)
+    smooth = np.stack([_without_line(*x, rows) for x in zip(left.T, evidence.on_rows("q").T, strict=True)], axis=1)
     shortest = min(len(piece.t) for piece in evidence.recording.pieces)
     possible = [c for c in possible if shortest > needed(filter.rate, c)]
     rate = filter.rate / filter.keep
     length = round(LONG * rate / min(possible, default=np.inf))
-    parts = [left[(evidence.piece == number) & rows] for number in np.unique(evidence.piece[rows])]
-    parts = [x for x in parts if len(x) >= 2 * length]  # of fewer stretches a jolt is the median
-    if not (parts and possible):
+    own = [(evidence.piece == number) & rows for number in np.unique(evidence.piece[rows])]
+    own = [x for x in own if x.sum() >= 2 * length]  # of fewer stretches a jolt is the median
+    if not (own and possible):
         return filter.cutoffs
     f = np.fft.rfftfreq(length, 1 / rate)
-    spectra = [scipy.signal.welch(x, rate, nperseg=length, average="median", axis=0)[1] for x in parts]
-    density = np.average(spectra, axis=0, weights=[len(x) for x in parts])
+    both = np.concatenate([left, smooth], axis=1)
+    spectra = [scipy.signal.welch(both[x], rate, nperseg=length, average="median", axis=0)[1] for x in own]
+    density = np.average(spectra, axis=0, weights=[x.sum() for x in own])
     made = []
-    for own, now in zip(density.T, filter.cutoffs, strict=True):
+    for dense, now in zip(density.T, 2 * tuple(filter.cutoffs), strict=True):
         passed = np.abs(scipy.signal.sosfreqz(butterworth(filter.rate, now), f, fs=filter.rate)[1]) ** 4
-        mean = np.cumsum(own / passed) / np.arange(1, len(f) + 1)
+        mean = np.cumsum(dense / passed) / np.arange(1, len(f) + 1)
         bands = sorted({now, *(c for c in possible if c < now)})
         means = mean[np.searchsorted(f, bands, side="right") - 1]
         quiet = means <= DENSER * np.minimum.accumulate(means)
         made.append(max(c for c, good in zip(bands, quiet, strict=True) if good))
-    return tuple(made)
+    return tuple(max(x) for x in zip(made[: evidence.dofs], made[evidence.dofs :], strict=True))
+
+
+def _without_line(left: np.ndarray, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """A joint's residual (R,) without the line over its angle (R,) that explains most of it on some `rows` (R,)."""
+    cycles, _ = ripple.strongest(left[rows], q[rows])
+    plain = np.stack([np.cos(cycles * q), np.sin(cycles * q)], axis=1)
+    waves = np.concatenate([plain, q[:, None] * plain], axis=1)  # the latter for what the cycles are off
+    return left - waves @ np.linalg.lstsq(waves[rows], left[rows], rcond=None)[0]

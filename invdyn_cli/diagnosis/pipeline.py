@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, une
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal
 from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
+from invdyn_cli.diagnosis.search import moments
 from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
@@ -160,6 +161,8 @@ def decided(
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged
     structured_joints = unexplained.beyond_noise(evidence, left, judged(evidence))
+    few = moments.moments(evidence, left)
+    rare = np.array([few[j].torque if j in few else 0.0 for j in range(robot.dofs)])
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
     made = replace(made, findings=lateness.taken_back(made.findings, effects, case.examination))
@@ -175,7 +178,12 @@ def decided(
     named = {(f.effect, f.joint): f.alternatives for f in claimed if f.status in wording.CLAIMS and f.window is None}
     diagnosis = Diagnosis(
         verdict=wording.verdict(
-            made, learned, structured_joints, structured(tests, robot.joints), floor, _scores(evidence, rest)
+            made,
+            learned,
+            structured_joints,
+            np.maximum(structured(tests, robot.joints), rare),
+            floor,
+            _scores(evidence, rest),
         ),
         examination=case.examination,
         findings=made.findings,
@@ -212,6 +220,7 @@ def decided(
             "samples": len(evidence.role),
             "blocks": int(evidence.block.max() + 1),
             "hypotheses_tried": inquiry.judge.tried,
+            "moments": {robot.joints[j]: x._asdict() for j, x in few.items()},
             "beyond_noise": [j for j, x in zip(robot.joints, structured_joints, strict=True) if x],
             "refused": [
                 {

@@ -154,8 +154,15 @@ def in_table(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _rest(diagnosis: Diagnosis) -> str:
     """A sentence on the structured part of the residual, "" if there is none."""
     shares = {j: share for j, share in diagnosis.unexplained.items() if share > PREDICTABLE}
-    swings = [j for j in diagnosis.details.get("beyond_noise", ()) if j not in shares]
+    moments = diagnosis.details.get("moments", {})
+    swings = [j for j in diagnosis.details.get("beyond_noise", ()) if j not in shares and j not in moments]
     said = []
+    units = units_of(diagnosis)
+    for joint, x in moments.items():
+        when = f"from {x['start']:.1f} to {x['end']:.1f} s of {x['trajectory']}"
+        said.append(
+            f"Most of what remains on {joint} is {when} ({x['there']:.3g} {units[joint]}); its cause is unknown."
+        )
     if shares:
         most = f"a learner still predicts up to {100 * max(shares.values()):.0f} % of the residual"
         said.append(f"An unknown effect remains on {', '.join(shares)}: {most}.")

@@ -13,6 +13,7 @@ from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.diagnosis.search.events import Windows
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
+from invdyn_cli.diagnosis.search.moments import on_one_side
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.diagnosis.search.settling import ROUNDS, WORTH, Search, begin
 from invdyn_cli.diagnosis.search.shared_part import precision_of
@@ -117,6 +118,10 @@ def inquire(
         if not found:
             break
     assert inquiry is not None
+    once = [] if parted or compares or held else on_one_side(evidence, inquiry.model.without(inquiry.whole, []))
+    if once:
+        evidence = events.interleaved(evidence, once)
+        inquiry, _ = looked(evidence, {}, gears, [inquiry.hypothesis, ()], ROUNDS + evidence.dofs)
     return inquiry
 
 
