@@ -7,12 +7,24 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli import leftovers
-from invdyn_cli.diagnosis import extension, gains, rattling, repeats, since, standard, transition, wear, yielding
+from invdyn_cli.diagnosis import (
+    extension,
+    gains,
+    one_link,
+    rattling,
+    repeats,
+    since,
+    standard,
+    transition,
+    wear,
+    yielding,
+)
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.columns.candidates import add_loaded
 from invdyn_cli.diagnosis.columns.evidence import Evidence, held_out, judged
 from invdyn_cli.diagnosis.decide import findings, lateness, sums, unclaimed, unexplained, wording
+from invdyn_cli.diagnosis.decide.gain import lowers
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, Refusal
 from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
@@ -156,7 +168,9 @@ def decided(
         there = {(f.effect, f.joint) for f in made.findings[: len(made.terms)]}
         terms, torques = standard.claims(evidence, more, there)
         told = [findings.perhaps_stribeck(inquiry, made.hypothesis, x) for x in sums.uneven(effects, terms)]
-        made = findings.joined(made, told, torques)
+        every = [*zip(told, torques, strict=True), *one_link.claimed(evidence, more, made.whole, made.acting)]
+        every.sort(key=lambda x: -lowers([x[0]]))
+        made = findings.joined(made, [x for x, _ in every], [x for _, x in every])
     left = more.residual if inquiry.wear else made.residual
     learned = unexplained.shares(evidence, left, learner, seed)
     learned = np.where(inquiry.noise.deviation > 0, learned, np.nan)  # what hardly moves was not judged

@@ -178,11 +178,27 @@ def within(prior: Prior, theta: Array, covariance: Array) -> np.ndarray:
     return theta
 
 
+def of_shares(motions: Sequence[Sums], prior: Prior, times: Array) -> dict[float, float]:
+    """The evidence for each share up to the USUAL one."""
+    total = _total(motions)
+    return {s: evidence(total, prior, times, s) for s in SHARES if s <= USUAL}
+
+
 def widest(motions: Sequence[Sums], prior: Prior, times: Array) -> float:
     """The largest share up to the USUAL one for which the evidence is no less than OPEN nats below the best."""
-    total, shares = _total(motions), [s for s in SHARES if s <= USUAL]
-    found = {s: evidence(total, prior, times, s) for s in shares}
-    return max(s for s in shares if found[s] > max(found.values()) - OPEN)
+    found = of_shares(motions, prior, times)
+    return max(s for s in found if found[s] > max(found.values()) - OPEN)
+
+
+def with_one_more(motions: Sequence[Sums], prior: Prior, together: Array, scale: float) -> tuple[list[Sums], Prior]:
+    """The same with one coefficient more, the last: it moves the others by `together` (p,) each, and has this prior
+    standard deviation."""
+    p = len(prior.scale)
+    make = np.zeros((p + 1, p + 2))
+    make[:p, :p], make[:p, p], make[p, p + 1] = np.eye(p), together, 1.0
+    more = [Sums(make.T @ one.grams @ make, one.rows) for one in motions]
+    added = {"scale": scale, "inertial": False, "positive": False, "least": 0.0}
+    return more, Prior(**{name: np.append(getattr(prior, name), x) for name, x in added.items()})
 
 
 def replicas(parts: Sequence[Sums], prior: Prior, times: Array, share: float) -> np.ndarray:

@@ -203,6 +203,12 @@ class Claim:
         ends = self._ends(name)
         return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
 
+    @property
+    def lasts(self) -> float:
+        """[s] how long its shortest window is, as it was refined; infinite for what always acts."""
+        when = None if self._number is None else self.whole.acting[self._number].when
+        return np.inf if when is None else min(one.end - one.start for one in when.each)
+
     @cached_property
     def impossible(self) -> str:
         """Why its exact parameters are physically impossible; "" if they are possible. The search judged those of the

@@ -10,6 +10,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
+from invdyn_cli.diagnosis.search.events import SHORTEST
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
@@ -125,6 +126,12 @@ REFUSALS = (
     ),
     Refusal(
         "least size by its interval", lambda x: x.size, np.nextafter(0, 1), lambda _: "its 95 % interval contains zero"
+    ),
+    Refusal(
+        "length of its window",
+        lambda x: x.lasts,
+        SHORTEST,
+        lambda x: f"it would act for {x.lasts:.2g} s only, and a jolt looks like it",
     ),
     Refusal("possible size", lambda x: float(not x.impossible), 1.0, lambda x: f"its {x.impossible}"),
     Refusal(
