@@ -135,6 +135,18 @@ def test_a_claim_has_a_size(ends, refused, monkeypatch):
     assert (row is not None and "zero" in row.why(one)) == refused and (row is None) == (not refused)
 
 
+@pytest.mark.parametrize(("end", "refused"), [(5.3, True), (5.5, False), (None, False)])
+def test_a_jolt_is_no_event(end, refused):
+    """What would act for 0.3 s is not claimed, for 0.5 s it may be; what always acts has no such length."""
+    one = of_coulomb(rubbed(20.0))
+    when = None if end is None else TimeWindow("run", 5.0, end)
+    acting = tuple(replace(a, when=when) for a in one.whole.acting)
+    hypothesis = tuple(replace(c, when=when) for c in one.hypothesis)
+    one = replace(one, whole=replace(one.whole, acting=acting), hypothesis=hypothesis)
+    (row,) = (x for x in refusals.REFUSALS if x.name == "length of its window")
+    assert (refusals.refusal(one, [row]) is row) == refused
+
+
 @pytest.mark.parametrize("even", [True, False])
 def test_a_claim_surely_gains(even):
     """What makes the error smaller in all blocks of time is claimed; what makes it as much larger in every second one
