@@ -22,11 +22,11 @@ LONG = 3.0
 def heard(columns: Columns, target: np.ndarray, possible: Sequence[float]) -> tuple[float, ...]:
     """The cut-off [Hz] of each joint's low-pass (n,): the highest of those `possible`, and no higher than now, up to
     which what the standard model leaves of `target` (R, n) is on average at most DENSER times as dense as in any
-    narrower band. A ripple is no noise: what is left may be without the strongest line over the joint's angle."""
+    narrower band. A torque ripple is not noise: the band is also found without the strongest line over the joint's
+    angle, and the wider of both counts."""
     evidence, filter = columns.evidence, columns.evidence.recording.filter
     rows = evidence.role == ROLES.index("train")
     left = target - columns.of(columns.fit(target, rows).theta)
-    smooth = np.stack([_without_line(*x, rows) for x in zip(left.T, evidence.on_rows("q").T, strict=True)], axis=1)
     shortest = min(len(piece.t) for piece in evidence.recording.pieces)
     possible = [c for c in possible if shortest > needed(filter.rate, c)]
     rate = filter.rate / filter.keep
@@ -36,7 +36,8 @@ def heard(columns: Columns, target: np.ndarray, possible: Sequence[float]) -> tu
     if not (own and possible):
         return filter.cutoffs
     f = np.fft.rfftfreq(length, 1 / rate)
-    both = np.concatenate([left, smooth], axis=1)
+    smooth = [_without_line(*x, rows) for x in zip(left.T, evidence.on_rows("q").T, strict=True)]
+    both = np.column_stack([left, *smooth])
     spectra = [scipy.signal.welch(both[x], rate, nperseg=length, average="median", axis=0)[1] for x in own]
     density = np.average(spectra, axis=0, weights=[x.sum() for x in own])
     made = []

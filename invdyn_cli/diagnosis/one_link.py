@@ -38,12 +38,12 @@ def claimed(
     for i, link in enumerate(heavier):
         link[10 * i : 10 * i + 10] = robot.inertial[i]
     before = max(standard.of_shares(motions, prior, times).values())
-    tried = [standard.of_shares(*standard.with_one_more(motions, prior, x, SIZE), times) for x in heavier]
-    gains = np.array([max(found.values()) - before for found in tried])
+    tried = [standard.with_one_more(motions, prior, x, SIZE) for x in heavier]
+    gains = np.array([max(standard.of_shares(*x, times).values()) - before for x in tried])
     if gains.max(initial=0.0) < PLAINLY:
         return []
     i = int(np.argmax(gains))
-    every, wider = standard.with_one_more(motions, prior, heavier[i], SIZE)
+    every, wider = tried[i]
     fitted = standard.fit(every, wider, times, standard.USUAL)
     parts, _ = standard.with_one_more([columns.sums(left, x) for x in stretches(rows)], prior, heavier[i], SIZE)
     mass, of_mass = float(robot.inertial[i, 0]), np.zeros(count + 1)

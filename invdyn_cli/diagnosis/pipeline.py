@@ -124,9 +124,7 @@ def searched(
     fitted = None if case.compares else wear.plain(columns, yielding.left(columns, case.gear))
     if fitted is not None:
         return asked(*wear.beside(columns, yielding.believable(columns, case.gear, fitted))), columns
-    if earlier is not None:
-        fitted = wear.of(columns, replace(earlier, model=Model(case.evidence)))
-    if earlier is not None and fitted is not None:
+    if earlier is not None and (fitted := wear.of(columns, replace(earlier, model=Model(case.evidence)))) is not None:
         return asked(*wear.beside(columns, fitted, earlier.noise.weights, earlier.chosen.acting)), columns
     add_loaded(case.evidence)
     if case.compares:

@@ -206,7 +206,8 @@ class Claim:
     @property
     def lasts(self) -> float:
         """[s] how long its shortest window is, as it was refined; infinite for what always acts."""
-        when = None if self._number is None else self.whole.acting[self._number].when
+        place = self._number
+        when = None if place is None else self.whole.acting[place].when
         return np.inf if when is None else min(one.end - one.start for one in when.each)
 
     @cached_property

@@ -14,8 +14,8 @@ STRETCH = 0.5
 """[s] Length of the stretches that are compared."""
 
 RARE = 8.0
-"""Mean squares of a residual, over those of the median stretch, above which it is of a few moments; of what is left on
-clean logs of worn arms they are 1.0 to 2.3 times those."""
+"""Ratio of a residual's mean square to that of its median stretch, above which a few moments make up most of it. On
+clean logs of worn arms it is 1.0 to 2.3."""
 
 FEWEST = 8
 """Stretches of a log, below which nothing is said of its moments."""

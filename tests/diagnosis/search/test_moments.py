@@ -24,7 +24,7 @@ def noise(evidence, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_moment_is_told(evidence, seed):
     """A pulse of 0.3 to 1 s, twenty times the noise, on one joint: its time to half a second, and its torque; of the
-    other joints nothing. It is on one side of the split, wherever that is."""
+    other joints nothing."""
     draw = np.random.default_rng([seed, 6])
     t, joint, start = evidence.on_rows("t"), int(draw.integers(evidence.dofs)), float(draw.uniform(2.0, 37.0))
     residual, inside = noise(evidence, seed), (t >= start) & (t < start + draw.uniform(0.3, 1.0))
