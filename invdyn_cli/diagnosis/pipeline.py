@@ -176,7 +176,8 @@ def decided(
     few = moments.moments(evidence, left)
     rare = np.array([few[j].torque if j in few else 0.0 for j in range(robot.dofs)])
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
-    made = replace(made, findings=unexplained.in_doubt(made.findings, effects, shares))
+    unknown = dict(zip(robot.joints, np.where(structured_joints, 1.0, learned), strict=True))
+    made = replace(made, findings=unexplained.in_doubt(made.findings, effects, unknown))
     made = replace(made, findings=lateness.taken_back(made.findings, effects, case.examination))
     made = made if case.compares else rattling.told(evidence, made, more, effects)
     progress(0.9, "model")

@@ -85,17 +85,19 @@ def meaning(name: str) -> Meaning:
     words = [word for word, _, _ in tokens]
     if any(word in OTHER for word in words):
         return Meaning("")
-    found = [word for word in words if word in _QUANTITY]
-    if len(set(found)) > 1:  # a joint that is called T
-        found = [word for word in found if word != "t"]
-    word = next((x for x in reversed(found) if x != "state"), found[-1] if found else "")
+    found = [i for i, word in enumerate(words) if word in _QUANTITY]
+    if len({words[i] for i in found}) > 1:  # a joint that is called T
+        found = [i for i in found if words[i] != "t"]
+    apart = [i for i in found if not text[tokens[i][2] :][:1].isdigit()]  # of a joint that is called q1
+    found = apart or found
+    word = words[next((i for i in reversed(found) if words[i] != "state"), found[-1])] if found else ""
     quantity = _QUANTITY.get(word, "")
     if word == "state" and "observation" not in words:  # that of a machine
         quantity = ""
     unit, used = (unit, set()) if unit else _unit(words, quantity)
     joint_d = any(text[start:end] == "D" for _, start, end in tokens) and not text.isupper()  # "d" is "desired"
     flags = {w for w in words if w in COMMANDED or w in MEASURED or w == "link"} - ({"d"} if joint_d else set())
-    rest = [i for i, w in enumerate(words) if i not in used and w not in flags and w not in found]
+    rest = [i for i, w in enumerate(words) if i not in used and w not in flags and i not in found]
     kept = [i for i in rest if words[i] not in FILLERS] or [i for i in rest if len(words[i]) == 1]
     joint = _joint(text, tokens, kept)
     if quantity == "t" and {words[i] for i in kept} <= CLOCKS:

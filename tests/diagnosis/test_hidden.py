@@ -206,6 +206,16 @@ def test_a_rest_parts_no_event():
     assert found.window == pytest.approx(case.hidden[0].parameters["window"], abs=0.05)
 
 
+@pytest.mark.benchmark
+def test_a_payload_that_no_body_is():
+    """A drive that is weak for most of a log of an arm whose last axis goes through the payload: a payload explains it
+    no worse, but only with inertials that no body has. It is named, and its gain is right to 1 %."""
+    case = draw_case(1111001, ["torque_gain_change"])
+    (found,) = claims(diagnose(case.log, case.robot))
+    assert (found.effect, found.joint, found.status) == ("torque_gain_change", case.hidden[0].joint, "named")
+    assert found.parameters["gain"].value == pytest.approx(case.hidden[0].parameters["gain"], rel=0.01)
+
+
 @pytest.mark.benchmark  # a drive that does so at times is in `make confusion`
 def test_a_drive_that_is_always_at_its_limit():
     """A controller that asks for ever more than the drive gives: the limit, a few percent of what is asked for, is that

@@ -12,6 +12,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered,
 from invdyn_cli.diagnosis.columns.gears import Gears
 from invdyn_cli.diagnosis.columns.joint_torques import JointTorques
 from invdyn_cli.diagnosis.columns.kind import AbstractKind
+from invdyn_cli.diagnosis.columns.shown import beside_gain
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow, weight
 from invdyn_cli.interfaces import AbstractEffect, Parameters
 from invdyn_cli.recording.pieces import Recording
@@ -99,7 +100,10 @@ def passing_columns(
     columns = filtered(recording, [x * share for x, share in zip(parts, shares, strict=True)])
     if effect.factor and joint is not None and evidence.shown is not None:
         there = [share * np.ones_like(piece.t) for piece, share in zip(recording.pieces, shares, strict=True)]
-        columns[:, joint] += filtered(recording, there, joint) * evidence.shown[:, joint]
+        inside, shown = filtered(recording, there, joint), evidence.shown[:, joint]
+        if when is not None and evidence.reference_rows is None:
+            shown = beside_gain(evidence, joint, inside)
+        columns[:, joint] += inside * shown
     return columns
 
 

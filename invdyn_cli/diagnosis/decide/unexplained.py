@@ -35,7 +35,7 @@ MOSTLY_UNKNOWN, UNKNOWN = 30.0, 0.5
 effect that the catalogue lacks acts there."""
 
 LATE_UNKNOWN = 1e4
-"""The factor for a delay or a lag on such a joint: many other effects resemble one to some percent."""
+"""The factor for a delay, a lag or a link's error on such a joint: many other effects resemble one to some percent."""
 
 NETS = training.Schedule(epochs=60, batch_size=64)
 
@@ -93,7 +93,7 @@ def in_doubt(
     ambiguous: another effect acts there and may be the whole cause. Savings and predictions are shares of the residual.
 
     Args:
-        learned: {joint: share of the residual's variance that the learner predicts}.
+        learned: {joint: share of the residual's variance that the learner predicts, or that is no noise}.
     """
     out = []
     for one in found:
@@ -103,7 +103,8 @@ def in_doubt(
         effect = effects[one.effect]
         near = [x for j, x in shares.items() if j == one.joint or not effect.yields]
         mostly = one.joint is not None and max(near, default=0.0) > UNKNOWN
-        least = (LATE_UNKNOWN if effect.late_by else MOSTLY_UNKNOWN) if mostly else doubt.BEYOND
+        resembled = effect.late_by or (effect.changes_inertials and not effect.load)
+        least = (LATE_UNKNOWN if resembled else MOSTLY_UNKNOWN) if mostly else doubt.BEYOND
         if one.status == "named" and saved < least * unknown:
             advice = "look for another effect on this joint: most of what the model misses there is still unknown"
             one = doubt.or_else(one, doubt.UNKNOWN, advice=advice)

@@ -23,7 +23,7 @@ rounding is noise of 0.29 of a step. Reversals come where its steps are."""
 def unlikely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined) -> set[tuple]:
     """Effects and joints with implausible parameters."""
     odd = {a.key for k, a in enumerate(refined.acting) if not _is_likely(evidence, model, measured, refined, k)}
-    return odd | realisable.beyond(evidence, refined)
+    return odd | realisable.beyond(evidence, refined).keys()
 
 
 def _is_likely(evidence: Evidence, model: Model, measured: noise.Noise, refined: Refined, place: int) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.columns.candidates import kind_of
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.shown import by_terms
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time
@@ -203,19 +204,5 @@ def ripples(
 
 def left_by_terms(evidence: Evidence, rows: np.ndarray) -> np.ndarray:
     """(R, n) what each joint's own standard terms leave of the torque: a model of all columns may take up a ripple."""
-    return evidence.residual((), np.zeros(0)) - shown_by_terms(evidence, rows, gain=False)
-
-
-def shown_by_terms(evidence: Evidence, rows: np.ndarray, gain: bool = True) -> np.ndarray:
-    """(R, n) torque of each joint's own standard terms, fitted together with a `gain` of its drive: the torque that a
-    weak drive lacks is no friction."""
-    out, nominal = np.zeros(evidence.tau.shape), evidence.residual((), np.zeros(0))
-    for j in range(evidence.dofs):
-        used = rows & evidence.valid[:, j]
-        terms = [c for c in evidence.candidates if c.effect.group == "standard" and not c.effect.changes_inertials]
-        columns = sorted({i for c in terms if c.joint == j and not c.shape for i in c.columns[j][1]})
-        own, model = evidence.tables[j][:, columns], (evidence.tau - nominal)[:, [j] if gain else []]
-        if used.any():
-            theta = np.linalg.lstsq(np.column_stack([own, model])[used], nominal[used, j])[0]
-            out[:, j] = own @ theta[: len(columns)]
-    return out
+    terms = [by_terms(evidence, rows, j) for j in range(evidence.dofs)]
+    return evidence.residual((), np.zeros(0)) - np.column_stack(terms)

@@ -78,18 +78,19 @@ def realisable(
     return after, notes + said, costs
 
 
-def beyond(evidence: Evidence, refined: Refined) -> set[tuple]:
-    """Links (the keys of their effects) that the data want to be what no body is, by far more than chance: something
-    else looks like them. A payload may be less than none: then the last link is lighter than its model."""
-    found = set()
+def beyond(evidence: Evidence, refined: Refined, loads: bool = False) -> dict[tuple, float]:
+    """Links, or payloads, (the keys of their effects) that the data want to be what no body is, by far more than
+    chance, and what a consistent body costs in noise variances. Something else looks like such a link. A payload may be
+    less than none, if the last link is lighter than its model: it depends on what else may be in its place."""
+    found = {}
     for body in _bodies(evidence, refined, evidence.robot.joints)[0]:
         one = refined.acting[_number(refined, body)]
-        if one.effect.load or _can_be(refined, body):
+        if one.effect.load != loads or _can_be(refined, body):
             continue
         wanted, known, beforehand = _known(evidence, refined, [body])
         _, cost, chance = _change(body.reference[None], wanted, known, beforehand)
         if cost > FAR * chance:
-            found.add(one.key)
+            found[one.key] = cost
     return found
 
 

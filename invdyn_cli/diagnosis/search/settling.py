@@ -20,7 +20,8 @@ from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.diagnosis.search.placed import placed
-from invdyn_cli.diagnosis.search.steps import search
+from invdyn_cli.diagnosis.search.realisable import beyond
+from invdyn_cli.diagnosis.search.steps import free_beside, search
 from invdyn_cli.effects.composition import TimeWindow
 from invdyn_cli.interfaces import AbstractEffect
 
@@ -111,6 +112,10 @@ class Search:
             if joined is not None:
                 hypothesis = joined
                 continue
+            embodied = self._embodied(hypothesis, chosen)
+            if embodied is not None:  # refined before anything is searched: its window may be a little off
+                hypothesis = self.settled(embodied, rounds)
+                continue
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)
             hypothesis = tuple(
@@ -159,6 +164,20 @@ class Search:
     def _feigned(self, hypothesis: Hypothesis) -> set[tuple]:
         return feigned(self.judge, self._around(hypothesis), hypothesis) if self.usual else set()
 
+    def _embodied(self, hypothesis: Hypothesis, chosen: Refined) -> Hypothesis | None:
+        """A hypothesis with another effect in the place of a payload that no body is, if that costs less than a
+        consistent body: a torque along one axis can have nearly any cause. None if there is no such payload."""
+        for key, cost in beyond(self.evidence, chosen, loads=True).items():
+            one = next(c for c in hypothesis if c.key == key)
+            rest = tuple(c for c in hypothesis if c is not one)
+            others = [c for c in free_beside(rest, self.pool) if not c.effect.changes_inertials]
+            around = (*self._around(hypothesis), *rest)
+            losses = self.judge.extended(around, others)[0]
+            if len(others) and np.min(losses) - self.judge.quick((*around, one))[0] < cost:
+                self._bar({key})
+                return (*rest, others[int(np.argmin(losses))])
+        return None
+
     def _around(self, hypothesis: Hypothesis) -> Hypothesis:
         return beside(self.always, self.usual, hypothesis)
 
@@ -173,10 +192,13 @@ class Search:
 
     def _without(self, odd: Collection[tuple], hypothesis: Hypothesis) -> Hypothesis:
         """The search again without what cannot be."""
-        self.barred |= set(odd)
-        self.pool = [c for c in self.pool if c.key not in odd]
+        self._bar(odd)
         kept = tuple(c for c in hypothesis if c.key not in odd)
         return search(self.judge, self.pool, self.always, kept, self.most)
+
+    def _bar(self, odd: Collection[tuple]) -> None:
+        self.barred |= set(odd)
+        self.pool = [c for c in self.pool if c.key not in odd]
 
 
 def begin(

@@ -7,6 +7,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis import known
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
+from invdyn_cli.diagnosis.columns.shown import beside_gain
 from invdyn_cli.diagnosis.search import events, noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.composed import Model
@@ -52,7 +53,7 @@ def inquire(
     """
     everywhere = []  # in a comparison first what both logs show
     if not compares:
-        evidence = replace(evidence, shown=noise.shown_by_terms(evidence, evidence.role == ROLES.index("train")))
+        evidence = replace(evidence, shown=np.column_stack([beside_gain(evidence, j) for j in range(evidence.dofs)]))
         everywhere = events.places(evidence, effects, side)
     gears = [c for c in evidence.candidates if c.effect.yields]
 

@@ -9,6 +9,7 @@ from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.columns.candidates import kind_of, passing_candidate
 from invdyn_cli.diagnosis.columns.evidence import BLOCK
 from invdyn_cli.diagnosis.columns.gears import YIELD
+from invdyn_cli.diagnosis.columns.shown import beside_gain
 from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance, TimeWindow
@@ -111,6 +112,27 @@ def test_columns_of_what_comes_and_goes():
         x = np.stack([evidence.tables[j][:, list(made.columns[j][1])] for j in range(3)]).reshape(y.size, -1)
         share.append(np.sum((y.ravel() - x @ np.linalg.lstsq(x, y.ravel())[0]) ** 2) / np.sum(y**2))
     assert share[0] < 0.01**2 and share[1] > 0.25
+
+
+def test_column_of_a_drive_that_is_weak_from_some_time_on():
+    """What a drive lacks from one tenth of a log on is its column, to 1 %: friction and an offset, which it makes less
+    of, too, are fitted beside the change, and the torque that it lacks is not taken for an offset (9 % otherwise)."""
+    names, start = ["coulomb_friction", "viscous_friction", "torque_offset"], 3.0
+
+    def weak(t, m):
+        friction = np.zeros_like(m.q)
+        friction[:, 1] = np.sign(m.qd[:, 1]) + 0.5 * m.qd[:, 1]
+        whole = (friction + inverse_dynamics(arm(), m.q, m.qd, m.qdd)) * (np.arange(3) == 1)
+        return friction + (1 / 0.8 - 1) * whole * (t > start)[:, None]
+
+    evidence = evidence_of(log_of(raw(*moved(30.0), weak)), names, cutoffs=(10.0,))
+    evidence.shown = np.column_stack([beside_gain(evidence, j) for j in range(3)])
+    made = passing_candidate(evidence, EFFECTS["torque_gain_change"], 1, TimeWindow("run", start, 30.0))
+    own = np.column_stack([column(evidence, name, 1) for name in names])
+    x, used = evidence.tables[1][:, list(made.columns[1][1])], evidence.valid[:, 1]
+    lacks = evidence.tables[1][:, 0] - own @ [1.0, 0.5, 0.0]
+    left = lacks - (1 / 0.8 - 1) * x[:, 0]
+    assert np.std(left[used]) < 0.01 * np.std(lacks[used])
 
 
 @pytest.mark.parametrize(

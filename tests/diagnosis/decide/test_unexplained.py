@@ -58,6 +58,7 @@ def claimed(effect: str, left: float) -> Finding:
         ("actuator_lag", UNKNOWN - 0.1, BEYOND),
         ("actuator_lag", UNKNOWN + 0.1, LATE_UNKNOWN),
         ("torque_delay", UNKNOWN + 0.1, LATE_UNKNOWN),
+        ("link_inertia_error", UNKNOWN + 0.1, LATE_UNKNOWN),
     ],
 )
 def test_a_name_must_outweigh_what_has_none(effect, learned, times):
