@@ -271,6 +271,22 @@ def test_rows_at_a_limit_are_left_out(seed, noise, arm):
     assert np.mean(kept[beyond]) < 0.1 and np.mean(kept[~beyond]) > 0.9
 
 
+def test_where_a_torque_jitters_about_a_limit_nothing_is_interpolated(arm):
+    """Torques that are noise on top of the motion's, cut at a level for half of the time: what is left in between lies
+    below the truth, and is left out with it; of the rest of the log, more than nine of ten rows stay."""
+    log = sound(arm, 5, seconds=40.0, rate=500.0, noise=1e-4)
+    (raw,) = log.trajectories
+    tau, early = raw.tau.copy(), raw.t < 20.0
+    jitter = 0.3 * raw.tau[:, 3].std() * np.random.default_rng(72).normal(size=len(raw.t))
+    level = float(np.quantile(raw.tau[early, 3], 0.01))  # nearly all motion is above it
+    tau[:, 3] += np.where(early, jitter, 0.0)
+    tau[early, 3] = np.minimum(tau[early, 3], level)
+    tau[~early, 3] = np.minimum(tau[~early, 3] - tau[~early, 3].max() + level - 1.0, level)
+    corrected, _ = doctor.correct(changed(log, tau=tau), arm)
+    kept = np.isin(raw.t, np.concatenate([x.t for x in corrected.trajectories]))
+    assert not kept[early & (raw.t > 0.1) & (raw.t < 19.9)].any() and kept[~early].mean() > 0.9
+
+
 def test_what_stays_at_one_torque_for_a_reason(arm):
     """An arm that returns to a posture and rests there, and a slow joint without gravity, whose friction is all its
     torque, are at no limit, though their torque returns to its extreme and scatters there no more than noise does."""

@@ -10,11 +10,14 @@ from invdyn_cli.diagnosis.checks.samples import nominal_torque
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.channels import newton_metres
-from invdyn_cli.recording.rows import each, is_series, runs, taken, uninterrupted
+from invdyn_cli.recording.rows import MAX_GAP, each, is_series, runs, taken, uninterrupted
 from invdyn_cli.types import Check, Motion, Robot
 
 HALF_WIDTH = 4.0
 """Standard deviations of noise within which a torque is at a limit."""
+
+NEAR = 0.6 * MAX_GAP
+"""[s] Time on both sides of a row at a limit that is left out with it: the trajectory is parted there."""
 
 
 class Limit(NamedTuple):
@@ -97,14 +100,16 @@ class Saturation(AbstractCheck):
         notes = []
 
         def change(raw: RawTrajectory) -> RawTrajectory:
-            out = np.any([self.rows_of(log, raw, one) for one in found], axis=0)
-            kept = taken(raw, ~out)
-            ends = [kept.t[rows[[0, -1]]] for rows in uninterrupted(kept)]
-            whole = sum(b - a for a, b in ends if b - a >= self.whole)
-            if not out.any() or whole < self.left * np.ptp(raw.t):
-                return raw
-            notes.append(f"{raw.name}: {100 * np.mean(out):.2g} % of the rows left out, where a torque is at its limit")
-            return kept
+            at = np.any([self.rows_of(log, raw, one) for one in found], axis=0)
+            for out in (_with_neighbours(raw.t, at), at):
+                kept = taken(raw, ~out)
+                ends = [kept.t[rows[[0, -1]]] for rows in uninterrupted(kept)]
+                whole = sum(b - a for a, b in ends if b - a >= self.whole)
+                if at.any() and whole >= self.left * np.ptp(raw.t):
+                    share = f"{100 * np.mean(out):.2g} % of the rows left out"
+                    notes.append(f"{raw.name}: {share}, where a torque is at its limit")
+                    return kept
+            return raw
 
         return each(log, change) if found else log, notes
 
@@ -163,6 +168,21 @@ class Saturation(AbstractCheck):
             advice="slower or less loaded motion; these rows are left out where enough others stay",
             source="own choice: noise does not repeat a maximum",
         )
+
+
+def _with_neighbours(t: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(T,) bool: some rows, what is left between them for no longer than MAX_GAP, and so much beside what is still
+    short that nothing is interpolated there: where a torque jitters about a limit, the rest lies below it."""
+
+    def lasts(a: int, b: int) -> bool:
+        return t[min(b, len(t) - 1)] - t[max(a - 1, 0)] > MAX_GAP
+
+    out = at.copy()
+    for a, b in runs(~at):
+        out[a:b] = a > 0 and b < len(t) and not lasts(a, b)
+    short = t[[k for a, b in runs(out) if not lasts(a, b) for k in range(a, b)]]
+    before, after = (np.searchsorted(short, t + step) for step in (-NEAR, NEAR))
+    return out | (before < after)
 
 
 def _scatter(x: np.ndarray) -> float:
