@@ -203,6 +203,16 @@ class Claim:
         ends = self._ends(name)
         return max((ends - bool(effect.factor)) * (1, -1)) if ends.ndim == 1 else np.inf
 
+    @cached_property
+    def distance(self) -> float:
+        """Noise variances by which the force or body that comes and goes differs from none, whatever else may be off;
+        infinite for any other effect."""
+        at = [k for k, (of, name, _) in enumerate(self.whole.labels) if of == self._number and not name]
+        if self.candidate.when is None or not at:
+            return np.inf
+        theta, root = self.whole.theta[at], self.whole.unknown[:, at]
+        return float(theta @ np.linalg.solve(root.T @ root, theta))
+
     @property
     def lasts(self) -> float:
         """[s] how long its shortest window is, as it was refined; infinite for what always acts."""

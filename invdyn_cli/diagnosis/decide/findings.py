@@ -4,7 +4,8 @@ A name is given only where data that did not choose it gain by it, no rival does
 its joint does not outweigh it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -221,14 +222,23 @@ def _doubted(
 
 def _moves_others_more(evidence: Evidence, finding: Finding) -> bool:
     """Whether a gear lowers the squares of another joint more than of its own, each over the inertia that it carries:
-    torque by which a link's motion against its motor moves other links is less than that, whatever the arm."""
-    names = evidence.robot.joints
-    saved = {
-        j: (x.rmse_before**2 - x.rmse_after**2) / inertia_on(evidence, names.index(j))
-        for j, x in finding.gain.items()
-        if j == finding.joint or x.rmse_after < PLAINLY * x.rmse_before
-    }
-    return max(saved.values(), default=0.0) > ELSEWHERE * max(saved.get(str(finding.joint), 0.0), 0.0)
+    torque by which a link's motion against its motor moves other links is less than that, whatever the arm. Gravity
+    may turn that round on slow motion; then both joints still save alike shares of what the gear does there. Where more
+    is saved than that, something else moved with it, and it does not count."""
+    own, torque = str(finding.joint), Counter(finding.evidence["rms_of_term_N_m"])  # 0 where it does nothing
+
+    def saved(joint: str) -> float:
+        gain = finding.gain.get(joint)
+        return 0.0 if gain is None else max(min(gain.rmse_before**2 - gain.rmse_after**2, torque[joint] ** 2), 0.0)
+
+    def is_more(joint: str, weight: Callable[[str], float]) -> bool:
+        return saved(joint) * weight(own) > ELSEWHERE * saved(own) * weight(joint)
+
+    def carried(joint: str) -> float:
+        return inertia_on(evidence, evidence.robot.joints.index(joint))
+
+    plain = [j for j, x in finding.gain.items() if j != own and x.rmse_after < PLAINLY * x.rmse_before]
+    return any(is_more(j, carried) and is_more(j, lambda joint: torque[joint] ** 2) for j in plain)
 
 
 def _what_counts(inquiry: Inquiry) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.decide.claim import Claim, exactly, left
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.composed import Refined
-from invdyn_cli.diagnosis.search.events import SHORTEST
+from invdyn_cli.diagnosis.search.events import PRICE, SHORTEST
 from invdyn_cli.diagnosis.search.feigned import EVIDENCE
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import Hypothesis
@@ -126,6 +126,12 @@ REFUSALS = (
     ),
     Refusal(
         "least size by its interval", lambda x: x.size, np.nextafter(0, 1), lambda _: "its 95 % interval contains zero"
+    ),
+    Refusal(
+        "distance from no force",
+        lambda x: x.distance,
+        PRICE,
+        lambda _: "its size is no surer than that of the best of many windows of noise",
     ),
     Refusal(
         "length of its window",

@@ -1,5 +1,6 @@
 """The search as a whole: what acts always, and then what comes and goes beside it."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -23,6 +24,10 @@ from invdyn_cli.diagnosis.search.windows import asked_for, at_first, left_by_sta
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.recording.pieces import ROLES
+
+CROWD = 4
+"""Number of different anomalies on one joint beyond which no more windows are searched: what acts there is none of the
+catalogue's, and each search takes minutes."""
 
 
 def inquire(
@@ -109,6 +114,7 @@ def inquire(
             inquiry = again  # no window more, but what lasts is known better
             break
         full = bool(held or found) and len(again.hypothesis) >= most  # and nobody knows what is missing
+        full |= _is_crowded(again.hypothesis)
         idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else proposed(inquiry, held)
@@ -124,6 +130,12 @@ def inquire(
         evidence = events.interleaved(evidence, once)
         inquiry, _ = looked(evidence, {}, gears, [inquiry.hypothesis, ()], ROUNDS + evidence.dofs)
     return inquiry
+
+
+def _is_crowded(hypothesis: Hypothesis) -> bool:
+    """Whether more than CROWD different anomalies act on one joint."""
+    kinds = {(c.joint, c.effect.name) for c in hypothesis if c.joint is not None and c.effect.group != "standard"}
+    return max(Counter(joint for joint, _ in kinds).values(), default=0) > CROWD
 
 
 def _left(inquiry: Inquiry, other: Inquiry) -> float:

@@ -40,8 +40,23 @@ def test_a_gear_moves_its_own_joint_most(joint):
     gains = {
         names[k]: Gain(float(np.hypot(x, 1e-3 * x)), 1e-3 * float(x), 1.0, 0.0, (0, 1)) for k, x in enumerate(swing)
     }
-    told = [_moves_others_more(evidence, Finding("backlash", name, "named", gain=gains)) for name in names]
+    most = {"rms_of_term_N_m": {names[k]: float(np.sqrt(inertia[joint] * inertia[k])) for k in range(3)}}
+    told = [_moves_others_more(evidence, Finding("backlash", x, "named", gain=gains, evidence=most)) for x in names]
     assert told == [k != joint for k in range(3)]
+
+
+@pytest.mark.parametrize(("own", "told"), [(0.7, False), (0.1, True)])
+def test_a_gear_whose_gravity_is_felt_elsewhere(own, told):
+    """A gear moves a heavy link slowly, and another joint feels its weight five times as much as its own, over the
+    inertias. It is that gear where its own joint saves most of what it does there, and perhaps another effect where it
+    saves a tenth."""
+    evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), ())
+    names, inertia = evidence.robot.joints, [inertia_on(evidence, j) for j in range(2)]
+    torque = {names[0]: float(np.sqrt(inertia[0])), names[1]: float(np.sqrt(5 * inertia[1]))}
+    shares = dict(zip(names, (own, 1.0), strict=False))
+    gains = {j: Gain(float(np.hypot(1e-3, x * np.sqrt(shares[j]))), 1e-3, 1.0, 0.0, (0, 1)) for j, x in torque.items()}
+    gear = Finding("backlash", names[0], "named", gain=gains, evidence={"rms_of_term_N_m": torque})
+    assert _moves_others_more(evidence, gear) is told
 
 
 def test_a_joint_that_rests_in_all_that_is_held_out():

@@ -147,6 +147,27 @@ def test_a_jolt_is_no_event(end, refused):
     assert (refusals.refusal(one, [row]) is row) == refused
 
 
+@pytest.mark.parametrize(("errors", "refused"), [(5.0, True), (8.0, False)])
+def test_a_force_that_chance_may_find(errors, refused):
+    """A force for a time that is five standard errors along one of its axes is not claimed, because many windows were
+    tried; one of eight may be. Correlated errors do not matter: only what the data tell of the force does."""
+    one = of_coulomb(rubbed(20.0))
+    draw = np.random.default_rng(7)
+    number = next(k for k, a in enumerate(one.whole.acting) if a.key == one.key)
+    root = draw.normal(size=(5, 3))
+    along = draw.normal(size=3)
+    theta = errors * along / np.sqrt(along @ np.linalg.solve(root.T @ root, along))
+    labels = tuple((number, "", k) for k in range(3))
+    force = replace(one, whole=replace(one.whole, theta=theta, labels=labels, unknown=root))
+    (row,) = (x for x in refusals.REFUSALS if x.name == "distance from no force")
+    assert row.figure(force) == np.inf  # it always acts
+    acting, hypothesis = (
+        tuple(replace(x, when=TimeWindow("run", 5.0, 9.0)) for x in xs) for xs in (one.whole.acting, one.hypothesis)
+    )
+    force = replace(force, whole=replace(force.whole, acting=acting), hypothesis=hypothesis)
+    assert row.figure(force) == pytest.approx(errors**2) and (refusals.refusal(force, [row]) is row) == refused
+
+
 @pytest.mark.parametrize("even", [True, False])
 def test_a_claim_surely_gains(even):
     """What makes the error smaller in all blocks of time is claimed; what makes it as much larger in every second one
