@@ -171,8 +171,8 @@ class Description(AbstractCheck):
                 seen=f"gravity fits best along {np.round(fitted, 2).tolist()} m/s^2 in the base frame, {angle:.3g} "
                 f"degrees from {np.round(known, 2).tolist()}; the unexplained torque falls by a factor of "
                 f"{before / after:.3g}",
-                meaning="the base is not mounted as the URDF says",
-                advice="robot.gravity or robot.base_rpy",
+                meaning="the base may not be mounted as the URDF says",
+                advice="if the base is tilted, say so by robot.gravity or robot.base_rpy",
                 source="own choice: wrong inertials make less",
             )
         ]
