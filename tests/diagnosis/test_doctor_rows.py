@@ -272,8 +272,8 @@ def test_rows_at_a_limit_are_left_out(seed, noise, arm):
 
 
 def test_where_a_torque_jitters_about_a_limit_nothing_is_interpolated(arm):
-    """Torques that are noise on top of the motion's, cut at a level for half of the time: what is left in between lies
-    below the truth, and is left out with it; of the rest of the log, more than nine of ten rows stay."""
+    """In the first half of a log, noise is added to the torque, and a sensor's limit cuts it. The readings between the
+    cut ones are too low, and are left out as well; of the second half, more than nine of ten rows stay."""
     log = sound(arm, 5, seconds=40.0, rate=500.0, noise=1e-4)
     (raw,) = log.trajectories
     tau, early = raw.tau.copy(), raw.t < 20.0

@@ -171,8 +171,9 @@ class Saturation(AbstractCheck):
 
 
 def _with_neighbours(t: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(T,) bool: some rows, what is left between them for no longer than MAX_GAP, and so much beside what is still
-    short that nothing is interpolated there: where a torque jitters about a limit, the rest lies below it."""
+    """(T,) bool: some rows, and all between two of them that are at most MAX_GAP apart. Runs that are still short get
+    NEAR on both sides, so that nothing is interpolated over them: where a torque jitters about a limit, the readings
+    in between are too low."""
 
     def lasts(a: int, b: int) -> bool:
         return t[min(b, len(t) - 1)] - t[max(a - 1, 0)] > MAX_GAP
