@@ -59,7 +59,7 @@ class Grams:
         self.totals: list[np.ndarray] = [np.empty((0, 0))] * evidence.dofs
         self.alike: dict[Kind, Alike] = {}
         self._places: dict[Candidate, tuple[Kind, int]] = {}
-        self._evidence, self._room = evidence, list(self.parts)
+        self._evidence, self._room, self._sums = evidence, list(self.parts), list(self.totals)
 
     @classmethod
     def of(cls, evidence: Evidence, rows: np.ndarray) -> "Grams":
@@ -81,17 +81,19 @@ class Grams:
             known, count = self.parts[j].shape[1], table.shape[1]
             if count == known:
                 continue
-            room = self._room[j]
+            room, sums = self._room[j], self._sums[j]
             if count > room.shape[1]:
                 room = np.moveaxis(np.zeros((count + SPARE, count + SPARE, len(room))), 2, 0)  # the folds of a pair of
                 # columns are neighbours in memory: few columns are taken from many
-                room[:, :known, :known] = self.parts[j]
-                self._room[j] = room
+                room[:, :known, :known], sums = self.parts[j], np.zeros(room.shape[1:])
+                sums[:known, :known] = self.totals[j]
+                self._room[j], self._sums[j] = room, sums
             for fold, gram in enumerate(room):
                 gram[:count, known:count] = self._products(j, fold, table, known)
             room[:, known:count, :known] = np.swapaxes(room[:, :known, known:count], 1, 2)
-            self.parts[j] = room[:, :count, :count]
-            self.totals[j] = self.parts[j].sum(0)
+            sums[:count, known:count] = room[:, :count, known:count].sum(0)
+            sums[known:count, :known] = sums[:known, known:count].T
+            self.parts[j], self.totals[j] = room[:, :count, :count], sums[:count, :count]
 
     def _products(self, j: int, fold: int, table: np.ndarray, known: int) -> np.ndarray:
         """(C, C - known) products of all columns of a joint's table (R, C) with those that are new, in a fold. Few are

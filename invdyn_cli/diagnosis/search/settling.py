@@ -94,7 +94,7 @@ class Search:
         what is unlikely then. On a worn arm, where it leaves plainly less than the noise, it is settled again in
         that."""
         evidence, model = self.evidence, self.model
-        hypothesis, listens = self.settled(hypothesis, rounds), bool(self.usual)
+        hypothesis, listens, embodied = self.settled(hypothesis, rounds), bool(self.usual), None
         while True:
             model.scanned.clear()  # gears once more from far and near, now that all of their load is known
             chosen = self._refined(hypothesis)
@@ -112,10 +112,11 @@ class Search:
             if joined is not None:
                 hypothesis = joined
                 continue
-            embodied = self._embodied(hypothesis, chosen)
-            if embodied is not None:  # refined before anything is searched: its window may be a little off
-                hypothesis = self.settled(embodied, rounds)
-                continue
+            if embodied is None:  # once: a log that asks for several such payloads shows none of the catalogue's causes
+                embodied = self._embodied(hypothesis, chosen)
+                if embodied is not None:  # refined before anything is searched: its window may be a little off
+                    hypothesis = self.settled(embodied, rounds)
+                    continue
             chosen, timed = resting.edges(evidence, model, chosen)
             found = zip(hypothesis, chosen.acting, timed, strict=True)
             hypothesis = tuple(

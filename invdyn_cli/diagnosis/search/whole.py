@@ -113,7 +113,7 @@ def inquire(
         if turn and inquiry and kept.keys() == held.keys():
             inquiry = again  # no window more, but what lasts is known better
             break
-        full = bool(held or found) and len(again.hypothesis) >= most  # and nobody knows what is missing
+        full = len(again.hypothesis) >= most and bool(held or found or not compares)  # nobody knows what is missing
         full |= _is_crowded(again.hypothesis)
         idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
         inquiry, evidence, held = again, again.evidence, kept
