@@ -22,6 +22,7 @@ from invdyn_cli.diagnosis.transition import TOLD
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 from invdyn_cli.maths.standard import Standard, fit, link_scales
+from invdyn_cli.maths.threads import side_by_side
 from invdyn_cli.recording.pieces import ROLES
 
 SHORTLIST = 3
@@ -45,20 +46,20 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
     used = (rows[:, None] & evidence.valid).T
     squares = _squares(columns, nominal, rows)
     friction = _friction(columns, plain.theta)
-    best: dict[tuple, tuple[float, EffectInstance]] = {}
-    for effect in effects:
-        if not isinstance(effect, AbstractGearEffect):
-            continue
-        for joint in range(evidence.dofs):
-            shapes = gears.shapes_of(evidence, effect, joint)
-            dragged = effect.dragged(*friction[joint])
-            for shape in (*shapes, *({**shape, **own} for own in dragged for shape in shapes)):
-                made = gears.torque(evidence, effect, joint, shape)
-                loss = squares(nominal - made.T)
-                if loss < best.get((effect.name, joint), (np.inf,))[0]:
-                    best[effect.name, joint] = loss, EffectInstance(effect, joint, shape)
+    places = [(x, j) for x in effects if isinstance(x, AbstractGearEffect) for j in range(evidence.dofs)]
+    trials = [
+        EffectInstance(effect, joint, {**shape, **own})
+        for effect, joint in places
+        for shapes in [gears.shapes_of(evidence, effect, joint)]
+        for own in ({}, *effect.dragged(*friction[joint]))
+        for shape in shapes
+    ]
+    losses = side_by_side(lambda one: squares(left(columns, one)), trials)
+    best: dict[tuple, EffectInstance] = {}
+    for number in np.argsort(losses):
+        best.setdefault(trials[number].key, trials[number])
     found, most = None, TOLD
-    for _, trial in sorted(best.values(), key=lambda x: x[0])[:SHORTLIST]:
+    for trial in list(best.values())[:SHORTLIST]:
         one = _nearest_dragged(evidence, trial, lambda made: squares(nominal - made.T))
         made = left(columns, None) - left(columns, one)
         fitted = columns.fit(nominal - made, rows)
@@ -124,7 +125,7 @@ def _nearest(
         return loss(gears.torque(evidence, effect, joint, at(logarithm)))
 
     tried = np.log(effect.compliance(one.parameters)) + np.linspace(-BETWEEN, BETWEEN, SCANNED)
-    best, step = tried[int(np.argmin([of(x) for x in tried]))], tried[1] - tried[0]
+    best, step = tried[int(np.argmin(side_by_side(of, tried)))], tried[1] - tried[0]
     found = scipy.optimize.minimize_scalar(of, bounds=(best - step, best + step), options={"xatol": 2e-3})
     return replace(one, parameters=at(found.x)), float(found.fun)
 
@@ -151,11 +152,12 @@ def _squares(columns: Columns, residual: np.ndarray, rows: np.ndarray) -> Callab
     normal = np.einsum("j,jab->ab", precise, grams) * np.outer(scale, scale)
     root = scale[:, None] * inverse_root(normal, np.ones(len(scale)))
     weights = np.where(rows[:, None] & columns.evidence.valid, precise, 0.0)
+    of_links = columns.links.reshape(len(columns.links), -1)
 
     def squares(target: np.ndarray) -> float:
-        weighted = weights * target
-        links, own = np.einsum("pjr,rj->p", columns.links, weighted), np.einsum("tjr,rj->tj", columns.own, weighted)
-        explained = np.concatenate([links, own.ravel()]) @ root
-        return float(np.sum(weighted * target) - explained @ explained)
+        weighted = np.ascontiguousarray((weights * target).T)
+        own = np.einsum("tjr,jr->tj", columns.own, weighted)
+        explained = np.concatenate([of_links @ weighted.ravel(), own.ravel()]) @ root
+        return float(np.sum(weighted * target.T) - explained @ explained)
 
     return squares
