@@ -8,7 +8,6 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
 from invdyn_cli.diagnosis.columns.gears import load_on
 from invdyn_cli.diagnosis.columns.kind import AbstractKind, Beside
 from invdyn_cli.interfaces import AbstractChannelEffect, Parameters
-from invdyn_cli.maths.threads import side_by_side
 
 STEP = 1e-3
 """Relative step of finite differences in a channel's parameters."""
@@ -18,31 +17,18 @@ FAR_LESS = 0.5
 as well."""
 
 
-Changes = tuple[list[np.ndarray], float]
-"""What a trial changes of the logged torque (R,) and the change with each of its parameters; and the share of a white
-noise's variance that it takes away."""
-
-
 class Channels(AbstractKind[AbstractChannelEffect]):
     """Delays, lags, limits: what a trial changes of the logged torque (fixed), and the change with each parameter
     (free). A gain acts on the model's torque, which has no noise."""
 
     def gathered(self, evidence: Evidence, effects: Sequence[AbstractChannelEffect]) -> list[Candidate]:
         places = [(effect, joint) for effect in effects for joint in range(evidence.dofs)]
-        trials = [(*at, shape) for at in places for shape in _shapes(evidence, *at)]
-        changes = side_by_side(lambda at: None if at[0].factor else _changes(evidence, *at), trials)
-        return [self.candidate(evidence, *at, changes=one) for at, one in zip(trials, changes, strict=True)]
+        return [self.candidate(evidence, *at, shape) for at in places for shape in _shapes(evidence, *at)]
 
     def candidate(
-        self,
-        evidence: Evidence,
-        effect: AbstractChannelEffect,
-        joint: int,
-        trial: Parameters,
-        beside: Beside = (),
-        changes: Changes | None = None,
+        self, evidence: Evidence, effect: AbstractChannelEffect, joint: int, trial: Parameters, beside: Beside = ()
     ) -> Candidate:
-        """`changes`: of these parameters, where they are known."""
+        rate, pieces = evidence.recording.filter.rate, evidence.recording.pieces
         if effect.factor:
             made = [c for c in evidence.candidates if c.key == (effect.name, joint)]
             if made:
@@ -51,8 +37,20 @@ class Channels(AbstractKind[AbstractChannelEffect]):
             (column,) = evidence.append(joint, list(filtered(evidence.recording, parts, joint)))
             return Candidate(effect, joint, trial, {joint: ((), (column,))}, np.zeros(1))
 
-        made, quieter = changes or _changes(evidence, effect, joint, trial)
-        numbers = evidence.append(joint, made)
+        def changed(parameters: Parameters) -> np.ndarray:
+            parts = [p.tau[joint] - effect.delivered(parameters, p.tau[joint], rate) for p in pieces]
+            return filtered(evidence.recording, parts, joint)
+
+        fixed = changed(trial)
+        # its correction may take it farther than the trial
+        farther = {k: 1.5 * v + 0.006 if k != "limit" else v for k, v in trial.items()}
+        quieter = _noise_reduction(evidence, effect, joint, farther)
+        free = []
+        for name, value in trial.items():
+            step = max(STEP * abs(value), 2e-4)
+            up, down = value + step, max(value - step, effect.parameters[name].lower)
+            free.append((changed({**trial, name: up}) - changed({**trial, name: down})) / (up - down))
+        numbers = evidence.append(joint, [fixed, *free])
         # the correction reaches about as far as the next trial; beyond, the straight line is no longer true
         reach = [0.3 * abs(v) + 0.004 if effect.parameters[name].unit == "s" else 0.15 * v for name, v in trial.items()]
         columns = {joint: (numbers[:1], numbers[1:])}
@@ -65,23 +63,6 @@ class Channels(AbstractKind[AbstractChannelEffect]):
             return super().basis(evidence, effect, joint, piece, place)
         row = (np.arange(evidence.dofs) == joint)[:, None] * evidence.states[piece][joint].transmitted
         return row[None]
-
-
-def _changes(evidence: Evidence, effect: AbstractChannelEffect, joint: int, trial: Parameters) -> Changes:
-    rate, pieces = evidence.recording.filter.rate, evidence.recording.pieces
-
-    def changed(parameters: Parameters) -> np.ndarray:
-        parts = [p.tau[joint] - effect.delivered(parameters, p.tau[joint], rate) for p in pieces]
-        return filtered(evidence.recording, parts, joint)
-
-    made = [changed(trial)]
-    for name, value in trial.items():
-        step = max(STEP * abs(value), 2e-4)
-        up, down = value + step, max(value - step, effect.parameters[name].lower)
-        made.append((changed({**trial, name: up}) - changed({**trial, name: down})) / (up - down))
-    # its correction may take it farther than the trial
-    farther = {k: 1.5 * v + 0.006 if k != "limit" else v for k, v in trial.items()}
-    return made, _noise_reduction(evidence, effect, joint, farther)
 
 
 def _shapes(evidence: Evidence, effect: AbstractChannelEffect, joint: int) -> list[Parameters]:
