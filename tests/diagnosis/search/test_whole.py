@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
+from invdyn_cli.diagnosis.search import whole
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from tests.diagnosis.analytic import FRICTIONS, arm, evidence_of, log_of, moved, on, raw
@@ -40,3 +41,27 @@ def test_a_weak_drive_gives_less_of_its_friction_too(start, end, rubs):
     assert (found.effect.name, found.joint) == ("torque_gain_change", 1)
     assert np.allclose([found.when.start, found.when.end], [start, end], atol=0.05)
     assert np.isclose(found.parameters["gain"], 0.8, atol=0.005)
+
+
+@pytest.mark.parametrize(("most", "windows"), [(3, False), (9, True)], ids=["full", "not full"])
+def test_a_full_search_asks_for_no_windows(monkeypatch, most, windows):
+    """Friction of three joints, and a drive that is weak for a time. Where friction takes all places, windows are not
+    searched again once a search has held none; where there are more places, the weak drive is found."""
+    names = ("coulomb_friction", "torque_gain_change")
+    offered = []
+
+    def searched(evidence, *args):
+        offered.append(any(c.when is not None for c in evidence.candidates))
+        return original(evidence, *args)
+
+    def torque(t, m):
+        friction = 20.0 * np.sign(m.qd)
+        lacks = 0.25 * (np.arange(3) == 1) * ((t > 12.3) & (t < 21.7))[:, None]
+        return friction + lacks * (friction + inverse_dynamics(arm(), m.q, m.qd, m.qdd))
+
+    original = whole._searched
+    monkeypatch.setattr(whole, "_searched", searched)
+    evidence = evidence_of(log_of(raw(*moved(30.0), torque, torque=0.01, position=1e-6)), names)
+    inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), most, compares=False)
+    assert any(offered[1:]) == windows
+    assert any(a.when is not None for a in inquiry.whole.acting) == windows
