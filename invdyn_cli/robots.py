@@ -294,7 +294,7 @@ def _gravity(gravity: Sequence[float] | None, base_rpy: Sequence[float] | None) 
 def _payload(payload: Mapping[str, Any]) -> np.ndarray:
     """(10,) inertial parameters of a declared body about the joint frame's origin."""
     if not isinstance(payload, Mapping) or not {"mass", "com"} <= set(payload) <= {"mass", "com", "inertia"}:
-        raise RobotError(f"robot.payload={payload!r}; allowed: mass and com, and inertia where it is no point mass")
+        raise RobotError(f"robot.payload={payload!r}; allowed: mass and com, and inertia of what is no point mass")
     mass = float(urdf.finite(payload["mass"], "robot.payload.mass", ()))
     com = urdf.finite(payload["com"], "robot.payload.com", (3,))
     inertia = np.zeros((3, 3))

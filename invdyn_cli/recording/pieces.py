@@ -82,7 +82,8 @@ are those of the spline's and the filter's ends. What has a state, as a link on 
 @dataclass(frozen=True)
 class Piece:
     """An uninterrupted stretch on the working clock: t (T,) [s] from the start of its trajectory, the others (n, T)
-    [rad, N m; m, N]; `motion_noise` is the speed [rad/s] that the noise of the positions causes, (n,)."""
+    [rad, N m; m, N]; `motion_noise` (n,) is the standard deviation of the speed [rad/s; m/s] that the noise of the
+    positions causes."""
 
     trajectory: str
     role: str

@@ -122,7 +122,7 @@ def window_of(effect: str, value: Sequence[float], ramp: float = 0.0) -> Window:
     start, end = (float(x) for x in value)
     if not 0 <= start < end:
         got = f"{effect}: window={[start, end]}"
-        raise UsageError(f"{got}; allowed: two times [s] from 0 on, the later one last")
+        raise UsageError(f"{got}; allowed: [start, end] in s, 0 <= start < end")
     if ramp > end - start:
         raise UsageError(f"{effect}: ramp={ramp:g} s; allowed: up to the length of the window, {end - start:g} s")
     return Window(start, end, ramp)

@@ -151,7 +151,7 @@ def replay(
     total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
     if not total > 0:
         got = f"no stretch is longer than {length + MEMORY:g} s without a gap"
-        raise LogError(f"{got}; a replay needs {length:g} s, and {MEMORY:g} s before them for delayed motors")
+        raise LogError(f"{got}; a replay needs {length:g} s and the {MEMORY:g} s before, because motors may be late")
     every = max(total / most, length)
     found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     where: list[tuple[Segment, int]] = []

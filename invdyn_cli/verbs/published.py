@@ -62,7 +62,7 @@ def run_all(
     if missing:
         raise LogError(
             f"experiment {name} needs files that do not exist: {listed(map(str, missing))}",
-            advice="INVDYN_REAL_DATA=FOLDER, the one that contains them",
+            advice="INVDYN_REAL_DATA=FOLDER, where FOLDER contains these logs",
         )
     folders = [folder / name / _slug(labels) for labels, _ in jobs]
     with screen.stages() as stage, processes.executor(workers) as pool:

@@ -131,12 +131,13 @@ class NotMoving(AbstractCheck):
 
 @dataclass(frozen=True)
 class CommandCopiesMeasurement(AbstractCheck):
-    """Channels that should be measured but are copies: q_ref of q, or the torque of the model's own inverse dynamics.
+    """Channels that should be measured but are copies: q_ref equals q, or tau the torque of the nominal model.
 
     Attributes:
-        equal: [rad; m] (ours: below the resolution of any encoder).
+        equal: [rad; m] largest difference of q_ref and q at which one is a copy (ours: below the resolution
+            of any encoder).
         unexplained: share of the torque's variance that the nominal model leaves (ours: no measured torque of an arm
-            agrees with its URDF to 1e-6; filters and derivatives made here do on simulated ones).
+            agrees with its URDF to 1e-6; simulated torques do, in spite of the filters and derivatives here).
     """
 
     name: ClassVar[str] = "command_copies_measurement"

@@ -88,8 +88,8 @@ class Duplicates(AbstractCheck):
                         raw.name,
                         value=int(repeated.sum()),
                         threshold=self.share,
-                        seen=f"{repeated.sum()} rows ({100 * part:.2g} %) repeat all channels of the row before while "
-                        "the arm moves",
+                        seen=f"{repeated.sum()} rows ({100 * part:.2g} %) have exactly the q and tau of the row "
+                        "before, although the arm moves",
                         meaning="the log is written faster than its source, or samples were lost and held",
                         advice="logging at the source's own rate",
                         source="own choice: noise on all channels does not repeat by chance",

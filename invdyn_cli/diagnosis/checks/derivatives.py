@@ -129,13 +129,16 @@ class DerivativeConsistency(AbstractCheck):
         ]
 
     def _poses(self, raw: RawTrajectory) -> Check:
+        seen = "consecutive positions are unrelated, as those of no motion are"
+        if is_series(raw):
+            seen = f"the median step of time is {median_step(raw.t):.3g} s, longer than {self.still:g} s"
         return Check(
             self.name,
             "warn",
             raw.name,
             value=None,
             threshold={"channel": "q"},
-            seen="the positions change from row to row by as much as their whole range",
+            seen=seen,
             meaning="these are single poses, or rows without order: there is no motion to differentiate",
             advice="recordings of motions; single poses show gravity only",
             source="variance of white noise's differences, first and second: 2 and 6",

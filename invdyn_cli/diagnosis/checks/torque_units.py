@@ -54,8 +54,9 @@ much the drives of one arm differ (ours: wrists have a half to a tenth of a shou
 
 @dataclass(frozen=True)
 class TorqueUnits(AbstractCheck):
-    """Torques in N mm, kgf cm, percent, currents, counts: the likelihood of logged over expected torque on every joint,
-    for each unit, for a factor of each joint's own, and for single joints in a unit of theirs."""
+    """Finds torques in N mm, kgf cm, percent, currents or counts. It compares the likelihoods of the ratio of logged to
+    expected torque if all joints have one unit, if each joint has a factor of its own, and if single joints have
+    another unit."""
 
     name: ClassVar[str] = "unit_error"
 

@@ -23,8 +23,9 @@ PICKED_UP = 0.2
 """What each further coefficient adds to that multiple."""
 
 MIN_SHARE_OF_RESIDUAL = 0.5
-"""Of the squared residual on its joints, the least share that an effect must explain. A controller reacts to the noise
-of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque."""
+"""Least ratio of the squared error that an effect removes on its joints to that which stays there. A controller reacts
+to the noise of its encoders, the motion follows, and the noise of the regressor correlates with that of the torque: a
+small effect may be an artefact of that."""
 
 ONE_SIZE = 0.75
 """Least share of what an effect makes where the arm moves slowly that may be saved there: 1 for a true one; columns are
