@@ -38,6 +38,10 @@ AWAY, QUIET, LOUD = 1.0, 3.0, 10.0
 """[s] for which a joint that rests must have the torque that it would have without an effect, for this to have been
 away: what is then left is at most QUIET times the noise, and the effect would make LOUD times."""
 
+CLOSE = 0.97
+"""Share of what an effect explains from which on a rival is compared beside usual links, too: what else differs may be
+what the links have been believed to be too near to their URDF for."""
+
 DEVIATIONS = 3.0
 """How many standard deviations, between blocks, a gain may be larger than it seems."""
 
@@ -151,7 +155,14 @@ class Claim:
         like = [kind_of(effect).candidate(evidence, effect, own.joint, at) for effect, at in alike]
         inquiry.judge.refresh()
         every = (*self.hypothesis, *self.beside)
-        return naming.rivals(inquiry.judge, inquiry.always, every, self.place, [*inquiry.pool, *like])
+        made = naming.rivals(inquiry.judge, inquiry.always, every, self.place, [*inquiry.pool, *like])
+        close = [x.candidate for x in made if not x.equal and x.share > CLOSE and not _both_late(x.candidate, own)]
+        if not (inquiry.wear and close):
+            return made
+        usual = inquiry.beside_usual_links()
+        again = naming.rivals(usual.judge, usual.always, every, self.place, close)
+        equal = {x.candidate.key: x for x in again if x.equal}
+        return [equal.get(x.candidate.key, x) for x in made]
 
     @cached_property
     def beaten(self) -> float:
@@ -268,6 +279,11 @@ class Claim:
     @property
     def _own(self) -> np.ndarray:
         return np.array([j in self.candidate.columns for j in range(self.inquiry.evidence.dofs)])
+
+
+def _both_late(one: Candidate, other: Candidate) -> bool:
+    """Whether both make a torque late; their exact formulas are compared in the search (`delay_or_lag`)."""
+    return bool(one.effect.late_by and other.effect.late_by)
 
 
 def _judging(evidence: Evidence, squares: np.ndarray) -> np.ndarray:

@@ -53,7 +53,8 @@ show in a single one."""
 @dataclass(frozen=True)
 class Rival:
     """How a candidate does in an effect's place: `excess` held-out loss, its standard error, the verdict in words, the
-    parameters that it then has, and whether these are impossible; that of a more general effect does not count."""
+    parameters that it then has, and whether these are impossible; that of a more general effect does not count.
+    `share`: of what the effect explains, what it explains, if it may be the cause."""
 
     candidate: Candidate
     excess: float
@@ -62,6 +63,7 @@ class Rival:
     why: str
     parameters: Parameters
     impossible: bool = False
+    share: float = 0.0
 
 
 def simplified(
@@ -194,7 +196,7 @@ def rivals(
             why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
         parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
         impossible = bool(c.effect.refuse(parameters)) and not clash(c, own)
-        made.append(Rival(c, excess, error, equal, why, parameters, impossible))
+        made.append(Rival(c, excess, error, equal, why, parameters, impossible, 0.0 if refused else share))
     return made
 
 
