@@ -7,6 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import judged
 from invdyn_cli.diagnosis.decide import claim, refusals
+from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.naming import Rival
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -124,6 +125,26 @@ def test_what_an_impossible_effect_explains_better_has_no_name(excess, error, re
     one.__dict__["rivals"] = [other, replace(other, excess=-500.0, impossible=False)]  # cached: made up here
     row = refusals.refusal(one)
     assert (row is not None and "impossible" in row.why(one)) == refused and (row is None) == (not refused)
+
+
+@pytest.mark.parametrize(("share", "worn", "equal"), [(0.99, True, True), (0.9, True, False), (0.99, False, False)])
+def test_what_explains_nearly_the_same_is_compared_beside_usual_links(share, worn, equal, monkeypatch):
+    """On a worn arm, an encoder offset explained 99.8 % of what a tilt did; the rest was of links that were believed to
+    be nearer to the URDF than they are. Such a rival is equal if it is so beside links that may be as far off as those
+    of URDFs usually are."""
+    inquiry, asked = rubbed(20.0), []
+    usual = replace(inquiry, always=inquiry.always_usual)
+    tilt = candidate(inquiry.evidence, "base_tilt", None)
+
+    def rivals(judge, always, every, place, pool):
+        asked.append(pool)
+        return [Rival(tilt, 50.0, 20.0, len(asked) == 2, "", {}, share=share)]
+
+    monkeypatch.setattr(claim.naming, "rivals", rivals)
+    monkeypatch.setattr(Inquiry, "beside_usual_links", lambda _: usual)
+    one = of_coulomb(replace(inquiry, wear=inquiry.hypothesis if worn else ()))
+    assert [x.equal for x in one.rivals] == [equal]
+    assert asked[1:] == ([[tilt]] if equal else [])
 
 
 @pytest.mark.parametrize(("ends", "refused"), [((-0.1, 3.0), True), ((1.0, 3.0), False), ((-3.0, -1.0), False)])
