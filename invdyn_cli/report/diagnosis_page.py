@@ -18,7 +18,7 @@ from invdyn_cli.report.diagnosis_plots import diagnosis_plots
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
 from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
 from invdyn_cli.report.model_sections import standard_section, unclaimed_section
-from invdyn_cli.report.overlay import OPENING, OVERLAY
+from invdyn_cli.report.overlay import OPENING, OVERLAY, caption
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
 from invdyn_cli.report.replay_figure import REPLAY
 from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_section
@@ -46,7 +46,6 @@ from invdyn_cli.report.wording import (
 from invdyn_cli.report.wording import picture as picture_name
 from invdyn_cli.types import Diagnosis, Finding, Gain
 
-OPENING_CAPTION = "Measured torque beside that of the nominal and of the extended model."
 OVERLAY_CAPTION = (
     "Measured torque beside that of the nominal and of the extended model; in print, and without JavaScript, the "
     "held-out seconds in which the error of the nominal model is largest."
@@ -117,7 +116,7 @@ def page(
     found = claims(diagnosis)
     told = f'<p class="sub"><span class="verdict">{escape(_verdict(diagnosis))}</span></p>\n'
     told += f'<p class="lead">{escape(diagnosis.summary or _verdict(diagnosis) + ".")}</p>\n'
-    told += picture(drawn[OPENING], OPENING_CAPTION) if OPENING in drawn else ""
+    told += picture(drawn[OPENING], caption(diagnosis)) if OPENING in drawn else ""
     told += _notes(diagnosis.notes)
     picked = picture(drawn[OVERVIEW], OVERVIEW_CAPTION) if OVERVIEW in drawn else ""
     evidence = "".join(_cause(diagnosis, k + 1, x, drawn) for k, x in enumerate(found))

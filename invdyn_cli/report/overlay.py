@@ -15,6 +15,12 @@ from invdyn_cli.types import Diagnosis
 OPENING, OVERLAY = "torque", "torques"
 """What the pictures' files are called."""
 
+CAPTION = "Measured torque beside that of the nominal and of the extended model."
+RESTING = (
+    " Most of the error of the extended model is at rest: friction then holds any torque up to its level, and no "
+    "model follows it."
+)
+
 
 def opening(diagnosis: Diagnosis) -> Figure:
     """The torque of the joint that the largest anomaly shows on, in the seconds in which its term varies most; without
@@ -36,6 +42,15 @@ def opening(diagnosis: Diagnosis) -> Figure:
     axes.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
     add_legend(figure, axes)
     return figure
+
+
+def caption(diagnosis: Diagnosis) -> str:
+    """What the opening picture shows; also, if it is so, that joints rest where most of the squares are left."""
+    assert diagnosis.signals is not None
+    signals = as_numpy(diagnosis.signals)
+    left = ((signals.tau - signals.extended) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)) ** 2
+    left = np.nan_to_num(left) * signals.held_out[:, None]
+    return CAPTION + RESTING * bool(np.sum(left[~signals.valid]) > np.sum(left) / 2)
 
 
 def overlay(diagnosis: Diagnosis) -> Figure:

@@ -4,12 +4,14 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.report.diagnosis_figures import draw_all
-from invdyn_cli.report.diagnosis_page import OPENING_CAPTION, page, write_report
+from invdyn_cli.report.diagnosis_page import page, write_report
+from invdyn_cli.report.overlay import CAPTION, RESTING
 from invdyn_cli.report.quantities import gain_text, quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import claims, joints_of, law, picture, words
@@ -88,7 +90,7 @@ def test_the_first_screen_says_what_to_do(written):
     diagnosis, path = written
     text = path.read_text("utf-8")
     heads = re.findall(r"<h2>(.*?)</h2>", text)
-    assert text.partition("<h2>")[0].count("<img") == 1 and OPENING_CAPTION in text.partition("<h2>")[0]
+    assert text.partition("<h2>")[0].count("<img") == 1 and CAPTION in text.partition("<h2>")[0]
     assert heads[:4] == ["What to do next", "Causes", "Standard terms", "Residual"]
     text = page(diagnosis, "lbr", [], {}, "record_next.csv")
     said = text.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
@@ -268,3 +270,15 @@ def test_write_is_all_or_nothing(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_report(nothing_found(), "lbr", [tmp_path / "overview.png"], path)
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("resting", [True, False])
+def test_what_is_left_at_rest_is_said(resting, tmp_path):
+    """If most of what the model leaves is there while joints rest, the page says that no model follows friction there:
+    the RMSE of the opening picture counts these rows."""
+    diagnosis = make_diagnosis()
+    signals = diagnosis.signals
+    left = np.where(signals.valid == resting, 0.0, 10.0 * np.std(signals.tau, axis=0))
+    diagnosis = replace(diagnosis, signals=replace(signals, extended=signals.tau + left))
+    text = Reader(page(diagnosis, "lbr", placeholders(diagnosis, tmp_path))).text
+    assert CAPTION in text and (RESTING.strip() in text) == resting
