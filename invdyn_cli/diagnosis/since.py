@@ -34,6 +34,10 @@ SURE = 2.3
 """95 % intervals by which two sizes differ for sure: that is 99.9 % with eight stretches of time (Student's t with 7
 degrees of freedom), and an arm of seven joints has 21 pairs of sizes."""
 
+BETWEEN = 0.05
+"""Least change of an offset or a friction that is claimed, as a share of what it was: two motions of one arm differ in
+speeds, loads and rests, and the formulas of friction are wrong by some percent there (own choice)."""
+
 
 def candidates(evidence: Evidence, columns: Columns) -> list[Candidate]:
     """The evidence's, those of a drive's gain only as far as each log tells by itself that it gives what links and
@@ -83,8 +87,9 @@ def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str
 
 
 def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
-    """The claims with all offsets and frictions that differ for sure, are RELEVANT and are missed on held-out data, if
-    only such were found, and fewer; on joints on which the search came to something else there are none."""
+    """The claims with all offsets and frictions that differ for sure, by more than motions make them differ (BETWEEN),
+    are RELEVANT and are missed on held-out data, if only such were found, and fewer; on joints on which the search came
+    to something else there are none."""
     evidence, claims = inquiry.evidence, made.findings[: len(made.terms)]
     reference, plain = evidence.reference_rows, {TERMS[term][0] for term in FITTED}
     others = [c for c in inquiry.hypothesis if c.effect.name not in plain]
@@ -95,7 +100,7 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     links = _without_links(columns, nominal, theta)
     values, halves = _fitted(columns, links, (reference, ~reference))
     learned, _ = _fitted(columns, links, (reference, ~reference & ~judged(evidence)))
-    differ = _differ(values, halves)
+    differ = _differ(values, halves) & beyond_motions(*values)
     differ[:, [c.joint for c in others if c.joint is not None]] = False
     pool = {c.key: c for c in inquiry.pool if not c.shape}
     changes, least = [], RELEVANT * np.sqrt(np.mean(evidence.tau[~reference] ** 2, axis=0))
@@ -207,6 +212,11 @@ def _fitted(columns: Columns, left: np.ndarray, logs: Sequence[np.ndarray]) -> t
         made.append((every, np.hypot(reach([others], np.zeros((1, len(every)))), 2 * SYSTEMATIC * every)))
     values, halves = np.array(made)[..., free].reshape(len(logs), 2, len(FITTED), -1).swapaxes(0, 1)
     return values, halves
+
+
+def beyond_motions(before: np.ndarray, now: np.ndarray) -> np.ndarray:
+    """Whether sizes (terms, n) differ by more than two motions of one arm make them differ."""
+    return np.abs(now - before) > BETWEEN * np.abs(before)
 
 
 def _differ(values: np.ndarray, halves: np.ndarray) -> np.ndarray:

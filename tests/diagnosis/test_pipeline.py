@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from experiments.arms import random_arm
 from experiments.cases import inverse_dynamics
 from experiments.confusion import claims
-from invdyn_cli.diagnosis import diagnose, pipeline
+from invdyn_cli.diagnosis import diagnose, pipeline, since
 from invdyn_cli.diagnosis.case import Options, prepared
 from invdyn_cli.diagnosis.columns.evidence import Candidate
 from invdyn_cli.diagnosis.search import judge, naming
@@ -177,6 +177,15 @@ def test_friction_that_fell_since_a_reference(robot, rubbing):
     for name in ("viscous_friction", "coulomb_friction"):
         size = next(iter(EFFECTS[name].parameters))
         assert EFFECTS[name].refuse({size: -1.0}) and not EFFECTS[name].as_change().refuse({size: -1.0})
+
+
+@pytest.mark.parametrize(("change", "claimed"), [(0.028, False), (-0.038, False), (0.2, True), (-0.2, True)])
+def test_two_motions_of_an_arm_differ_by_some_percent(change, claimed):
+    """A pair of logs of the same arm, a multisine and a pick and place, had Coulomb friction lower by 2.8 % and viscous
+    friction higher by 3.8 % for sure, by their intervals. An offset that has come counts, however small."""
+    before = np.array([[0.02, -0.5, 0.0]])
+    assert np.all(since.beyond_motions(before, (1 + change) * before)[0, :2] == claimed)
+    assert since.beyond_motions(before, before + 0.01)[0, 2]
 
 
 def bristly(robot, coulomb, damping):
