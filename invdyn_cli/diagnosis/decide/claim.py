@@ -39,8 +39,8 @@ AWAY, QUIET, LOUD = 1.0, 3.0, 10.0
 away: what is then left is at most QUIET times the noise, and the effect would make LOUD times."""
 
 CLOSE = 0.97
-"""Share of what an effect explains from which on a rival is compared beside usual links, too: what else differs may be
-what the links have been believed to be too near to their URDF for."""
+"""Share of what an effect explains from which on a rival is compared beside usual links, too: the rest may be of links
+that are believed to be nearer to their URDF than they are."""
 
 DEVIATIONS = 3.0
 """How many standard deviations, between blocks, a gain may be larger than it seems."""
