@@ -88,8 +88,8 @@ def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str
 
 def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     """The claims with all offsets and frictions that differ for sure, by more than motions make them differ (BETWEEN),
-    are RELEVANT and are missed on held-out data, if only such were found, and fewer; on joints on which the search came
-    to something else there are none."""
+    are RELEVANT and are missed on held-out data, if only such were found, and fewer, and the claims do not predict that
+    better. On joints on which the search came to something else there are none."""
     evidence, claims = inquiry.evidence, made.findings[: len(made.terms)]
     reference, plain = evidence.reference_rows, {TERMS[term][0] for term in FITTED}
     others = [c for c in inquiry.hypothesis if c.effect.name not in plain]
@@ -120,6 +120,9 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
         return made
     sure.sort(key=lambda x: x[1].rmse_after - x[1].rmse_before)
     hypothesis, torques = tuple(x.candidate for x, _ in sure), [x.size * x.torque for x, _ in sure]
+    residual = left(inquiry, hypothesis)
+    if squares(inquiry, residual) > squares(inquiry, made.residual):  # each helps beside the others, not by themselves
+        return made
     told = [_finding(inquiry, hypothesis, x, gain, claims) for x, gain in sure]
     told_now = {x.candidate.key for x, _ in sure}  # the search may have refused one of them
     refused = tuple(x for x in made.refused if x.candidate.key not in told_now)
@@ -129,10 +132,16 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
         hypothesis=hypothesis,
         acting=tuple(EffectInstance(x.candidate.effect, x.joint, {x.name: x.size}) for x, _ in sure),
         intervals=tuple({x.name: x.ends} for x, _ in sure),
-        residual=left(inquiry, hypothesis),
+        residual=residual,
         alone=nominal - sum(x.learned * x.torque for x, _ in sure),
         whole=nominal - sum(x.size * x.torque for x, _ in sure),
     )
+
+
+def squares(inquiry: Inquiry, residual: np.ndarray) -> float:
+    """A residual's squares (R, n) on data that did not choose it, in noise variances."""
+    valid = inquiry.evidence.valid & judged(inquiry.evidence)[:, None]
+    return float(np.sum(residual**2 * valid @ inquiry.noise.weights))
 
 
 @dataclass(frozen=True)
