@@ -121,7 +121,7 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     sure.sort(key=lambda x: x[1].rmse_after - x[1].rmse_before)
     hypothesis, torques = tuple(x.candidate for x, _ in sure), [x.size * x.torque for x, _ in sure]
     residual = left(inquiry, hypothesis)
-    if squares(inquiry, residual) > squares(inquiry, made.residual):  # each helps beside the others, not by themselves
+    if _squares(inquiry, residual) > _squares(inquiry, made.residual):  # each helps beside the others, not by itself
         return made
     told = [_finding(inquiry, hypothesis, x, gain, claims) for x, gain in sure]
     told_now = {x.candidate.key for x, _ in sure}  # the search may have refused one of them
@@ -138,7 +138,7 @@ def retold(inquiry: Inquiry, columns: Columns, made: Made) -> Made:
     )
 
 
-def squares(inquiry: Inquiry, residual: np.ndarray) -> float:
+def _squares(inquiry: Inquiry, residual: np.ndarray) -> float:
     """A residual's squares (R, n) on data that did not choose it, in noise variances."""
     valid = inquiry.evidence.valid & judged(inquiry.evidence)[:, None]
     return float(np.sum(residual**2 * valid @ inquiry.noise.weights))

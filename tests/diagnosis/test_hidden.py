@@ -208,8 +208,8 @@ def test_a_rest_parts_no_event():
 
 @pytest.mark.benchmark
 def test_a_payload_that_no_body_is():
-    """A drive is weak for most of a log. A payload explains that as well, but no body has such inertials. The weak
-    drive is named, and its gain is right to 1 %."""
+    """A drive is weak for most of a log. A payload explains that as well, but only with impossible inertial parameters.
+    The weak drive is named, and its gain is right to 1 %."""
     case = draw_case(1111001, ["torque_gain_change"])
     (found,) = claims(diagnose(case.log, case.robot))
     assert (found.effect, found.joint, found.status) == ("torque_gain_change", case.hidden[0].joint, "named")

@@ -311,7 +311,7 @@ def test_a_drive_that_became_weaker_since_a_reference(robot, rubbing):
 
 @pytest.mark.benchmark  # a quarter of a minute
 def test_changes_that_predict_worse_are_not_told():
-    """A joint turns for eleven seconds in each log, and its drive became weaker. By themselves both logs show another
+    """A joint turns for some seconds in each log, and its drive became weaker. Fitted by itself, each log shows another
     offset, which alone predicts held-out data worse than no change does; friction or a gain predict them better, and
     the log does not tell which."""
     one = drawn(21004, "torque_gain_error")
