@@ -424,7 +424,7 @@ class Diagnosis:
         noise_floor: {joint: {"rmse"}} from repeated trajectories, None without.
         unexplained: {joint: share of the residual variance that the learner still predicts on held-out data}.
         summary: the verdict in two sentences.
-        model, fit, signals: the extended model, its parameters, data of the pictures; None where the log is unusable.
+        model, signals: the extended model, data of the pictures; None where the log is unusable.
         replay: the simulated arm beside the measured motion (`simulation.replay.Replay`), None where there is none.
         notes: what the user should know: what was corrected, declared, left out.
         details: filter, rates, tries and other numbers worth keeping.
@@ -439,7 +439,6 @@ class Diagnosis:
     unexplained: Mapping[str, float]
     summary: str = ""
     model: Any = None
-    fit: Fit | None = None
     signals: Signals | None = None
     replay: Any = None
     notes: tuple[str, ...] = ()

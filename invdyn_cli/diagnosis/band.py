@@ -4,12 +4,12 @@ above the speed of the motion; what they leave there hides what acts at that spe
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.signals import butterworth
-from invdyn_cli.recording.pieces import ROLES, needed
+from invdyn_cli.recording.pieces import needed
 
 DENSER = 3.0
 """How many times as dense as in a narrower band noise may be in the whole one: so much less is the evidence there for
@@ -25,7 +25,7 @@ def heard(columns: Columns, target: np.ndarray, possible: Sequence[float]) -> tu
     narrower band. A torque ripple is not noise: the band is also found without the strongest line over the joint's
     angle, and the wider of both counts."""
     evidence, filter = columns.evidence, columns.evidence.recording.filter
-    rows = evidence.role == ROLES.index("train")
+    rows = evidence.of_role("train")
     left = target - columns.of(columns.fit(target, rows).theta)
     shortest = min(len(piece.t) for piece in evidence.recording.pieces)
     possible = [c for c in possible if shortest > needed(filter.rate, c)]

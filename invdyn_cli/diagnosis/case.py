@@ -113,7 +113,7 @@ def prepared(
 ) -> Case | Diagnosis:
     """The case of a log, or why it cannot be diagnosed. Arguments and errors as `pipeline.diagnose`'s; `checks` correct
     the log."""
-    gained, log, reference = _gained(log, reference, robot, windows, options)
+    gained, log, reference = _gained(log, reference, robot, windows, options, checks)
     log, examination = doctor.correct(log, robot, checks, change=options.correct)
     if not examination.usable:
         return _unusable(examination, () if options.correct else (AS_RECORDED,))
@@ -202,13 +202,13 @@ def _gathered(
 
 
 def _gained(
-    log: Log, reference: Log | None, robot: Robot, windows, options: Options
+    log: Log, reference: Log | None, robot: Robot, windows, options: Options, checks: Sequence[AbstractCheck]
 ) -> tuple[gains.Gains | None, Log, Log | None]:
     """The log and its reference with drive gains that the log's masses tell, where it has currents and says none. A
     wrong gain is not looked for then: all of them are fitted."""
     if not gains.lacks(log):
         return None, log, reference
-    corrected, _ = doctor.correct(log, robot, change=options.correct)
+    corrected, _ = doctor.correct(log, robot, checks, change=options.correct)
     try:
         found = gains.estimated(corrected, robot, _typical_inertia(robot), windows, options.conditioning)
     except (LogError, ValueError):

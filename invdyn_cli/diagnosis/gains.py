@@ -15,11 +15,12 @@ import numpy as np
 
 from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.columns.evidence import started
+from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.diagnosis.since import LOGS
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.channels import in_newton_metres
-from invdyn_cli.recording.pieces import ROLES, Preparation, prepare
+from invdyn_cli.recording.pieces import Preparation, prepare
 from invdyn_cli.types import Diagnosis, Finding, Gain, Quantity, Robot
 
 KNOWN = 0.1
@@ -90,7 +91,7 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
         columns = standard.columns_of(evidence, log.torque_side)
         own = np.concatenate([columns.own, evidence.nominal.T[None]])
         columns = replace(columns, terms=(*columns.terms, "gain"), own=own)
-        rows = evidence.role == ROLES.index("train")
+        rows = evidence.of_role("train")
         if number == 0:  # each joint by itself, links as they are
             factor = columns.line(evidence.tau, rows)[-robot.dofs :]
             error, shown = np.zeros(robot.dofs), factor > 0
@@ -118,6 +119,7 @@ def beside(diagnosis: Diagnosis, gains: Gains) -> Diagnosis:
     by, signals = np.array([x.by for x in scales.values()]), diagnosis.signals
     arrays = {name: np.asarray(getattr(signals, name)) / by for name in ("tau", "nominal", "extended")}
     floor = diagnosis.noise_floor
+    since = {k: [_scores(x, scales) for x in v] for k, v in diagnosis.details.items() if k == SINCE}
     links = dict(diagnosis.standard.get("inertials", {}))
     if links:
         links["worth"] = {joint: x / scales[joint].by for joint, x in links["worth"].items()}
@@ -125,6 +127,7 @@ def beside(diagnosis: Diagnosis, gains: Gains) -> Diagnosis:
     return replace(
         diagnosis,
         findings=tuple(_finding(f, scales) for f in diagnosis.findings),
+        unclaimed=tuple(_finding(f, scales) for f in diagnosis.unclaimed),
         baseline=_scores(diagnosis.baseline, scales),
         extended=_scores(diagnosis.extended, scales),
         baselines={name: _scores(x, scales) for name, x in diagnosis.baselines.items()},
@@ -132,7 +135,7 @@ def beside(diagnosis: Diagnosis, gains: Gains) -> Diagnosis:
         standard=terms | ({"inertials": links} if links else {}),
         tests=tuple(replace(x, torque=x.torque / scales[x.joint].by) for x in diagnosis.tests),
         signals=replace(signals, **arrays, terms=tuple(np.asarray(x) / by for x in signals.terms)),
-        details={**diagnosis.details, "torque_in_A": [j for j, x in scales.items() if not x.error]},
+        details={**diagnosis.details, **since, "torque_in_A": [j for j, x in scales.items() if not x.error]},
     )
 
 

@@ -148,7 +148,7 @@ def timed(evidence: Evidence, facts: Sequence[EffectInstance]) -> tuple[Candidat
     return tuple(made)
 
 
-def compare(evidence: Evidence, pool: Sequence[Candidate], reference: int) -> None:
+def compare(evidence: Evidence, pool: Sequence[Candidate]) -> None:
     """Give the evidence effects that both logs may show alike; the columns of the candidates, and of those that are yet
     to come, then vanish on the reference's rows."""
     always = []
@@ -159,7 +159,7 @@ def compare(evidence: Evidence, pool: Sequence[Candidate], reference: int) -> No
                 for j, (_, free) in c.columns.items()
             }
             always.append(replace(c, columns=copies))
-    rows = evidence.role == reference
+    rows = evidence.of_role("reference")
     for c in pool:
         for j, (fixed, free) in c.columns.items():
             for i in (*fixed, *free):

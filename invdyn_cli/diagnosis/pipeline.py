@@ -42,7 +42,6 @@ from invdyn_cli.log import Log, Window
 from invdyn_cli.maths import metrics
 from invdyn_cli.maths.threads import one_blas_thread
 from invdyn_cli.recording.channels import in_newton_metres
-from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Diagnosis, Finding, Robot, Signals
 
 
@@ -91,9 +90,9 @@ def diagnose(
 
     with one_blas_thread():
         first = asked(CHECKS, progress)
-        if not lateness.shifted_wrongly(first.findings, effects, first.examination, robot.dofs):
+        if not lateness.shifted_wrongly(first.findings, {**EFFECTS, **effects}, first.examination, robot.dofs):
             return first
-        untimed = [check for check in CHECKS if check.name != TimeOffset.name]
+        untimed = [check for check in CHECKS if not isinstance(check, TimeOffset)]
         again = asked(untimed, lambda done, note: progress(0.9, f"again, torques at the times of the log: {note}"))
         return replace(again, notes=(lateness.NOT_SHIFTED, *again.notes))
 
@@ -156,6 +155,7 @@ def decided(
 ) -> Diagnosis:
     """What may be claimed of what the search found, the model that is written, and what is left."""
     evidence, effects, robot = inquiry.evidence, case.effects, inquiry.evidence.robot
+    of_name = {**EFFECTS, **effects}  # standard terms may be claimed that `effects` lacks
     side, position_side = case.log.torque_side, case.log.position_side
     progress(0.75, "names")
     unsure = () if case.compares else wear.unsure_links(columns, inquiry)
@@ -177,8 +177,8 @@ def decided(
     rare = np.array([few[j].torque if j in few else 0.0 for j in range(robot.dofs)])
     shares = {j: float(x) for j, x in zip(robot.joints, learned, strict=True)}
     unknown = dict(zip(robot.joints, np.where(structured_joints, 1.0, learned), strict=True))
-    made = replace(made, findings=unexplained.in_doubt(made.findings, effects, unknown))
-    made = replace(made, findings=lateness.taken_back(made.findings, effects, case.examination))
+    made = replace(made, findings=unexplained.in_doubt(made.findings, of_name, unknown))
+    made = replace(made, findings=lateness.taken_back(made.findings, of_name, case.examination))
     made = made if case.compares else rattling.told(evidence, made, more, effects)
     progress(0.9, "model")
     written, unnamed = (more, ()) if case.compares else _fuller(inquiry, columns, made, more, unsure)
@@ -250,7 +250,7 @@ def decided(
         },
     )
     diagnosis = diagnosis if case.gained is None else gains.beside(diagnosis, case.gained)
-    return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in effects.items()}))
+    return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in of_name.items()}))
 
 
 def _fuller(
@@ -309,14 +309,10 @@ def _replay(model: ExtendedModel, case: Case, progress: Progress) -> tuple[Any, 
 
 def _scores(evidence: Evidence, residual: np.ndarray) -> dict[str, dict[str, float]]:
     """Held-out error of every joint of a model that leaves this `residual` (R, n)."""
-    rows, scores = judged(evidence), {}
-    for j, name in enumerate(evidence.robot.joints):
-        tau, left = evidence.tau[rows, j], residual[rows, j]
-        scores[name] = {
-            "rmse": float(metrics.rmse(tau[:, None], (tau - left)[:, None])[0]),
-            "nmse": float(metrics.nmse(tau[:, None], (tau - left)[:, None])[0]),
-        }
-    return scores
+    rows = judged(evidence)
+    tau, made = evidence.tau[rows], (evidence.tau - residual)[rows]
+    both = metrics.rmse(tau, made).tolist(), metrics.nmse(tau, made).tolist()
+    return {joint: {"rmse": r, "nmse": n} for joint, r, n in zip(evidence.robot.joints, *both, strict=True)}
 
 
 def _signals(evidence: Evidence, made: findings.Made, more: standard.Beside) -> Signals:
@@ -331,5 +327,5 @@ def _signals(evidence: Evidence, made: findings.Made, more: standard.Beside) -> 
         extended=evidence.tau - more.residual,
         terms=made.terms,
         valid=evidence.valid,
-        held_out=evidence.role == ROLES.index("test"),
+        held_out=evidence.of_role("test"),
     )

@@ -23,7 +23,6 @@ from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, pl
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.maths import standard
-from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Finding, Gain
 
 LOGS = ("reference", "now")
@@ -42,7 +41,7 @@ speeds, loads and rests, and the formulas of friction are wrong by some percent 
 def candidates(evidence: Evidence, columns: Columns) -> list[Candidate]:
     """The evidence's, those of a drive's gain only as far as each log tells by itself that it gives what links and
     rotor need by another factor: friction that has changed looks like a gain where it is most of the torque."""
-    nominal, reference = evidence.residual((), np.zeros(0)), evidence.role == ROLES.index("reference")
+    nominal, reference = evidence.residual((), np.zeros(0)), evidence.of_role("reference")
     theta = columns.fit(nominal, np.ones_like(reference)).theta
     needed, friction = evidence.tau - _without_links(columns, nominal, theta), _own(columns)
 

@@ -25,7 +25,6 @@ from invdyn_cli.effects.rigid import regressor
 from invdyn_cli.maths import standard, statistics
 from invdyn_cli.maths.links import bodies
 from invdyn_cli.maths.standard import Standard, Sums
-from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Finding, Quantity
 
 TERMS: Mapping[str, tuple[str, str]] = {
@@ -259,7 +258,7 @@ def std_of(fitted: Standard) -> np.ndarray:
 
 def _choosing(evidence: Evidence) -> np.ndarray:
     """The rows (R,) bool that choose, the reference's among them."""
-    choosing = evidence.role == ROLES.index("train")
+    choosing = evidence.of_role("train")
     return choosing if evidence.reference_rows is None else choosing | evidence.reference_rows
 
 

@@ -4,7 +4,7 @@ there, on bristles or in a simulation that smooths Coulomb's law, has less than 
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import filtered
 from invdyn_cli.diagnosis.standard import Columns
@@ -13,7 +13,6 @@ from invdyn_cli.effects.friction import about_reversals
 from invdyn_cli.errors import listed
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
 from invdyn_cli.maths.statistics import autocorrelation_time
-from invdyn_cli.recording.pieces import ROLES
 from invdyn_cli.types import Array, Robot
 
 SHARES = (0.0025, 0.005, 0.01, 0.02, 0.04, 0.08)
@@ -33,8 +32,8 @@ def speeds(columns: Columns, residual: np.ndarray, jumping: Sequence[EffectInsta
         jumping: what was found that jumps where its joint turns back, and is still in the residual.
     """
     evidence = columns.evidence
-    rows = evidence.role == ROLES.index("reference")
-    rows = rows if rows.any() else evidence.role == ROLES.index("train")
+    rows = evidence.of_role("reference")
+    rows = rows if rows.any() else evidence.of_role("train")
     theta = columns.fit(residual, rows).theta
     target = residual - columns.of(np.where(columns.inertial, theta, 0.0))
     now = evidence.recording.transition

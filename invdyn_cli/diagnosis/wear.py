@@ -19,7 +19,6 @@ from invdyn_cli.diagnosis.search.noise import MOVES, measure
 from invdyn_cli.diagnosis.standard import CLAIMED, LINK, Columns, least_of, std_of
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import USUAL, Standard, link_scales
-from invdyn_cli.recording.pieces import ROLES
 
 WORN = 0.005
 """Share of its scales below which a link is as its URDF has it: clocks and filters leave that much."""
@@ -63,7 +62,7 @@ def unsure_links(columns: Columns, inquiry: Inquiry) -> Hypothesis:
     others = [a for a in acting if not a.effect.load or a.when is not None]
     if len(others) == len(acting):
         return ()
-    choosing = inquiry.evidence.role == ROLES.index("train")
+    choosing = inquiry.evidence.of_role("train")
     share = columns.behind(others).widest(inquiry.model.residual(others), choosing)
     return worn_links(columns, inquiry.noise.weights, share)
 
@@ -91,7 +90,7 @@ def of(columns: Columns, inquiry: Inquiry) -> Standard | None:
     """The standard model beside all that was found but errors of single links, if the log asks for it and for links
     that are off by a share of their scales; else None."""
     acting = [a for a in inquiry.chosen.acting if a.effect is not LINK]
-    choosing = inquiry.evidence.role == ROLES.index("train")
+    choosing = inquiry.evidence.of_role("train")
     return _asked_for(columns.behind(acting).fit(inquiry.model.residual(acting), choosing, least_of(columns, acting)))
 
 
@@ -101,7 +100,7 @@ def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
     is not looked at as if it were as its URDF says, though its links may be. Links that seem to be off without being
     asked for may be a load that comes and goes: nothing is plain then."""
     evidence, n = columns.evidence, columns.evidence.dofs
-    choosing = evidence.role == ROLES.index("train")
+    choosing = evidence.of_role("train")
     fitted = columns.fit(residual, choosing)
     right = fitted.gain > 0 and fitted.share <= WORN
     if not right and _asked_for(fitted) is None:
@@ -130,7 +129,7 @@ def beside(
     evidence, found = columns.evidence, [a for a in acting if a.when is None]
     moved = wear.theta[: len(columns.links)]
     worn = with_links(evidence, np.asarray(evidence.robot.inertial) + moved.reshape(-1, 10))
-    weights = measure(worn, worn.role == ROLES.index("train")).weights if weights is None else weights
+    weights = measure(worn, worn.of_role("train")).weights if weights is None else weights
     links = worn_links(columns, weights, min(wear.share, USUAL), moved)
     start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
     return worn, links, tuple(start)

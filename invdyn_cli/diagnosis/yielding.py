@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from invdyn_cli.diagnosis.columns import gears
 from invdyn_cli.diagnosis.columns.evidence import Evidence, slow_saved, slow_share
@@ -23,7 +23,6 @@ from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect
 from invdyn_cli.maths.standard import Standard, fit, link_scales
 from invdyn_cli.maths.threads import side_by_side
-from invdyn_cli.recording.pieces import ROLES
 
 SHORTLIST = 3
 """Gears that are fitted with the standard model: those that gain most in the noise of a fit without them."""
@@ -39,7 +38,7 @@ SHARES = (1.0, 0.5, 0.0)
 def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance | None:
     """The trial of a gear, of any joint, beside which the standard model leaves least, if that is plainly less than
     without it, and not by what encoder noise feigns."""
-    evidence, rows = columns.evidence, columns.evidence.role == ROLES.index("train")
+    evidence, rows = columns.evidence, columns.evidence.of_role("train")
     nominal = evidence.residual((), np.zeros(0))
     plain = columns.fit(nominal, rows)
     before = nominal - columns.of(plain.theta)
@@ -97,7 +96,7 @@ def believable(columns: Columns, one: EffectInstance | None, fitted: Standard) -
     if one is None:
         return fitted
     evidence, links = columns.evidence, len(columns.links)
-    nominal, rows = evidence.residual((), np.zeros(0)), evidence.role == ROLES.index("train")
+    nominal, rows = evidence.residual((), np.zeros(0)), evidence.of_role("train")
     squares = _squares(columns, left(columns, one), rows)
     best = np.inf, fitted
     for share in SHARES:

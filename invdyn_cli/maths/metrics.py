@@ -42,12 +42,13 @@ def nmse_in_blocks(
     return np.where(np.isfinite(squares), found, np.inf)
 
 
-def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray, *, most: int = 50) -> np.ndarray:
+def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray) -> np.ndarray:
     """RMS per joint (n,) of half the difference of the torques (T, n) of a trajectory and its repetition [N m; N].
 
     No model of the motion can have a smaller error if both differ by noise alone. The repetition is shifted by the lag,
-    at most `most` samples, at which its positions (T, n) agree best.
+    at most 50 samples and half of either, at which its positions (T, n) agree best.
     """
+    most = min(50, len(q) // 2, len(q_again) // 2)
 
     def overlap(lag: int) -> tuple[slice, slice]:
         length = min(len(q) - max(lag, 0), len(q_again) + min(lag, 0))
@@ -58,4 +59,4 @@ def noise_floor(q: Array, tau: np.ndarray, q_again: Array, tau_again: np.ndarray
         return float(np.mean((q[here] - q_again[there]) ** 2))
 
     here, there = overlap(min(range(-most, most + 1), key=distance))
-    return np.sqrt(np.mean(((tau[here] - tau_again[there]) / 2) ** 2, axis=0))
+    return rms((tau[here] - tau_again[there]) / 2)

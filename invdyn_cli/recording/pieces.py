@@ -358,7 +358,7 @@ def _moving_noise(positions: list[np.ndarray]) -> np.ndarray:
     stamps that are a little off make it there, and speed times as much."""
     fourth = np.concatenate([np.diff(q, 4, axis=1) for q in positions], axis=1)
     ways = np.concatenate([q[:, 4:] - q[:, :-4] for q in positions], axis=1)
-    fast = np.abs(ways) >= np.sqrt(np.mean(ways**2, axis=1, keepdims=True))
+    fast = np.abs(ways) >= (1 - 1e-9) * np.sqrt(np.mean(ways**2, axis=1, keepdims=True))  # or all as fast, rounded
     return np.array([_noise([x[None, where]])[0] for x, where in zip(fourth, fast, strict=True)])
 
 

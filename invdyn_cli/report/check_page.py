@@ -11,9 +11,10 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.excitation import OF_ROBOT
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import listed
+from invdyn_cli.files import write_file
 from invdyn_cli.log import Log
 from invdyn_cli.report.check_table import PILLS, check_table, skipped_reasons
-from invdyn_cli.report.html import document, folded, lively, pairs, picture, section, table, write_whole
+from invdyn_cli.report.html import document, folded, lively, pairs, picture, section, table
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import capital, words
 from invdyn_cli.types import Check, Examination, Robot
@@ -69,7 +70,7 @@ def write_page(
 ) -> Path:
     """Write the page of a checked log to `path`, whole or not at all; `figures` are those of `check_figures.draw_all`,
     `notes` what else the reader should know, `live` the plots of `check_plots.all_plots`."""
-    return write_whole(path, page(examination, log, robot, figures, notes, live))
+    return write_file(path, page(examination, log, robot, figures, notes, live))
 
 
 def page(

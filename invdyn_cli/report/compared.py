@@ -14,9 +14,10 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from invdyn_cli.files import write_file
 from invdyn_cli.report.canvas import COLOURS, WIDTH, add_legend, house_style, save
 from invdyn_cli.report.canvas import plain as unformatted
-from invdyn_cli.report.html import document, folded, lively, picture, section, table, write_whole
+from invdyn_cli.report.html import document, folded, lively, picture, section, table
 from invdyn_cli.report.interactive import Line, Panel, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.run_plots import timeline
@@ -64,15 +65,13 @@ class Compared:
         return _number(self.metrics.get(self.judged, {}).get(kind, {}).get("joint", {}).get(joint))
 
 
-def write_page(
-    runs: Sequence[Compared], folder: Path, title: str, *, told: str = "", name: str = "report.html"
-) -> Path:
+def write_page(runs: Sequence[Compared], folder: Path, title: str, *, told: str = "") -> Path:
     """Write the page of these runs, and its figure, into `folder`; `told` (HTML) stands below the heading."""
     figures = [folder / "figures" / f"{BARS}.png"] if runs else []
     with house_style():
         for path in figures:
             save(bars(runs), path)
-    return write_whole(folder / name, page(runs, figures, title, told))
+    return write_file(folder / "report.html", page(runs, figures, title, told))
 
 
 def page(runs: Sequence[Compared], figures: Sequence[Path], title: str, told: str = "") -> str:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli.control import KIND_WORDS, ControlRecord
+from invdyn_cli.files import write_file
 from invdyn_cli.report.controlled import OBJECT, sentences
-from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
+from invdyn_cli.report.html import document, folded, pairs, picture, section, table
 from invdyn_cli.report.tables import significant
 
 CAPTION = (
@@ -21,7 +22,7 @@ UNITS = {"damping_time": " [s]", "velocity_cutoff": " [Hz]", "settle": " [s]", "
 
 def write_page(record: ControlRecord, choices: Mapping[str, Any], figure: Path, path: Path) -> Path:
     """Write the page of control runs to `path`, whole or not at all; `choices` are the names of the command line."""
-    return write_whole(path, page(record, choices, figure))
+    return write_file(path, page(record, choices, figure))
 
 
 def page(record: ControlRecord, choices: Mapping[str, Any], figure: Path) -> str:

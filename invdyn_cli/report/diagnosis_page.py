@@ -11,12 +11,13 @@ from typing import Any
 
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
 from invdyn_cli.diagnosis.decide.wording import SINCE, in_table, units_of
+from invdyn_cli.files import write_file
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_plots import diagnosis_plots
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
-from invdyn_cli.report.html import document, folded, pairs, picture, section, table, write_whole
+from invdyn_cli.report.html import document, folded, pairs, picture, section, table
 from invdyn_cli.report.model_sections import standard_section, unclaimed_section
 from invdyn_cli.report.overlay import OPENING, OVERLAY, caption
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
@@ -101,7 +102,7 @@ def write_report(
     """Write the report of a diagnosis to `path`, whole or not at all; of `figures` (those of `diagnosis_figures`), the
     PNG files are put inside; `lacks`: the files for simulators, and what each of them does not hold; `record_next`: the
     trajectory beside it that is to be recorded next, "" without."""
-    return write_whole(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures], lacks or {}, record_next))
+    return write_file(Path(path), page(diagnosis, robot_name, [Path(x) for x in figures], lacks or {}, record_next))
 
 
 def page(

@@ -1,10 +1,9 @@
 """The plots of a diagnosis that zoom: torques and residuals of every joint over the log, the residual over velocity."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from invdyn_cli.diagnosis.decide.wording import units_of
+from invdyn_cli.recording.rows import runs
 from invdyn_cli.report.exhibits import as_numpy
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
@@ -67,9 +66,6 @@ def _windows(diagnosis: Diagnosis, trajectory: np.ndarray, t: np.ndarray, joint:
         inside = np.any([(t >= start) & (t <= end) for start, end in windows(x)], axis=0)
         if x.trajectory is not None:
             inside &= trajectory == x.trajectory
-        rows = np.flatnonzero(inside)
-        cuts = [0, *(np.flatnonzero(np.diff(rows) > 1) + 1).tolist(), len(rows)]
-        spans = [(rows[a], rows[b - 1]) for a, b in pairwise(cuts) if b > a]
-        if spans:
-            marks.append(Mark(words(x.effect), "orange", np.array(spans)))
+        if inside.any():
+            marks.append(Mark(words(x.effect), "orange", runs(inside) - [0, 1]))
     return marks

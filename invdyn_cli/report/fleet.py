@@ -147,14 +147,15 @@ def _terms(before: Diagnosed, after: Diagnosed) -> Iterator[str]:
     for one, log, other in [(x, after, before) for x in after.findings] + [(x, before, after) for x in before.findings]:
         if one.status != "named" or one.group != "standard" or _holds(other, one) or _hides(other, one):
             continue
-        (size,), was = one.parameters.values(), other.terms.get((one.effect, one.joint))
+        was, size, *others = other.terms.get((one.effect, one.joint)), *one.parameters.values()
         if was is not None:
             if _apart(was, size):
                 first, last = (was, size) if log is after else (size, was)
                 sizes = f"{quantity_text(first, interval=False)} to {quantity_text(last, interval=False)}"
                 yield f"{words(one.effect)} of {one.joint} from {sizes}"
         elif other.errors.get(one.joint or "", math.inf) < one.evidence.get(TORQUE, {}).get(one.joint, 0.0):
-            yield f"{'new' if log is after else 'no longer found'}: {_told(one)}, {quantity_text(size, interval=False)}"
+            own = "" if others else f", {quantity_text(size, interval=False)}"  # of a link, there are several
+            yield f"{'new' if log is after else 'no longer found'}: {_told(one)}{own}"
 
 
 def _apart(one: Quantity, other: Quantity) -> bool:

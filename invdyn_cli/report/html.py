@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.files import write_file
 from invdyn_cli.report.interactive import SCRIPT, STYLES
 
 STYLE = """
@@ -64,11 +63,6 @@ summary { cursor: pointer; margin-bottom: .4rem; }
   th, td { padding: .15rem .5rem; } h2 { break-after: avoid; } pre { white-space: pre-wrap; }
   details::details-content { content-visibility: visible; } }
 """
-
-
-def write_whole(path: Path, text: str) -> Path:
-    """Write a page to `path`, whole or not at all."""
-    return write_file(path, text)
 
 
 def document(title: str, body: str, style: str = "") -> str:

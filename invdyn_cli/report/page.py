@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.report.html import document, folded, pairs, picture, section, write_whole
+from invdyn_cli.files import write_file
+from invdyn_cli.report.html import document, folded, pairs, picture, section
 from invdyn_cli.report.run_plots import run_plots
 from invdyn_cli.report.tables import (
     LOAD_HEADS,
@@ -64,7 +65,7 @@ one kind."""
 
 def write_page(record: RunRecord, figures: Iterable[str | Path], path: str | Path) -> Path:
     """Write the report of a run to `path`, whole or not at all; of `figures`, the PNG files are put inside."""
-    return write_whole(Path(path), page(record, [Path(x) for x in figures]))
+    return write_file(Path(path), page(record, [Path(x) for x in figures]))
 
 
 def page(record: RunRecord, figures: Sequence[Path]) -> str:

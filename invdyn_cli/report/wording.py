@@ -203,7 +203,7 @@ def causes(diagnosis: Diagnosis) -> list[tuple[int, Finding]]:
 
 def joints_of(diagnosis: Diagnosis) -> tuple[str, ...]:
     """The joints in the order of the signals' columns."""
-    return diagnosis.fit.joints if diagnosis.fit else tuple(diagnosis.baseline)
+    return tuple(diagnosis.baseline)
 
 
 def picture(number: int, finding: Finding) -> str:

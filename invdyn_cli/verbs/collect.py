@@ -20,7 +20,7 @@ from invdyn_cli.files import relative, write_file
 from invdyn_cli.report.tables import shortened, significant
 from invdyn_cli.tracking.contract import flat
 from invdyn_cli.verbs import screen
-from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.launch import launch, quoted
 from invdyn_cli.verbs.screen import Screen
 
 CHOSEN = ("model", "data", "adaptation", "seed")
@@ -44,9 +44,9 @@ Row = dict[str, Any]
 
 def main(argv: Sequence[str]) -> int:
     """Collect with the overrides in argv, bare paths being the folders; the exit code."""
-    bare = [a for a in argv if not a.startswith(("-", "output=", "folders=", "hydra"))]
-    quoted = ",".join("'" + a.replace("'", r"\'") + "'" for a in bare)
-    return launch("collect", [*(a for a in argv if a not in bare), *([f"folders=[{quoted}]"] if bare else [])], task)
+    bare = [a for a in argv if not a.startswith(("-", "output=", "folders=", "hydra.", "hydra/"))]
+    folders = [f"folders=[{','.join(map(quoted, bare))}]"] * bool(bare)
+    return launch("collect", [*(a for a in argv if a not in bare), *folders], task)
 
 
 def task(config: DictConfig) -> None:

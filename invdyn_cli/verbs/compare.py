@@ -12,7 +12,7 @@ from invdyn_cli.report import compared
 from invdyn_cli.report.compared import Compared
 from invdyn_cli.report.tables import robot_of
 from invdyn_cli.verbs.finished import page_of
-from invdyn_cli.verbs.launch import job, launch
+from invdyn_cli.verbs.launch import job, launch, quoted
 from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.run import size_limit
 from invdyn_cli.verbs.screen import Screen, stages
@@ -21,10 +21,9 @@ from invdyn_cli.verbs.screen import Screen, stages
 def main(argv: Sequence[str]) -> int:
     """Run with the overrides in argv, bare paths meaning runs=[PATH,…]; the exit code."""
     known = ("runs=", "trust=", "max_size=", "hydra.", "hydra/", "-")
-    paths = ["'" + a.replace("'", r"\'") + "'" for a in argv if not a.startswith(known)]
-    return launch(
-        "compare", [a for a in argv if a.startswith(known)] + [f"runs=[{','.join(paths)}]"] * bool(paths), task
-    )
+    paths = [quoted(a) for a in argv if not a.startswith(known)]
+    runs = [f"runs=[{','.join(paths)}]"] * bool(paths)
+    return launch("compare", [*(a for a in argv if a.startswith(known)), *runs], task)
 
 
 def task(config: DictConfig) -> None:

@@ -15,7 +15,7 @@ from invdyn_cli.formats.reading import imported
 from invdyn_cli.functions.inputs import robot_of
 from invdyn_cli.logfile import write_log
 from invdyn_cli.verbs import imports
-from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.launch import launch, quoted
 from invdyn_cli.verbs.run import size_limit
 from invdyn_cli.verbs.screen import Screen
 
@@ -27,9 +27,9 @@ def main(argv: Sequence[str]) -> int:
     paths = [a for a in argv if not _is_option(a)]
     given = [a for a in argv if _is_option(a)]
     if paths[1:]:
-        given += [f"source=[{','.join(map(_quoted, paths[:-1]))}]", f"output={_quoted(paths[-1])}"]
+        given += [f"source=[{','.join(map(quoted, paths[:-1]))}]", f"output={quoted(paths[-1])}"]
     elif paths:
-        given += [f"source={_quoted(paths[0])}"]
+        given += [f"source={quoted(paths[0])}"]
     return launch("convert", given, task)
 
 
@@ -83,7 +83,3 @@ def _is_option(argument: str) -> bool:
     """Whether an argument sets an option; paths may have a "=" in them, too."""
     name = argument.lstrip("+~").partition("=")[0].partition(".")[0]
     return argument.startswith("-") or ("=" in argument and (name in (*OWN, *ENTRIES) or not Path(argument).exists()))
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("\\", "\\\\").replace("'", r"\'") + "'"

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, ListConfig
 
 from invdyn_cli.errors import LogError, UsageError
-from invdyn_cli.report import bars, comparison, curves, html, paper, repetitions
+from invdyn_cli.files import write_file
+from invdyn_cli.report import bars, comparison, curves, paper, repetitions
 from invdyn_cli.report.canvas import save
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
@@ -62,7 +63,7 @@ def task(config: DictConfig) -> None:
         exhibits.append(_exhibit(done, drawn))
         if picked := done.spec.get("paper_tables"):
             nets, sets = _paper_tables(done, picked)
-    written = html.write_whole(Path(config.page), paper.page(exhibits, nets, sets))
+    written = write_file(Path(config.page), paper.page(exhibits, nets, sets))
     console.whole(written)
 
 

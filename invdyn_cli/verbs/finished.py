@@ -12,14 +12,14 @@ from invdyn_cli.report.compared import MOST_CURVES, Compared
 REPORT = "report.html"
 
 
-def finished(folders: Sequence[Path], names: Sequence[str], beside: Path, trust: Sequence[str] = ()) -> list[Compared]:
+def finished(folders: Sequence[Path], names: Sequence[str], beside: Path) -> list[Compared]:
     """The finished runs among these folders, with the given `names`, for a page in the folder `beside`. Those with the
     lowest errors are read completely, for curves over time; unreadable ones are left out."""
     found = [x for x in map(_measured, folders, names, [beside] * len(names)) if x is not None]
     ranked = sorted(found, key=lambda x: x.score("rmse") if x.score("rmse") >= 0 else float("inf"))
     whole = {x.name for x in ranked[:MOST_CURVES]}
     places = dict(zip(names, folders, strict=True))
-    return [_with_record(x, places[x.name] / store.RUN, trust) if x.name in whole else x for x in found]
+    return [_with_record(x, places[x.name] / store.RUN) if x.name in whole else x for x in found]
 
 
 def _measured(folder: Path, name: str, beside: Path) -> Compared | None:
@@ -33,9 +33,9 @@ def _measured(folder: Path, name: str, beside: Path) -> Compared | None:
         return None
 
 
-def _with_record(one: Compared, path: Path, trust: Sequence[str]) -> Compared:
+def _with_record(one: Compared, path: Path) -> Compared:
     try:
-        return Compared(one.name, one.metrics, store.load_run(path, trust), one.link)
+        return Compared(one.name, one.metrics, store.load_run(path), one.link)
     except InvdynError:  # its numbers are there, its curves are not
         return one
 

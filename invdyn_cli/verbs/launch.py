@@ -5,6 +5,7 @@ import difflib
 import functools
 import logging
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -53,6 +54,11 @@ def paper_joints(path: str | None) -> int | None:
 
 
 OmegaConf.register_new_resolver("paper_joints", paper_joints, replace=True)
+
+
+def quoted(text: str) -> str:
+    """A text as a value of an override, as it is: only before a quote, or at the end, a backslash says something."""
+    return "'" + re.sub(r"(\\*)('|$)", lambda at: 2 * at[1] + at[2].replace("'", r"\'"), text) + "'"
 
 
 def launch(verb: str, argv: Sequence[str], task: Callable[[DictConfig], Any]) -> int:

@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 
 from invdyn_cli import store
 from invdyn_cli.report import figures, page
-from invdyn_cli.verbs.launch import launch
+from invdyn_cli.verbs.launch import launch, quoted
 from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.run import refuse_formats, size_limit
 from invdyn_cli.verbs.screen import Screen
@@ -15,8 +15,8 @@ from invdyn_cli.verbs.screen import Screen
 
 def main(argv: Sequence[str]) -> int:
     """Run with the overrides in argv, a bare path meaning run=PATH; the exit code."""
-    known = ("run=", "formats=", "trust=", "max_size=", "hydra", "-")
-    return launch("report", [a if a.startswith(known) else "run='" + a.replace("'", r"\'") + "'" for a in argv], task)
+    known = ("run=", "formats=", "trust=", "max_size=", "hydra.", "hydra/", "-")
+    return launch("report", [a if a.startswith(known) else f"run={quoted(a)}" for a in argv], task)
 
 
 def task(config: DictConfig) -> None:

@@ -1,5 +1,4 @@
-"""What a verb shows while it works (progress on stderr), and the cache of compiled programs that makes the second run
-faster."""
+"""What a verb shows while it works: progress on stderr."""
 
 import os
 import sys

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from invdyn_cli.diagnosis.checks.fitness import Fitness, Rows, fitness, rows_of
-from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
+from invdyn_cli.diagnosis.checks.samples import gather_changing, torque_of
 from invdyn_cli.log import Log
 from invdyn_cli.recording.memory import once_for_a_log
 from invdyn_cli.types import Robot
@@ -128,10 +128,8 @@ class Verdict:
 @once_for_a_log
 def arrangement(log: Log, robot: Robot) -> Verdict | None:
     """What the columns of a log say of their order and signs; None where nothing moves long enough."""
-    samples = gather(log, robot, 1024) if log.trajectories else None
-    if samples is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
-        return None
-    if not np.ptp(samples.motion.q, axis=0).any():
+    samples = gather_changing(log, robot)
+    if samples is None or not np.ptp(samples.motion.q, axis=0).any():
         return None
     rows = rows_of(samples, without_gravity="gravity" in log.compensated)
     return _search(rows, robot)
@@ -246,7 +244,7 @@ class _Look:
 
 def _unit(rows: Rows, robot: Robot) -> float:
     """The factor in UNITS that makes the torques about as large as the URDF's, whatever their order."""
-    nominal, _ = nominal_torque(robot, rows.motion)
+    nominal = torque_of(robot, rows.motion)
     ratio = np.median(rows.tau.std(0)) / max(float(np.median(nominal.std(0))), 1e-300)
     return min(UNITS, key=lambda x: abs(np.log(max(ratio, 1e-300) / x)))
 

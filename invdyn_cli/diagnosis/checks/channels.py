@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.samples import gather
+from invdyn_cli.diagnosis.checks.samples import NO_MOTION, gather
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
@@ -38,7 +38,7 @@ class Quantisation(AbstractCheck):
         raws = [raw for raw in log.trajectories if len(raw.t) > 100 and is_series(raw)]
         if not raws:
             return [self.skipped("no time series of 100 rows")]
-        accelerations = {x.trajectory: rms(x.qdd) for x in stretches(log)}
+        moving = stretches(log)
         found = []
         for joint, name in enumerate(log.joints):
             raw = max(raws, key=lambda x: np.ptp(x.q[:, joint]))
@@ -46,9 +46,10 @@ class Quantisation(AbstractCheck):
             cutoff = min(self.cutoff, rate / 5)
             step = lattice(raw.q[:, joint])
             moves = np.ptp(raw.q[:, joint]) > max(10 * step, 0.02)
-            if step > 0 and moves and raw.name in accelerations:
+            qdd = [x.qdd[:, joint] for x in moving if x.trajectory == raw.name]
+            if step > 0 and moves and qdd:
                 noise = step / np.sqrt(12) * (2 * np.pi) ** 2 * np.sqrt(cutoff**5 / 5 / (rate / 2))
-                share = noise / max(accelerations[raw.name][joint], 1e-12)
+                share = noise / max(float(rms(np.concatenate(qdd))), 1e-12)
                 found.append(
                     Check(
                         self.name,
@@ -171,7 +172,7 @@ class CommandCopiesMeasurement(AbstractCheck):
             return [*found, self.skipped("no robot", "tau")]
         samples = gather(log, robot) if log.trajectories else None
         if samples is None or not np.ptp(samples.tau, axis=0).any():
-            return [*found, self.skipped("no motion, or a torque that never changes", "tau")]
+            return [*found, self.skipped(NO_MOTION, "tau")]
         spread = np.var(samples.tau, axis=0)
         judged = spread > 1e-12 * spread.max()
         missed = np.mean((samples.tau - samples.nominal) ** 2, axis=0)[judged] / spread[judged]

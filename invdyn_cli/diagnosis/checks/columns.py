@@ -17,15 +17,14 @@ from invdyn_cli.diagnosis.checks.arrangement import (
     known_orders,
 )
 from invdyn_cli.diagnosis.checks.fits import left, share, slope
-from invdyn_cli.diagnosis.checks.samples import Samples, gather
-from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.diagnosis.checks.samples import EXCITED, NO_MOTION, Samples, gather
+from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.rows import each, present
 from invdyn_cli.types import Check, Robot
 
-NO_MOTION = "no motion, or a torque that never changes"
 POSITIONS = ("q", "qd", "qdd", "q_ref", "q_link")
 
 
@@ -80,10 +79,12 @@ class JointOrder(AbstractCheck):
             log = each(log, change)
             if log.drive_gain is not None:
                 log = replace(log, drive_gain=np.asarray(log.drive_gain)[columns])
-            which = "all" if order == columns else "torque" if order == sorted(order) else "position"
-            moves = columns if order == sorted(order) else order
-            words = ", ".join(f"{log.joints[i]} -> {log.joints[j]}" for j, i in enumerate(moves) if i != j)
-            return log, [f"{which} columns put in the robot's order: {words}"]
+            both = {"all": order} if order == columns else {"position": order, "torque": columns}
+            moves = {
+                which: ", ".join(f"{log.joints[i]} -> {log.joints[j]}" for j, i in enumerate(moved) if i != j)
+                for which, moved in both.items()
+            }
+            return log, [f"{which} columns put in the robot's order: {x}" for which, x in moves.items() if x]
         return log, []
 
     def _seen(self, robot: Robot, best: Arrangement, words: str, gain: float) -> Check:

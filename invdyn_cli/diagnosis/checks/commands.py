@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.fits import lowest
+from invdyn_cli.diagnosis.checks.unit_factors import DEGREE, POSITIONS
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.memory import once_for_a_log
@@ -14,12 +15,7 @@ from invdyn_cli.recording.rows import each
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Check, Robot
 
-DEGREE = 180 / np.pi
-UNITS = {
-    DEGREE: "degrees",
-    1 / DEGREE: "radians that were converted from degrees once too often",
-    1 / (2 * np.pi): "revolutions",
-}
+UNITS = {DEGREE: "degrees", **POSITIONS}
 """q_ref over SI; each with both signs."""
 
 WIDEST = 5.0

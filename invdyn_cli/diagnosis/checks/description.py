@@ -10,13 +10,13 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, FOUND, SOURCE, arrangement
 from invdyn_cli.diagnosis.checks.fits import left
 from invdyn_cli.diagnosis.checks.placeholders import EQUAL, SAME, ZERO, kinds_of
-from invdyn_cli.diagnosis.checks.samples import Samples, gather, nominal_torque, regressor_rows
+from invdyn_cli.diagnosis.checks.samples import EXCITED, Samples, gather, gravity_torque, regressor_rows
 from invdyn_cli.diagnosis.checks.torque_units import doubted
-from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.errors import listed
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
-from invdyn_cli.types import Check, Motion, Robot
+from invdyn_cli.types import Check, Robot
 
 NOT_COMPARED = "tool and base are not compared"
 SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -137,8 +137,7 @@ class Description(AbstractCheck):
 
     def _gravity(self, samples: Samples, robot: Robot, judged: list[int]) -> list[Check]:
         """The direction of gravity in the base frame, by least squares beside friction."""
-        still = Motion(samples.motion.q, *[np.zeros_like(np.asarray(samples.motion.q))] * 2)
-        axes = [nominal_torque(replace(robot, gravity=np.eye(3)[k]), still)[1] for k in range(3)]
+        axes = [gravity_torque(replace(robot, gravity=np.eye(3)[k]), samples.motion.q) for k in range(3)]
         inertial = samples.nominal - samples.gravity
         rows, target, before = [], [], 0.0
         for j in judged:
@@ -183,7 +182,7 @@ class Description(AbstractCheck):
         end = columns[:, :, -10:-6]
         blocks = []
         for chosen in np.array_split(np.arange(len(rows)), 6):
-            fit = self._end(samples, rows, columns, end, judged, np.setdiff1d(np.arange(len(rows)), chosen))
+            fit = self._end(samples, rows, end, judged, np.setdiff1d(np.arange(len(rows)), chosen))
             blocks.append(fit)
         values = np.array(blocks)
         mass = float(values.mean())
@@ -208,7 +207,7 @@ class Description(AbstractCheck):
             )
         ]
 
-    def _end(self, samples, rows, columns, end, judged, kept) -> float:
+    def _end(self, samples, rows, end, judged, kept) -> float:
         """Mass [kg] at the end by ridge, beside friction and a tenth of every joint's nominal torque."""
         parts, wanted = [], []
         for j in judged:

@@ -19,7 +19,7 @@ import scipy
 
 from invdyn_cli.diagnosis.checks.fits import span
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
-from invdyn_cli.diagnosis.checks.samples import SLOW, Samples, regressor_rows, torque_of
+from invdyn_cli.diagnosis.checks.samples import EXCITED, SLOW, Samples, regressor_rows, torque_of
 from invdyn_cli.maths.standard import link_scales
 from invdyn_cli.maths.statistics import autocorrelation_time
 from invdyn_cli.types import Array, Motion, Robot
@@ -36,10 +36,6 @@ GAINS = (0.5, 2.0)
 
 TOOL, REACH = 0.1, 0.15
 """Mass of a tool that the URDF lacks, over the arm's mass, and the distance [m] of its centre: standard deviations."""
-
-EXCITED = 0.03
-"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
-errors dominate)."""
 
 LOST = 0.03
 """Probability that rigid-body dynamics do not explain a joint's torque at all: a hose, a wrong topic, a contact."""

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.samples import Samples, gather, regressor_rows
-from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.diagnosis.checks.samples import EXCITED, Samples, gather, regressor_rows
+from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.recording.rows import usable_rows

@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 
 from invdyn_cli.diagnosis.checks.fits import left, lowest, span
-from invdyn_cli.diagnosis.checks.samples import Samples, gather
-from invdyn_cli.diagnosis.checks.torques import EXCITED, matched
+from invdyn_cli.diagnosis.checks.samples import EXCITED, Samples, gather
+from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.channels import newton_metres

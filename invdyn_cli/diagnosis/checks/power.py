@@ -7,12 +7,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.excitation import Excitation
-from invdyn_cli.diagnosis.checks.samples import gather, nominal_torque
+from invdyn_cli.diagnosis.checks.samples import gather, gravity_torque
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import each, is_series, median_step, runs, taken, uninterrupted
-from invdyn_cli.types import Check, Motion, Robot
+from invdyn_cli.types import Check, Robot
 
 
 class Follows(NamedTuple):
@@ -97,7 +97,7 @@ class PowerOff(AbstractCheck):
         if not len(rows):
             return []
         q = raw.q[rows].mean(axis=1)
-        load = np.abs(follows.factor * nominal_torque(robot, Motion(q, np.zeros_like(q), np.zeros_like(q)))[1])
+        load = np.abs(follows.factor * gravity_torque(robot, q))
         judged = load > self.loaded * follows.scatter
         tau = newton_metres(log, raw)
         usual = np.quantile(np.abs(tau), 0.99, axis=0)  # a joint may have one though gravity does not load it there

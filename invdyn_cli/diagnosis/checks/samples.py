@@ -8,7 +8,7 @@ from invdyn_cli.effects.rigid import PART, regressor, rigid_torque
 from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.recording.stretches import Stretch, stretches
-from invdyn_cli.types import Motion, Robot
+from invdyn_cli.types import Array, Motion, Robot
 
 ROWS = 4096
 """Number of rows that regressions use, one shape to compile: 17 a second of a four-minute log, fewer for a longer
@@ -19,6 +19,13 @@ SIZE = PART
 
 SLOW = 0.02
 """[rad/s; m/s] below which the sign of a velocity is noise: sign(qd) is a ramp there, as in `maths.regression`."""
+
+EXCITED = 0.03
+"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
+errors dominate)."""
+
+NO_MOTION = "no motion, or a torque that never changes"
+"""Why a check is skipped."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +74,21 @@ def gather(log: Log, robot: Robot, most: int = ROWS, parts: tuple[Stretch, ...] 
     return Samples(parts, stretch, row, motion, tau, nominal, gravity, reach(robot))
 
 
+def gather_changing(log: Log, robot: Robot) -> Samples | None:
+    """1024 samples of a log at most; None if they are fewer than 100, or no torque changes in them."""
+    samples = gather(log, robot, 1024) if log.trajectories else None
+    return samples if samples is not None and len(samples.tau) >= 100 and np.ptp(samples.tau, axis=0).any() else None
+
+
 def nominal_torque(robot: Robot, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """The URDF's torque (T, n) [N m; N] for a motion (T, n), and the part of it that holds the arm against gravity."""
-    still = np.zeros_like(np.asarray(motion.q))
-    return torque_of(robot, motion), torque_of(robot, Motion(motion.q, still, still))
+    return torque_of(robot, motion), gravity_torque(robot, motion.q)
+
+
+def gravity_torque(robot: Robot, q: Array) -> np.ndarray:
+    """The URDF's torque (T, n) [N m; N] that holds the arm at positions q (T, n)."""
+    still = np.zeros_like(np.asarray(q))
+    return torque_of(robot, Motion(q, still, still))
 
 
 def torque_of(robot: Robot, motion: Motion) -> np.ndarray:

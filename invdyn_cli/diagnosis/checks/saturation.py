@@ -6,12 +6,12 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from invdyn_cli.diagnosis.checks.samples import nominal_torque
+from invdyn_cli.diagnosis.checks.samples import gravity_torque
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import MAX_GAP, each, is_series, runs, taken, uninterrupted
-from invdyn_cli.types import Check, Motion, Robot
+from invdyn_cli.types import Check, Robot
 
 HALF_WIDTH = 4.0
 """Standard deviations of noise within which a torque is at a limit."""
@@ -206,5 +206,4 @@ def _bend(x: np.ndarray) -> float:
 
 def _gravity(robot: Robot, q: np.ndarray, most: int = 50) -> np.ndarray:
     """(R, n) torque [N m; N] that holds the arm at `most` positions of q (T, n)."""
-    some = q[np.linspace(0, len(q) - 1, most).astype(int)]
-    return nominal_torque(robot, Motion(some, np.zeros_like(some), np.zeros_like(some)))[1]
+    return gravity_torque(robot, q[np.linspace(0, len(q) - 1, most).astype(int)])

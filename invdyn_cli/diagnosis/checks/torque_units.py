@@ -9,7 +9,7 @@ import scipy
 
 from invdyn_cli.diagnosis.checks.arrangement import ALIKE, FLAW, FOUND
 from invdyn_cli.diagnosis.checks.fitness import GAINS, fitness, rows_of
-from invdyn_cli.diagnosis.checks.samples import Samples, gather
+from invdyn_cli.diagnosis.checks.samples import NO_MOTION, Samples, gather_changing
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
@@ -63,9 +63,9 @@ class TorqueUnits(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """For all joints, else for single ones; the value is logged over expected torque."""
         missing = log.torque_unit == "A" and log.drive_gain is None
-        samples = gather(log, robot, 1024) if robot is not None and log.trajectories else None
-        if samples is None or robot is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
-            why = "no robot" if robot is None else "no motion, or a torque that never changes"
+        samples = gather_changing(log, robot) if robot is not None else None
+        if samples is None or robot is None:
+            why = "no robot" if robot is None else NO_MOTION
             return [self._without_gains({})] if missing else [self.skipped(why, "tau")]
         names, factors = _candidates(robot, samples)
         fit = fitness(rows_of(samples, without_gravity="gravity" in log.compensated), robot, factors)

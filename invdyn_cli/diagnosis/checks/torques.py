@@ -13,21 +13,17 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.arrangement import FLAW, OWN, UNITS, known_orders
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
 from invdyn_cli.diagnosis.checks.fits import correlation, left, slope, span
-from invdyn_cli.diagnosis.checks.samples import Samples, gather
+from invdyn_cli.diagnosis.checks.samples import NO_MOTION, Samples, gather_changing
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.types import Check, Robot
 
-EXCITED = 0.03
-"""Least RMS of a joint's nominal torque without friction, over that of random states (ours: below it friction and model
-errors dominate)."""
 
-
-def matched(samples: Samples, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def matched(samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How well torque column i fits joint j: R^2 with friction and nominal torque, and the correlation with the nominal
     torque after friction, (n, n) each; and RMS of the nominal torque after friction over `reach`, (n,)."""
-    tau = samples.tau if tau is None else tau
+    tau = samples.tau
     n = tau.shape[1]
     explained, cosine, excited = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     total = np.maximum(np.sum((tau - tau.mean(0)) ** 2, axis=0), 1e-300)
@@ -99,9 +95,9 @@ class GravityRemoved(AbstractCheck):
             return [self.skipped("no robot")]
         if "gravity" in log.compensated:
             return [self.skipped("the log says that gravity is compensated")]
-        samples = gather(log, robot, 1024) if log.trajectories else None
-        if samples is None or len(samples.tau) < 100 or not np.ptp(samples.tau, axis=0).any():
-            return [self.skipped("no motion, or a torque that never changes")]
+        samples = gather_changing(log, robot)
+        if samples is None:
+            return [self.skipped(NO_MOTION)]
         slopes = self._slopes(samples)
         if not slopes:
             return [self.skipped("gravity hardly varies on any joint in this motion")]

@@ -8,7 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
 from invdyn_cli.diagnosis.checks.fits import correlation, left, slope
-from invdyn_cli.diagnosis.checks.samples import gather
+from invdyn_cli.diagnosis.checks.samples import EXCITED, gather
 from invdyn_cli.diagnosis.checks.unit_factors import CLOCKS, DEGREE, POSITIONS, RATES, SCALES, TURNS, nearest
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
@@ -22,7 +22,7 @@ CLEAR = 0.98
 ratio by no more than `MotionUnits.within`."""
 
 SECOND = 0.1
-"""The same of a logged acceleration, which is filtered harder."""
+"""Relative distance of a logged acceleration's ratio, as `MotionUnits.within`: it is filtered harder."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class MotionUnits(AbstractCheck):
     ) -> list[Check]:
         """Positions in degrees whose velocities are in rad/s: dq/dt over qd is the unit on all joints that are beyond
         their limits; nothing where it is not. All joints have it, too, unless one's velocity is nearer to rad/s."""
-        ratios = 1 / _rates(stretches(replace(log, trajectories=(raw,))), "qd", self.slow)
+        ratios = 1 / _rates(stretches(replace(log, trajectories=(raw,))), "qd", len(log.joints), self.slow)
         finite = turning & np.isfinite(ratios)
         in_degrees = finite & (np.abs(ratios / DEGREE - 1) < self.within)
         if not (beyond & finite).any() or not in_degrees[beyond & finite].all():
@@ -195,7 +195,7 @@ class MotionUnits(AbstractCheck):
     ) -> tuple[float, np.ndarray, str] | None:
         """By what q of which joints has to be divided, and how it shows: dq/dt over qd, where that is one unit on the
         joints that are beyond; others may have it, too."""
-        ratios = 1 / _rates(stretches(log), "qd", self.slow)
+        ratios = 1 / _rates(stretches(log), "qd", len(log.joints), self.slow)
         own = ratios[which & np.isfinite(ratios)]
         factor = nearest(float(np.median(own)), SCALES, self.within) if len(own) else None
         if factor not in able or factor is None or np.mean(np.abs(own / factor - 1) < self.within) < self.most:
@@ -210,7 +210,7 @@ class MotionUnits(AbstractCheck):
         those that are beyond. Factors leave qd in a known unit, and as many joints to be judged as others do."""
         if robot is None:
             return None
-        rates = _rates(stretches(log), "qd", self.slow)[which]
+        rates = _rates(stretches(log), "qd", len(log.joints), self.slow)[which]
         rate = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else None
         able = [k for k in able if rate is None or nearest(rate * k, RATES | {1.0: "rad/s"}, self.within)]
         sets = (turning,) if which[turning].all() else (turning, which)
@@ -234,7 +234,7 @@ class MotionUnits(AbstractCheck):
             for channel in ("qd", "qdd"):
                 if any(channel not in x.extra for x in mine):
                     continue
-                every = _rates(mine, channel, self.slow)
+                every = _rates(mine, channel, len(log.joints), self.slow)
                 ratios = every[np.isfinite(every)]
                 if not len(ratios):
                     continue
@@ -283,7 +283,7 @@ class MotionUnits(AbstractCheck):
         """Whether q of a joint is in degrees, by its limits, by qdd, which has the unit of qd or of q, or else by the
         torque's fit; None: none of them tells."""
         one = replace(log, trajectories=tuple(raw for raw in log.trajectories if raw.name == trajectory))
-        second = _rates(stretches(one), "qdd", self.slow)[j]
+        second = _rates(stretches(one), "qdd", len(log.joints), self.slow)[j]
         if any(abs(second * x - 1) < SECOND for x in (1.0, DEGREE)):
             return bool(second < 0.5)
         if robot is None:
@@ -316,11 +316,11 @@ class MotionUnits(AbstractCheck):
         )
 
 
-def _rates(parts: Sequence[Stretch], channel: str, slow: float = 0.0) -> np.ndarray:
-    """(n,) slope of logged derivatives (qd or qdd) on those of q at their common lag, NaN where none are logged, and on
-    joints slower than `slow` [rad/s] that do not follow clearly."""
+def _rates(parts: Sequence[Stretch], channel: str, joints: int, slow: float = 0.0) -> np.ndarray:
+    """(joints,) slope of logged derivatives (qd or qdd) on those of q at their common lag, NaN where none are logged,
+    and on joints slower than `slow` [rad/s] that do not follow clearly."""
     if not parts or any(channel not in x.extra for x in parts):
-        return np.full(1 if not parts else parts[0].q.shape[1], np.nan)
+        return np.full(joints, np.nan)
     own = np.concatenate([getattr(x, channel) for x in parts])
     moving = rms(np.concatenate([x.qd for x in parts])) > slow
     _, logged = drawn_forward(parts, channel, np.flatnonzero(moving))
@@ -350,6 +350,6 @@ def _judged(log: Log, robot: Robot, factor: float, which: np.ndarray) -> tuple[f
     for joint in range(samples.tau.shape[1]):
         columns = samples.columns(joint)
         tau, nominal = left(samples.tau[:, joint], columns), left(samples.nominal[:, joint], columns)
-        if rms(nominal) > 0.03 * samples.reach[joint]:
+        if rms(nominal) > EXCITED * samples.reach[joint]:
             squares.append(correlation(tau, nominal) ** 2)
     return (float(np.mean(squares)) if squares else 0.0), len(squares)

@@ -21,6 +21,7 @@ from invdyn_cli.interfaces import (
 )
 from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.recording.pieces import ROLES, Piece, Recording
+from invdyn_cli.recording.rows import runs
 from invdyn_cli.types import Array, Robot
 
 BLOCK, SHORTEST, FEWEST, MOST = 2.0, 0.5, 16, 120
@@ -151,6 +152,10 @@ class Evidence:
             out[:, at] = np.asarray(fine)[:: filter.keep].T
         return out
 
+    def of_role(self, role: str) -> np.ndarray:
+        """(R,) bool: the rows of a role, one of ROLES."""
+        return self.role == ROLES.index(role)
+
     def on_rows(self, name: str) -> np.ndarray:
         """(R,) or (R, n) of the pieces' `t`, `q`, `qd` or `qdd`."""
         pieces, filter = self.recording.pieces, self.recording.filter
@@ -253,8 +258,7 @@ def _moving(piece: Piece, recording: Recording, rest_speed: np.ndarray) -> np.nd
     moves = scipy.ndimage.maximum_filter(piece.q, size) - scipy.ndimage.minimum_filter(piece.q, size)
     rest = scipy.ndimage.maximum_filter(moves < CREEPS * slowest * STICKS, size)
     for j in range(len(slow)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], slow[j], [False]]).astype(int)))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in runs(slow[j]):
             rest[j, start:end] |= end - start >= length
     return ~recording.filter.spread(rest)
 
@@ -269,13 +273,13 @@ def filtered(recording: Recording, parts: Sequence[Array], joint: int | None = N
 
 def judged(evidence: Evidence) -> np.ndarray:
     """Held-out rows (R,) bool; where there are none, all rows but the reference's."""
-    test = evidence.role == ROLES.index("test")
-    return test if held_out(evidence) else evidence.role != ROLES.index("reference")
+    test = evidence.of_role("test")
+    return test if held_out(evidence) else ~evidence.of_role("reference")
 
 
 def held_out(evidence: Evidence) -> bool:
     """Whether there are held-out rows."""
-    return bool(np.any(evidence.role == ROLES.index("test")))
+    return bool(np.any(evidence.of_role("test")))
 
 
 def slow(evidence: Evidence, x: np.ndarray, joint: int, gear: bool = False) -> np.ndarray:

@@ -86,7 +86,7 @@ def _median(x: np.ndarray, error: np.ndarray, least: float) -> tuple[float, floa
     they differ by more than their errors, these are too small by as much (Birge 1932), here by the median of all."""
     known = np.isfinite(error)
     if not known.any():
-        return 0.0, 0.0
+        return 0.0, np.inf
     x, error = x[known], np.maximum(error[known], least)
     order, weight = np.argsort(x), 1 / error**2
     share = np.cumsum(weight[order]) / weight.sum()

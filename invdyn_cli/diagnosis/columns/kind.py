@@ -18,7 +18,7 @@ Beside = Sequence[EffectInstance]
 
 
 class AbstractKind(abc.ABC, Generic[E]):
-    """How effects that act at one point become columns; `kinds.KINDS` lists all of them."""
+    """How effects that act at one point become columns; `candidates.KINDS` lists all of them."""
 
     at_once: bool = False
     """Whether `gathered` processes all effects of the kind together, before those of other kinds."""

@@ -3,7 +3,6 @@
 import numpy as np
 
 from invdyn_cli.diagnosis.columns.evidence import Evidence
-from invdyn_cli.recording.pieces import ROLES
 
 FITS = 4
 """Number of fits of a change of gain; each scales friction by the gain of the last one, and they converge in three."""
@@ -19,7 +18,7 @@ def beside_gain(evidence: Evidence, joint: int, inside: np.ndarray | None = None
     """(R,) the same beside a gain of the joint's drive, on training data: the torque that a weak drive lacks is no
     friction. `inside` (R,) is 1 in a window of time in which that gain may be another one: what it lacks there is no
     offset, and it gives less of its friction there, too."""
-    own, rows = _columns(evidence, joint), evidence.role == ROLES.index("train")
+    own, rows = _columns(evidence, joint), evidence.of_role("train")
     model = evidence.tau[:, joint] - evidence.tables[joint][:, 0]
     if inside is None:
         return own @ _fitted(evidence, rows, joint, np.column_stack([own, model]))[: own.shape[1]]

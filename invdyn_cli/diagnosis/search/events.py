@@ -121,7 +121,7 @@ def proposed(
         return {}
     made: dict[TimeWindow, np.ndarray] = {}
     first = 1 + max((when.number for when in known), default=-1)
-    used = evidence.valid * measured.weights * (evidence.role != ROLES.index("reference"))[:, None]
+    used = evidence.valid * measured.weights * ~evidence.of_role("reference")[:, None]
     beside = Lasting.beside(evidence, lasting, used)
     for residual in residuals:
         left = residual.copy()
@@ -220,7 +220,7 @@ def _window(
     names, used = evidence.trajectory, lasting.used
     best: tuple[float, TimeWindow | None, np.ndarray] = -np.inf, None, left
     for name in dict.fromkeys(names):
-        rows = np.flatnonzero((names == name) & (evidence.role != ROLES.index("reference")))
+        rows = np.flatnonzero((names == name) & ~evidence.of_role("reference"))
         if len(rows) < 2 * k:
             continue
         windowed, time = Windowed(lasting, place.columns, place.precision, left, refit, rows), t[rows]

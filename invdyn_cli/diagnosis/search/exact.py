@@ -13,7 +13,7 @@ from invdyn_cli.diagnosis.columns.joint_torques import reversal_columns
 from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import EDGES, coordinates, flat, inside, precision_of, with_parameters
 from invdyn_cli.diagnosis.search.edges import summed, within
-from invdyn_cli.diagnosis.search.equations import LEAST_PRECISION, solved
+from invdyn_cli.diagnosis.search.equations import inverse_root, solved
 from invdyn_cli.diagnosis.search.shared_part import precision_of as precision_of_candidates
 from invdyn_cli.diagnosis.search.slopes import Slopes
 from invdyn_cli.effects.composition import EffectInstance, channels
@@ -158,11 +158,7 @@ def _spread(evidence, model, acting, theta, labels, extra, beside, precision, sc
         ]  # summed anew: of what is in one alone a difference leaves rounding
         moves = [solved(normal[o].sum(0), moment[o].sum(0), precision) - centre for o in others]
         replicas.append(theta + np.array(moves)[:, : len(theta)])
-    curvature = normal.sum(0) + np.diag(precision)
-    unit = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
-    values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
-    unknown = (vectors / np.sqrt(np.maximum(values, LEAST_PRECISION)) / unit[:, None]).T
-    return tuple(replicas), unknown[:, : len(theta)]
+    return tuple(replicas), inverse_root(normal.sum(0), precision).T[:, : len(theta)]
 
 
 def moved(evidence: Evidence, model: Model, refined: Refined, move: np.ndarray) -> Refined:

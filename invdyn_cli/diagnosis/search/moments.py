@@ -8,7 +8,6 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.effects.composition import TimeWindow
-from invdyn_cli.recording.pieces import ROLES
 
 STRETCH = 0.5
 """[s] Length of the stretches that are compared."""
@@ -69,7 +68,7 @@ def on_one_side(evidence: Evidence, residual: np.ndarray) -> list[TimeWindow]:
     t, out = evidence.on_rows("t"), []
     for x in moments(evidence, residual).values():
         inside = (evidence.trajectory == x.trajectory) & (t >= x.start) & (t <= x.end)
-        held_out = evidence.role[inside] == ROLES.index("test")
+        held_out = evidence.of_role("test")[inside]
         if held_out.all() or not held_out.any():
             out.append(TimeWindow(x.trajectory, x.start, x.end))
     return out

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import wilcoxon
+import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search.equations import inverted
@@ -143,7 +143,7 @@ def asked_for(step: np.ndarray, extra: float) -> bool:
     of it, as slow motion may come seldom."""
     if step.sum() + extra >= SPECIAL * np.std(step) * np.sqrt(len(step)) or undenied(step, extra):
         return True
-    by_chance = wilcoxon(step + extra / len(step), alternative="greater").pvalue  # type: ignore[attr-defined]
+    by_chance = scipy.stats.wilcoxon(step + extra / len(step), alternative="greater").pvalue  # type: ignore[attr-defined]
     return bool(by_chance < DOUBT)
 
 

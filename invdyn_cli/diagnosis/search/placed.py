@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from invdyn_cli.diagnosis.columns.candidates import by_place, passing, passing_candidate
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, filtered
@@ -124,7 +124,10 @@ class Link:
         nearest = np.clip(left[1:, 0] / left[0, 0], -1.0, 1.0) if left[0, 0] else np.zeros(3)
         starts = [np.append(self._force(point), point) for point in (np.zeros(3), nearest)]
         jacobian: Any = self._slopes
-        best = min((least_squares(self._residual, x, jacobian, x_scale=_scale(x)).x for x in starts), key=self._loss)
+        best = min(
+            (scipy.optimize.least_squares(self._residual, x, jacobian, x_scale=_scale(x)).x for x in starts),
+            key=self._loss,
+        )
         return self._loss(best), best[3:]
 
     def _force(self, point: np.ndarray) -> np.ndarray:

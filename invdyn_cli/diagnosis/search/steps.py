@@ -45,6 +45,7 @@ def _best(
         judge.tried += max(1, len(candidates))
         if not candidates:
             quick.append((judge.quick(always + base)[0], base, np.zeros(0)))
+            continue
         losses, own = judge.extended(always + base, candidates)
         quick += [(losses[i], (*base, candidates[i]), own[i]) for i in np.flatnonzero(losses < loss)]
     quick.sort(key=lambda x: x[0])

@@ -23,7 +23,6 @@ from invdyn_cli.diagnosis.search.slopes import Slopes
 from invdyn_cli.diagnosis.search.windows import asked_for, at_first, left_by_standard, standing_out, terms_of
 from invdyn_cli.effects.transmission import TorqueRipple
 from invdyn_cli.interfaces import AbstractEffect
-from invdyn_cli.recording.pieces import ROLES
 
 CROWD = 4
 """Number of different anomalies on one joint beyond which no more windows are searched: what acts there is none of the
@@ -156,15 +155,15 @@ def _searched(
 ) -> Inquiry:
     """Search from each of `starts`, refine the best, search again with the nonlinear parameters that were found, some
     rounds at most."""
-    new = evidence.role == ROLES.index("train")
-    choosing = new | (evidence.role == ROLES.index("reference"))
+    new = evidence.of_role("train")
+    choosing = new | evidence.of_role("reference")
     measured = _measured(evidence, effects, new, choosing, wear)
     measured = measured if heard is None else noise.no_more(measured, heard)
     pool = list(evidence.candidates)
     declared = known.allowed_for(pool, allowed)
     pool = [c for c in pool if not known.is_allowed(c, allowed)]
     if compares and evidence.reference_rows is None:
-        known.compare(evidence, pool, ROLES.index("reference"))
+        known.compare(evidence, pool)
         _scale_what_both_show(evidence, (*evidence.given, *declared), pool, measured.weights)
     always = (*evidence.given, *declared)
     usual: Hypothesis = ()

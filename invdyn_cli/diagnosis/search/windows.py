@@ -14,7 +14,6 @@ from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.slopes import Slopes
 from invdyn_cli.diagnosis.search.steps import search
-from invdyn_cli.recording.pieces import ROLES
 
 CROWDED = 1
 """Causes a joint, above which there seem to be many because what comes and goes is not among them."""
@@ -22,7 +21,7 @@ CROWDED = 1
 
 def at_first(evidence: Evidence, everywhere: Sequence[events.Place], most: int) -> Windows:
     """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
-    measured = noise.measure_beside(evidence, evidence.role == ROLES.index("train"))
+    measured = noise.measure_beside(evidence, evidence.of_role("train"))
     judge = HypothesisScorer(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
     judge.refresh()
     nominal = evidence.residual((), np.zeros(0))
@@ -48,7 +47,7 @@ def standing_out(
 ) -> tuple[Windows, Hypothesis]:
     """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts; and
     the hypothesis that does."""
-    rows = evidence.role == ROLES.index("train")
+    rows = evidence.of_role("train")
     measured = noise.measure_beside(evidence, rows)
     left = left_by_standard(evidence, measured, rows, wear)
     beside = (*terms_of(evidence.candidates, wear), *wear)
@@ -75,7 +74,7 @@ def asked_for(
     pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
     always = (*evidence.given, *known.allowed_for(pool, allowed), *terms_of(pool, wear))
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
-    rows = evidence.role == ROLES.index("train")
+    rows = evidence.of_role("train")
     judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, (*always, wear[0]), True)
     judge.refresh()
     loads = [[c for c in own if c.effect.load] for own in found.values()]
