@@ -1,5 +1,6 @@
 """Rules of the house that a reader would have to remember."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -35,6 +36,14 @@ def test_nothing_is_called_utils():
 def test_every_module_says_what_it_is():
     """Each module begins with a docstring, empty __init__.py files aside."""
     assert [p for p in MODULES if p.read_text() and not p.read_text().startswith(('"""', 'r"""'))] == []
+
+
+def test_parts_of_scipy_are_imported_where_they_are_used():
+    """`import scipy` alone: commands that use no part of it do not wait for it."""
+    said = {
+        str(p.relative_to(ROOT)) for p in MODULES if re.search(r"^\s*(from scipy|import scipy\.)", p.read_text(), re.M)
+    }
+    assert said == set()
 
 
 @pytest.mark.parametrize("tool", ["ruff check --quiet", "ruff format --check --quiet", "pyright"])

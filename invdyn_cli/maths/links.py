@@ -4,8 +4,6 @@ A log determines a few combinations of the inertials; the others are free, and a
 consistent.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import scipy
 
@@ -68,14 +66,15 @@ def bodies(robot: Robot, theta: Array, covariance: Array) -> np.ndarray:
     return theta + covariance[:, own] @ information @ (found.rows - wanted).ravel()
 
 
-def sentence(cost: float, chance: float, change: np.ndarray, joints: Sequence[str]) -> str:
+def sentence(cost: float, chance: float, change: np.ndarray, robot: Robot) -> str:
     """A sentence: the best-fit links are not physically consistent, with the RMS torque (n,) by which the nearest
     consistent ones differ."""
     worst = int(np.argmax(change))
+    torque = f"{change[worst]:.2g} {'N' if robot.prismatic[worst] else 'N m'}"
     return (
         f"The best-fit links are not physically consistent. With the nearest consistent ones, squared errors grow by "
-        f"{cost:.3g} noise variances (by chance {chance:.3g} at most), and the torque of {joints[worst]} changes by "
-        f"{change[worst]:.2g} N m RMS. The model may lack friction, rotor inertia or an offset."
+        f"{cost:.3g} noise variances (by chance {chance:.3g} at most), and the torque of {robot.joints[worst]} changes "
+        f"by {torque} RMS. The model may lack friction, rotor inertia or an offset."
     )
 
 

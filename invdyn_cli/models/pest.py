@@ -141,7 +141,7 @@ class Pest(AbstractModel):
             psi, cost, chance = links.consistent(robot, solution, covariance)
             if cost > chance:
                 change = _rms(self, _params(psi - solution.psi, design), dataset)
-                warnings += (links.sentence(cost, chance, change, dataset.joints),)
+                warnings += (links.sentence(cost, chance, change, robot),)
             params, details = _params(psi, design), {**details, "consistent": {"cost": cost, "chance": chance}}
         return Fit(
             params=params,

@@ -141,7 +141,7 @@ def model(drawn: CheckedLog) -> Figure | None:
     grid = figure.subplots(robot.dofs, 2, squeeze=False, width_ratios=[3, 1])
     every = slice(None, None, max(1, len(after.tau) // (CLOUD_POINTS // 2)))
     for j, (left, right) in enumerate(grid):
-        unit = drawn.unit("tau", j).replace("A", "A" if drawn.log.drive_gain is None else "N m")
+        unit = drawn.torque_unit(j)
         label = "measured, as corrected" if changed else "measured"
         left.plot(*thinned(t, part.tau[shown, j]), color=BLACK, lw=1.4, label=label)
         left.plot(*thinned(t, nominal[:, j]), color=VERMILLION, lw=1.2, ls=(0, (4, 1.5)), label="URDF's model")

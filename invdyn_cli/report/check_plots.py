@@ -68,7 +68,7 @@ def model_plots(drawn: CheckedLog) -> str:
     q, qd = np.asarray(found.motion.q), np.asarray(found.motion.qd)
     panels, over_model, visited = [], [], []
     for j, joint in enumerate(drawn.log.joints):
-        unit = drawn.unit("tau", j).replace("A", "A" if drawn.log.drive_gain is None else "N m")
+        unit = drawn.torque_unit(j)
         rest = found.tau[:, j] - found.nominal[:, j]
         title = f"{joint}: RMS difference {significant(float(np.sqrt(np.mean(rest**2))))} {unit}"
         lines = [Line("measured", found.tau[:, j], "ink", 3.0),

@@ -78,6 +78,11 @@ class CheckedLog:
             return "s"
         return ("m" if slides else "rad") + {"qd": "/s", "qdd": "/s²"}.get(channel, "")
 
+    def torque_unit(self, joint: int) -> str:
+        """The unit of a joint's torque once drive gains, where the log has any, turn currents into it."""
+        slides = self.robot is not None and self.robot.prismatic[joint]
+        return self.unit("tau", joint) if self.log.drive_gain is None else "N" if slides else "N m"
+
     def logged_unit(self, channel: str, joint: int) -> str:
         """The unit of a channel as logged, which is not known if a check found a unit error in it."""
         wrong = any(x.check == "unit_error" and x.channel == channel and x.joint in (None, joint) for x in self.marks)

@@ -14,7 +14,7 @@ from invdyn_cli.interfaces import AbstractSource
 from invdyn_cli.logfile import write_log
 from invdyn_cli.verbs import imports, screen
 from invdyn_cli.verbs.launch import in_sweep, job, launch
-from invdyn_cli.verbs.run import make_log_source, make_robot
+from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_flags
 from invdyn_cli.verbs.screen import Screen
 
 
@@ -25,9 +25,7 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """Read, examine, write and report; exit code 1 if a check failed under strict=true."""
-    for option in ("strict", "correct"):
-        if not isinstance(config[option], bool):
-            raise UsageError(f"{option}={config[option]}; allowed: true or false")
+    refuse_flags(config, "strict", "correct")
     source = make_log_source(config)
     refuse_target(config, source)
     folder, console = Path(job().runtime.output_dir), Screen()

@@ -16,7 +16,7 @@ from invdyn_cli.functions.inputs import robot_of
 from invdyn_cli.logfile import write_log
 from invdyn_cli.verbs import imports
 from invdyn_cli.verbs.launch import launch, quoted
-from invdyn_cli.verbs.run import size_limit
+from invdyn_cli.verbs.run import refuse_flags, size_limit
 from invdyn_cli.verbs.screen import Screen
 
 OWN = ("source", "output", "columns", "force", "max_size", "hydra")
@@ -69,8 +69,7 @@ def _output(config: DictConfig) -> Path:
     Raises:
         UsageError: if it is none, or there is a file already and force is not set.
     """
-    if not isinstance(config.force, bool):
-        raise UsageError(f"force={config.force}; allowed: true or false")
+    refuse_flags(config, "force")
     output = Path(str(config.output)).expanduser()
     if output.suffix not in (".h5", ".hdf5"):
         raise UsageError(f"output={output}; allowed: the path of a new log, NAME.h5")

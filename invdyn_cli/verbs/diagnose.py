@@ -34,7 +34,7 @@ from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import imports, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, job, launch
 from invdyn_cli.verbs.objects import instantiate, refuse_other_class
-from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_seed
+from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_flags, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 
 KINDS = (
@@ -55,9 +55,7 @@ def main(argv: Sequence[str]) -> int:
 def task(config: DictConfig) -> None:
     """One diagnosis; exit code 1 where a check of the log failed under strict=true. In a sweep a log that cannot be
     diagnosed is a row of the fleet's page, not the end."""
-    for option in ("strict", "correct"):
-        if not isinstance(config[option], bool):
-            raise UsageError(f"{option}={config[option]}; allowed: true or false")
+    refuse_flags(config, "strict", "correct")
     folder = Path(job().runtime.output_dir)
     if in_sweep():
         _one_of_many(config, folder)
@@ -107,8 +105,7 @@ def execute(
     `console` is quiet, or always if `shows` is true; `helped`: another process draws half of the figures."""
     use_compilation_cache()
     options, effects, learner = options_of(config), effects_of(config), learner_of(config)
-    if not isinstance(config.diagnosis.design, bool):
-        raise UsageError(f"diagnosis.design={config.diagnosis.design}; allowed: true or false")
+    refuse_flags(config, "diagnosis.design")
     refuse_seed(config.seed)
     source = make_log_source(config)
     with screen.stages(quiet=console.quiet and not shows) as stage:
@@ -156,8 +153,7 @@ def options_of(config: DictConfig) -> Options:
     node = config.diagnosis
     if node.most is not None and (not isinstance(node.most, int) or isinstance(node.most, bool) or node.most < 0):
         raise UsageError(f"diagnosis.most={node.most}; allowed: a whole number from 0 up, or null")
-    if not isinstance(node.replay, bool):
-        raise UsageError(f"diagnosis.replay={node.replay}; allowed: true or false")
+    refuse_flags(config, "diagnosis.replay")
     conditioning = instantiate(node.conditioning)
     if not isinstance(conditioning, Preparation):
         raise UsageError(f"diagnosis.conditioning makes a {type(conditioning).__name__}; allowed: a Preparation")

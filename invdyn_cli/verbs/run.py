@@ -181,6 +181,14 @@ def refuse_seed(seed: Any) -> None:
         raise UsageError(f"seed={seed}; allowed: a whole number from 0 to 2^63 - 1")
 
 
+def refuse_flags(config: DictConfig, *options: str) -> None:
+    """Refuse options that are neither true nor false."""
+    for option in options:
+        value = OmegaConf.select(config, option)
+        if not isinstance(value, bool):
+            raise UsageError(f"{option}={value}; allowed: true or false")
+
+
 def refuse_formats(option: str, formats: Any) -> None:
     """Refuse unknown formats of figures."""
     if not isinstance(formats, Sequence) or not set(formats) <= set(FORMATS):

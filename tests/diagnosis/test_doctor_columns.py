@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
 from invdyn_cli.diagnosis.checks.samples import nominal_torque
 from invdyn_cli.diagnosis.checks.torques import GravityRemoved
 from invdyn_cli.robots import load_urdf
-from invdyn_cli.types import Motion
+from invdyn_cli.types import Check, Motion
 from tests.commands import usually
 from tests.diagnosis.sick import changed, seen, sound
 
@@ -101,6 +101,21 @@ def test_exchanged_joints(drawn):
         if any(c.check == "joint_order" and c.severity == "fail" for c in found.checks):
             np.testing.assert_array_equal(corrected.trajectories[0].tau, log.trajectories[0].tau)
             np.testing.assert_array_equal(corrected.trajectories[0].q, log.trajectories[0].q)
+
+
+def test_positions_and_torques_in_orders_of_their_own(drawn):
+    """Both are put in order, and both are told."""
+    _, robot, log = drawn
+    order, columns = [1, 0, 2, 3, 4], [0, 2, 1, 3, 4]
+    found = [Check("joint_order", "fail", threshold={"order": order, "columns": columns})]
+    corrected, told = JointOrder().correct(put(log, order, columns=columns), found, robot)
+    np.testing.assert_array_equal(corrected.trajectories[0].q, log.trajectories[0].q)
+    np.testing.assert_array_equal(corrected.trajectories[0].tau, log.trajectories[0].tau)
+    a, b, c, *_ = robot.joints
+    assert told == [
+        f"position columns put in the robot's order: {b} -> {a}, {a} -> {b}",
+        f"torque columns put in the robot's order: {c} -> {b}, {b} -> {c}",
+    ]
 
 
 def test_alphabetical_order_is_named(drawn):

@@ -234,6 +234,19 @@ def test_quantisation(log, arm):
     assert [c.value for c in found] == pytest.approx([step] * 4, rel=1e-6)
 
 
+def test_a_rest_after_a_gap_does_not_coarsen_an_encoder(log, arm):
+    """A motion, a second without rows, and a slow end: an encoder of 12 bit is as fine as without
+    them."""
+    raw, step = log.trajectories[0], 2 * np.pi / 4096
+    t = np.where(np.arange(len(raw.t)) < 0.8 * len(raw.t), raw.t, raw.t + 1.0)
+    still = raw.q[int(0.8 * len(raw.t))]
+    q = np.where((raw.t < t)[:, None], still + 0.02 * (raw.q - still), raw.q)
+    for when, angles in ((raw.t, raw.q), (t, q)):
+        log = changed(log, t=when, q=np.round(angles / step) * step, qd=None)
+        found = seen(doctor.examine(log, arm), "quantisation")
+        assert {c.joint: c.severity for c in found} == dict.fromkeys(arm.joints, "note")
+
+
 def test_coarse_torques(log, arm):
     """A torque with twenty levels over its range is warned of."""
     tau = log.trajectories[0].tau.copy()

@@ -161,3 +161,11 @@ def test_commands_keep_their_own_unit(log, arm):
     corrected, examination = doctor.correct(changed(log, q=raw.q * 180 / np.pi, q_ref=raw.q), arm)
     assert [c.threshold["channel"] for c in seen(examination, "unit_error", least="warn")] == ["q"]
     np.testing.assert_array_equal(corrected.trajectories[0].q_ref, raw.q)
+
+
+def test_positions_of_a_fifth_of_a_second(log, arm):
+    """Too few rows for a derivative: counts are found by the limits alone, and said to be no unit that is known."""
+    few = replace(log, trajectories=(taken(log.trajectories[0], np.arange(40)),))
+    bad = changed(few, q=1e5 * few.trajectories[0].q)
+    (found,) = [c for c in MotionUnits().examine(bad, arm) if c.severity == "fail"]
+    assert found.threshold["channel"] == "q" and "encoder counts" in found.meaning

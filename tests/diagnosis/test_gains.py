@@ -9,6 +9,7 @@ import pytest
 from experiments.cases import Scene, draw_effect, draw_scene, scene_of
 from invdyn_cli.diagnosis import diagnose, gains
 from invdyn_cli.diagnosis.case import Options
+from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.log import Log
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
@@ -16,6 +17,7 @@ from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Diagnosis, Quantity
 from tests.commands import usually
+from tests.diagnoses import diagnosis_of
 
 UPRIGHT = 1
 """Seed of an arm whose first axis is vertical, so that gravity does not load it."""
@@ -124,3 +126,19 @@ def test_what_each_log_has_goes_over_into_amperes():
     told = gains.Scale(20.0, 0.0).row(row)
     assert (told["unit"], told["value"], told["differ"]) == ("A", 0.1, True)
     assert told["now"] == pytest.approx((0.2, 0.15, 0.25)) and "reference" not in told
+
+
+def test_all_that_is_told_of_a_joint_goes_over_into_amperes():
+    """Claims, what is not claimed, and the errors of a comparison, of the joint whose gain is not known; all else
+    stays."""
+    diagnosis = diagnosis_of([("coulomb_friction", 0, {}), ("coulomb_friction", 1, {})])
+    errors = {joint: {"rmse": 10.0, "nmse": 0.5} for joint in diagnosis.baseline}
+    diagnosis = replace(diagnosis, unclaimed=diagnosis.findings[:2], details={SINCE: [errors]})
+    known = np.arange(len(errors)) > 0
+    found = gains.Gains(tuple(errors), ("N m/A",) * 7, np.full(7, 5.0), np.where(known, 0.01, 5.0))
+    told = gains.beside(diagnosis, found)
+    size = diagnosis.findings[0].parameters["coulomb"].value
+    for one in (told.findings, told.unclaimed):
+        assert [f.parameters["coulomb"].unit for f in one[:2]] == ["A", "N m"]
+        assert [f.parameters["coulomb"].value for f in one[:2]] == pytest.approx([size / 5, size])
+    assert [x["rmse"] for x in told.details[SINCE][0].values()] == pytest.approx([2.0, *[10.0] * 6])

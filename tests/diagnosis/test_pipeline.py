@@ -23,6 +23,7 @@ from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import ConstantSpeed, Multisine
 from invdyn_cli.simulation.sensors import Noise
 from tests.commands import usually
+from tests.diagnosis import analytic
 from tests.diagnosis.analytic import said
 
 LOAD = {"mass": 0.8, "com": [0.02, -0.01, 0.1]}
@@ -431,3 +432,15 @@ def test_nothing_is_corrected_on_request(loaded, robot):
     assert any("as recorded" in note for note in made.notes)
     assert made.model is not None
     assert made.model.provenance["as_recorded"] is True and made.model.provenance["corrections"] == []
+
+
+def test_friction_that_a_log_calls_compensated_and_has():
+    """A drive that subtracts Coulomb friction, says so, and leaves 1 N m of it: that is told on every joint of the worn
+    arm, not searched for."""
+    robot, (t, m) = analytic.arm(), analytic.moved(seconds=20.0, rate=200.0)
+    other = replace(robot, inertial=robot.inertial * np.random.default_rng(3).uniform(0.85, 1.15, 3)[:, None])
+    friction = np.sign(m.qd) + 0.4 * m.qd + analytic.beyond(robot, other, m)
+    log = analytic.log_of(analytic.raw(t, m, lambda *_: friction, torque=0.05, position=1e-5))
+    found = diagnose(replace(log, compensated=("coulomb_friction",)), robot)
+    sizes = [f.parameters["coulomb"].value for f in claims(found) if f.effect == "coulomb_friction"]
+    assert sizes == pytest.approx([1.0] * 3, rel=0.05) and found.verdict == "explained"

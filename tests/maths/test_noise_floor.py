@@ -14,3 +14,9 @@ def test_it_recovers_noise_over_a_lag():
     noise = rng.normal(size=(2, *tau.shape)) * sigma
     floor = noise_floor(q[7:], (tau + noise[0])[7:], q[:-7], (tau + noise[1])[:-7])
     np.testing.assert_allclose(floor, sigma / np.sqrt(2), rtol=0.05)
+
+
+def test_short_repetitions():
+    """Of twenty samples that differ by 0.2 N m, whatever the lag that is tried."""
+    q = np.random.default_rng(2).normal(size=(20, 2)).cumsum(0)
+    np.testing.assert_allclose(noise_floor(q, q + 0.2, q[3:], q[3:]), 0.1)

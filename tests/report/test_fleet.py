@@ -85,6 +85,16 @@ def test_friction_that_one_log_proves(sizes, error, line):
     assert len(fleet.changes([proved, without])) == bool(line)
 
 
+@pytest.mark.parametrize("names", [("mass",), ("mass", "moment")])
+def test_a_link_that_one_log_proves(names):
+    """It is told beside a log with less error than it makes, with its size where that is one number."""
+    sizes = {name: Quantity(2.0, "kg", [1.5, 2.5]) for name in names}
+    link = Finding("link_inertia_error", "joint2", "named", parameters=sizes, group="standard")
+    proved = log(1, "b.h5", replace(link, evidence={fleet.TORQUE: {"joint2": 1.9}}))
+    (told,) = fleet.changes([replace(log(0, "a.h5"), errors={"joint2": 0.1}), proved])
+    assert told.text == "new: link inertia error on joint2" + ", 2.0 kg" * (len(names) == 1)
+
+
 def test_the_page_links_and_escapes():
     """Each report is linked, a failed log has its sentence, and names from files stand as text."""
     logs = [log(0, "<b>.h5", payload(), robot="<i>"), Diagnosed(1, "", "x.h5", "1-x", "failed", "not <a> log")]

@@ -57,6 +57,12 @@ def test_one_table_of_all_runs(command, runs):
     )
 
 
+def test_a_folder_whose_name_begins_like_an_option(command, runs):
+    """It is a folder."""
+    Path("runs").rename("hydra_runs")
+    assert command("collect", "hydra_runs", "output=runs.csv").code == 0 and len(rows_of(Path("runs.csv"))) == 2
+
+
 def test_what_is_broken_or_foreign_is_named(command, runs):
     """Half a run, somebody else's metrics.json, a cut run.h5 and a folder that is not there are each told with the
     reason; the good runs are collected."""

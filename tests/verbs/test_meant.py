@@ -1,8 +1,10 @@
 """Names that options have elsewhere are answered with the name that they have here."""
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from invdyn_cli.cli import main
+from invdyn_cli.verbs.launch import quoted
 
 MISTAKES = {
     "run robot.urdf=arm.urdf": "robot=urdf robot.path=arm.urdf",
@@ -51,3 +53,10 @@ def test_a_misspelt_option_is_answered_with_the_nearest(capsys, tmp_path, monkey
     monkeypatch.chdir(tmp_path)
     assert main(["run", "seeds=3"]) == 2
     assert capsys.readouterr().err.endswith("did you mean 'seed'?\n")
+
+
+@pytest.mark.parametrize("path", ["a b", "it's", r"a\b.csv", "folder\\", r"\\server\log\it\'s", "a,b=[c]", "\\'"])
+def test_a_path_is_an_override_s_value(path):
+    """Hydra reads it as it was given, alone and in a list."""
+    one, several = OverridesParser.create().parse_overrides([f"run={quoted(path)}", f"runs=[{quoted(path)}]"])
+    assert one.value() == path and several.value() == [path]

@@ -49,6 +49,7 @@ class Quantisation(AbstractCheck):
             qdd = [x.qdd[:, joint] for x in moving if x.trajectory == raw.name]
             if step > 0 and moves and qdd:
                 noise = step / np.sqrt(12) * (2 * np.pi) ** 2 * np.sqrt(cutoff**5 / 5 / (rate / 2))
+                unit = "m/s^2" if robot is not None and robot.prismatic[joint] else "rad/s^2"
                 share = noise / max(float(rms(np.concatenate(qdd))), 1e-12)
                 found.append(
                     Check(
@@ -58,7 +59,7 @@ class Quantisation(AbstractCheck):
                         name,
                         value=step,
                         threshold={"channel": "q", "share": self.share},
-                        seen=f"q comes in steps of {step:.3g}: rounding makes {noise:.2g} rad/s^2 of noise in qdd, "
+                        seen=f"q comes in steps of {step:.3g}: rounding makes {noise:.2g} {unit} of noise in qdd, "
                         f"{share:.2g} of its RMS",
                         meaning="accelerations from these positions are mostly rounding"
                         if share > self.share

@@ -69,7 +69,7 @@ class Excitation:
             one = {c: x[:, joint] for c, x in channels.items()}
             nominal = None if samples is None else samples.nominal[:, joint]
             speed = np.abs(one["qd"])
-            moves = np.ptp(one["q"]) > self.moved
+            moves, slides = np.ptp(one["q"]) > self.moved, robot is not None and robot.prismatic[joint]
             numbers: dict[str, Any] = {
                 **{c: _ends(one[c]) for c in ("q", "qd", "qdd")},
                 "torque": _ends(one["tau"]),
@@ -81,7 +81,7 @@ class Excitation:
                 "creep_share": float(np.mean((speed > self.rest) & (speed < self.slow))),
                 "condition": condition,
             }
-            lacks = dict(self._lacks(numbers, speed, one["qdd"], nominal, moves, seconds))
+            lacks = dict(self._lacks(numbers, speed, one["qdd"], nominal, moves, seconds, slides))
             before = -1 if robot is None else robot.parents[joint]
             if before >= 0 and moves:
                 lacks |= self._alone(speed > self.rest, np.abs(channels["qd"][:, before]) > self.rest)
@@ -108,11 +108,14 @@ class Excitation:
         nominal: np.ndarray | None,
         moves: bool,
         seconds: float,
+        slides: bool,
     ) -> Iterator[tuple[str, str]]:
         """(need, reason) for each need that this joint's motion does not meet; for a joint at rest only the need of
         motion."""
+        unit, torque = ("m", "N") if slides else ("rad", "N m")
+        way = f"it moves by {numbers['peak_to_peak']:.2g} {unit}"
         if not moves:
-            yield "motion", f"it moves by {numbers['peak_to_peak']:.2g} rad only"
+            yield "motion", f"{way} only"
             return
         if seconds < self.warm:
             yield "warming", f"{seconds:.3g} s of motion, friction takes {self.warm:.0f} s to warm up"
@@ -129,14 +132,14 @@ class Excitation:
             yield "curvature", f"{told}: quadratic friction looks viscous"
         if numbers["creep_share"] < 0.01:
             seen = f"{100 * numbers['creep_share']:.2g} % of the time"
-            yield "creep", f"it moves at {self.rest:g} to {self.slow:g} rad/s for only {seen}"
+            yield "creep", f"it moves at {self.rest:g} to {self.slow:g} {unit}/s for only {seen}"
         if numbers["peak_to_peak"] < self.range:
-            yield "range", f"it moves by {numbers['peak_to_peak']:.2g} rad: a spring looks like an offset"
+            yield "range", f"{way}: a spring looks like an offset"
         if numbers["peak_to_peak"] < self.turn:
-            yield "turn", f"it moves by {numbers['peak_to_peak']:.2g} rad, less than a period"
+            yield "turn", f"{way}, less than a period"
         fast = float(np.quantile(np.abs(qdd), 0.95))
         if fast < self.acceleration:
-            yield "acceleration", f"accelerations below {fast:.2g} rad/s^2"
+            yield "acceleration", f"accelerations below {fast:.2g} {unit}/s^2"
         if nominal is not None:
             spread, size = float(np.std(nominal)), float(np.sqrt(np.mean(nominal**2)))
             varied = spread / size if size > 0 else 0.0
@@ -150,7 +153,7 @@ class Excitation:
             if low * high > 0:
                 yield (
                     "load_zeros",
-                    f"its load never changes sign ({low:.2g} to {high:.2g} N m), so that gear play is never crossed",
+                    f"its load never changes sign ({low:.2g} to {high:.2g} {torque}), and gear play is never crossed",
                 )
         rate = float(np.sqrt(np.mean(qdd**2) / max(np.mean(speed**2), 1e-12)) / (2 * np.pi))
         if rate < self.agile:

@@ -115,7 +115,7 @@ class ModelMismatch(AbstractCheck):
                     joint=log.joints[joint],
                     value=float(past[joint]),
                     threshold=self.beyond,
-                    seen=f"q goes {past[joint]:.3g} rad past the URDF's limits",
+                    seen=f"q goes {past[joint]:.3g} {'m' if robot.prismatic[joint] else 'rad'} past the URDF's limits",
                     meaning="another zero, another sign of the axis, or another robot",
                     advice="the joint's zero and direction in the URDF",
                     source="own choice: more than a homing error",

@@ -213,6 +213,7 @@ def _sentence(
     rows = np.maximum(evidence.valid.sum(0), 1)
     free, bound = (np.sum((x.residual * evidence.valid) ** 2, axis=0) / rows for x in (before, after))
     worst = int(np.argmax(bound - free))
+    unit = "N" if evidence.robot.prismatic[worst] else "N m"
     why = ""
     for body in bodies:
         mass, error = _row(before, body)[0], float(np.linalg.norm(before.unknown[:, body.places[0]]))
@@ -222,5 +223,5 @@ def _sentence(
         f"The best-fit inertials of {' and '.join(b.name for b in bodies)} are not physically consistent{why}. The "
         f"nearest consistent ones fit significantly worse: squared errors grow by {cost:.3g} noise variances (by "
         f"chance {chance:.3g} at most), and the RMSE on {evidence.robot.joints[worst]} grows from "
-        f"{free[worst] ** 0.5:.3g} to {bound[worst] ** 0.5:.3g} N m. Suspect another cause with a similar effect."
+        f"{free[worst] ** 0.5:.3g} to {bound[worst] ** 0.5:.3g} {unit}. Suspect another cause with a similar effect."
     )

@@ -77,3 +77,12 @@ def test_leads_come_with_their_errors():
     lead, error = hold.offsets(arm(), led(0.5 * PERIOD))
     assert np.all(np.abs(lead - 0.5 * PERIOD) < 4 * error + 0.01 * PERIOD)
     assert np.all(error < 0.1 * PERIOD)
+
+
+@pytest.mark.parametrize(("side", "taken"), [("link", 0.0), ("command", 0.5)])
+def test_an_arm_at_rest_tells_no_time(side, taken):
+    """Half a sample is taken then, too."""
+    t, m = moved(rate=1 / PERIOD)
+    recording = recording_of(log_of(RawTrajectory("run", t, np.ones_like(m.q), m.q)), cutoffs=(10.0,))
+    _, common = hold.remove_common_delay(arm(), recording, side)
+    assert common == pytest.approx(taken * PERIOD)

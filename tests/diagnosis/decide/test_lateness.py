@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 
 from invdyn_cli.diagnosis import pipeline
+from invdyn_cli.diagnosis.checks.commands import CommandLag
+from invdyn_cli.diagnosis.checks.offset import TimeOffset
 from invdyn_cli.diagnosis.decide import lateness
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Check, Diagnosis, Examination, Finding, Quantity
@@ -72,7 +74,8 @@ def test_after_a_wrong_shift_the_log_is_asked_again_without_it(monkeypatch):
     robot: Any = SimpleNamespace(dofs=2)
 
     def answered(*given):
-        shifts = any(check.name == "time_offset" for check in given[-1])
+        assert any(isinstance(check, CommandLag) for check in given[-1])  # of the same name, and not in question
+        shifts = any(isinstance(check, TimeOffset) for check in given[-1])
         checks = (Check("time_offset", "warn", value=-0.0056),) if shifts else ()
         found = tuple(late(f"j{k}", delay, 0.001) for k in range(2)) if shifts else ()
         return Diagnosis("explained", Examination(True, checks, {}), found, {}, {}, None, {})
