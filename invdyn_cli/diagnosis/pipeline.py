@@ -30,9 +30,8 @@ from invdyn_cli.diagnosis.doctor import CHECKS
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.diagnosis.search import moments
 from invdyn_cli.diagnosis.search.composed import Model
-from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, Question
 from invdyn_cli.diagnosis.search.judge import Hypothesis
-from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.description import ExtendedModel
@@ -111,13 +110,10 @@ def searched(
     """The search, beside the standard model where the arm is worn; and the standard model's columns. What an `earlier`
     search beside the standard model came to on the same log is where it starts: the arm is worn then."""
     progress(0.5, "search")
-    side = case.log.torque_side
+    plain = Question(case.effects, case.most, case.allowed, case.compares, case.log.torque_side, case.split)
 
-    def asked(
-        evidence: Evidence, links: Hypothesis = (), start: Hypothesis = (), heard: Noise | None = None
-    ) -> Inquiry:
-        options = (case.effects, case.allowed, case.most, case.compares, side, case.split)
-        return inquire(evidence, *options, links, start, heard)
+    def asked(evidence: Evidence, links: Hypothesis, start: Hypothesis = ()) -> Inquiry:
+        return inquire(evidence, replace(plain, wear=links), start)
 
     columns = case.columns
     fitted = None if case.compares else wear.plain(columns, yielding.left(columns, case.gear))
@@ -128,7 +124,7 @@ def searched(
     add_loaded(case.evidence)
     if case.compares:
         case.evidence.candidates = since.candidates(case.evidence, columns)
-    inquiry = asked(case.evidence)
+    inquiry = inquire(case.evidence, plain)
     if case.compares:
         return inquiry, replace(columns, evidence=inquiry.evidence)  # which knows that channels changed since
     fitted = wear.of(columns, inquiry)
@@ -137,7 +133,7 @@ def searched(
         again = asked(*wear.beside(columns, fitted, inquiry.noise.weights, inquiry.chosen.acting))
         worn = wear.is_worn(again, inquiry.hypothesis)
         if worn and np.any(again.noise.plainly_below(inquiry.noise)):
-            inquiry = asked(case.evidence, heard=again.noise)
+            inquiry = inquire(case.evidence, replace(plain, heard=again.noise))
             worn = wear.is_worn(again, inquiry.hypothesis)
         inquiry = again if worn else inquiry
     return inquiry, columns

@@ -15,6 +15,7 @@ from invdyn_cli.diagnosis import diagnose, standard, wear
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, supported
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.believed import believed
+from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
@@ -36,7 +37,7 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
     variance for each that was not kept."""
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), NAMES)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in NAMES}, 3))
     columns = standard.columns_of(evidence, "unknown")
     (worn,) = wear.worn_links(columns, inquiry.noise.weights, share)
     scale = share * link_scales(evidence.robot).ravel()
@@ -86,7 +87,7 @@ def test_wear_is_asked_for_where_links_are_off(off):
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     term = beside(arm(), off, np.random.default_rng(0), friction)
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), NAMES)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in NAMES}, (), 3, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in NAMES}, 3))
     fitted = wear.of(standard.columns_of(evidence, "unknown"), inquiry)
     assert (fitted is None) == (off == 0.0)
 
@@ -326,7 +327,7 @@ def test_a_payload_must_be_more_than_links_may_be_wrong(last_link_off, mass, cla
     evidence = evidence_of(log, names)
     least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
     links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 1e-3)
-    inquiry = inquire(evidence, {x: EFFECTS[x] for x in names}, (), 3, compares=False, wear=links)
+    inquiry = inquire(evidence, Question({x: EFFECTS[x] for x in names}, 3, wear=links))
     assert [c.key for c in inquiry.hypothesis] == [("payload", None)]
     evidence = [x for x in REFUSALS if x.name.startswith("evidence")]
     assert [bool(supported(inquiry, rows)[1]) for rows in (evidence[:1], evidence)] == [True, claimed]

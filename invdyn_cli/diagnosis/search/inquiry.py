@@ -1,4 +1,4 @@
-"""What a search comes to: a hypothesis, its exact parameters, and all that it is judged with."""
+"""What a search is asked, and what it comes to: a hypothesis, its exact parameters, and all that it is judged with."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +11,33 @@ from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.noise import Noise
 from invdyn_cli.effects.composition import EffectInstance
+from invdyn_cli.interfaces import AbstractEffect
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a search is asked.
+
+    Attributes:
+        effects: the causes to look for.
+        most: effects at most.
+        allowed: (effect, joint or None for all) that are allowed for and not reported.
+        compares: whether the recording has a reference beside it.
+        side: the torque's.
+        parted: whether a user said what chooses and what judges; it then stays so.
+        wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
+            rotor of every joint; none of these is looked for.
+        heard: noise that another hypothesis leaves: a model of all columns may leave far more on a short log.
+    """
+
+    effects: Mapping[str, AbstractEffect]
+    most: int
+    allowed: Sequence[tuple[str, int | None]] = ()
+    compares: bool = False
+    side: str = "unknown"
+    parted: bool = True
+    wear: Hypothesis = ()
+    heard: Noise | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence
 from invdyn_cli.diagnosis.search import events, noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.events import Windows
+from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.shared_part import precision_of
 from invdyn_cli.diagnosis.search.slopes import Slopes
@@ -38,21 +39,16 @@ def at_first(evidence: Evidence, everywhere: Sequence[events.Place], most: int) 
 
 
 def standing_out(
-    evidence: Evidence,
-    everywhere: Sequence[events.Place],
-    allowed: Sequence[tuple[str, int | None]],
-    most: int,
-    wear: Hypothesis,
-    parted: bool,
+    evidence: Evidence, everywhere: Sequence[events.Place], question: Question
 ) -> tuple[Windows, Hypothesis]:
     """Windows of what comes and goes beyond the standard model, if the evidence asks for them beside what lasts; and
     the hypothesis that does."""
-    rows = evidence.of_role("train")
+    rows, wear = evidence.of_role("train"), question.wear
     measured = noise.measure_beside(evidence, rows)
     left = left_by_standard(evidence, measured, rows, wear)
     beside = (*terms_of(evidence.candidates, wear), *wear)
     found = events.proposed(evidence, everywhere, [left], measured, lasting=beside)
-    return asked_for(evidence, found, {}, measured, allowed, most, wear, (), parted) if found else ({}, ())
+    return asked_for(evidence, found, {}, measured, question) if found else ({}, ())
 
 
 def asked_for(
@@ -60,16 +56,14 @@ def asked_for(
     found: Windows,
     held: Windows,
     measured: noise.Noise,
-    allowed: Sequence[tuple[str, int | None]],
-    most: int,
-    wear: Hypothesis,
-    start: Hypothesis,
-    parted: bool,
+    question: Question,
+    start: Hypothesis = (),
 ) -> tuple[Windows, Hypothesis]:
     """The windows among those found that the evidence asks for, beside what lasts and windows that are held; and the
     hypothesis that does. A load that comes and goes several times leaves most of the noise as long as one of its
     windows is missing: all at once are a start, too."""
-    if not parted:
+    allowed, wear = question.allowed, question.wear
+    if not question.parted:
         evidence = events.interleaved(evidence, {**held, **found})
     pool = [*evidence.candidates, *(c for own in {**held, **found}.values() for c in own)]
     always = (*evidence.given, *known.allowed_for(pool, allowed), *terms_of(pool, wear))
@@ -82,7 +76,7 @@ def asked_for(
     every.sort(key=lambda one: judge.loss((*judge.always, *one)))
     possible = (one for one in every if not judge.refused(whole := (*judge.always, *one), judge.quick(whole)[1]))
     starts = [start, *islice(possible, 1)]
-    begun = believed(evidence, rows, measured, always, wear[0], pool, starts, most)[0].found
+    begun = believed(evidence, rows, measured, always, wear[0], pool, starts, question.most)[0].found
     return {when: own for when, own in found.items() if any(c.when == when for c in begun)}, begun
 
 

@@ -10,6 +10,7 @@ from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.search import noise
+from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Examination, Finding, Motion
@@ -122,6 +123,6 @@ def test_a_payload_is_not_shown_where_links_are_as_wrong(lighter, hidden):
     evidence = gather(robot, recording, [EFFECTS[name] for name in names], "unknown")
     least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
     links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
-    inquiry = inquire(evidence, {x: EFFECTS[x] for x in names}, (), 3, compares=False, wear=links)
+    inquiry = inquire(evidence, Question({x: EFFECTS[x] for x in names}, 3, wear=links))
     assert not inquiry.hypothesis
     assert (("payload", None) in {(f.effect, f.joint) for f in like_links(inquiry, ())}) is hidden

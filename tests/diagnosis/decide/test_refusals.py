@@ -7,7 +7,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import judged
 from invdyn_cli.diagnosis.decide import claim, refusals
-from invdyn_cli.diagnosis.search.inquiry import Inquiry
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, Question
 from invdyn_cli.diagnosis.search.naming import Rival
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -22,7 +22,7 @@ def test_a_delay_that_was_never_refined_is_judged():
     names = ("torque_delay", "actuator_lag", "coulomb_friction")
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), names)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), 3, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in names}, 3))
     assert ("coulomb_friction", 0) in {c.key for c in inquiry.hypothesis}
     late = next(c for c in evidence.candidates if c.effect.name == "torque_delay")
     assert late.key not in {a.key for a in inquiry.chosen.acting}
@@ -42,7 +42,7 @@ def rubbed(seconds):
     """The inquiry of a log of that length with Coulomb friction on the first joint, by which alone it is explained."""
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(seconds), friction, torque=0.02, position=1e-5)), ("coulomb_friction",))
-    return inquire(evidence, {"coulomb_friction": EFFECTS["coulomb_friction"]}, (), 3, compares=False)
+    return inquire(evidence, Question({"coulomb_friction": EFFECTS["coulomb_friction"]}, 3))
 
 
 def of_coulomb(inquiry):
@@ -59,7 +59,7 @@ def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
     less = Motion(share * m.q, share * m.qd, share * m.qdd)
     spring = on(1, lambda t, q, qd, qdd: 2.0 * (q - 0.1))
     evidence = evidence_of(log_of(raw(t, less, spring, torque=0.2, position=1e-5)), ("joint_spring",))
-    inquiry = inquire(evidence, {"joint_spring": EFFECTS["joint_spring"]}, (), 3, compares=False)
+    inquiry = inquire(evidence, Question({"joint_spring": EFFECTS["joint_spring"]}, 3))
     (found,) = inquiry.hypothesis
     one = claim.Claim(inquiry, (found,), 0, inquiry.whole, claim.left(inquiry, (found,)))
     assert found.key == ("joint_spring", 1) and refusals.refusal(one) is None
@@ -81,7 +81,7 @@ def test_what_was_refused_beside_a_claim_is_no_rival_of_it():
         return beyond(arm(), heavier, m) + on(0, lambda t, q, qd, qdd: 5.0 * np.sign(qd))(t, m)
 
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.05, position=1e-5)), names)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), 3, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in names}, 3))
     body, friction = sorted(inquiry.hypothesis, key=lambda c: c.effect.name, reverse=True)
     assert (body.key, friction.key) == (("payload", None), ("coulomb_friction", 0))
     one = claim.Claim(inquiry, (body,), 0, inquiry.whole, claim.left(inquiry, (body,)))

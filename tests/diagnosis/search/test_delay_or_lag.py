@@ -11,6 +11,7 @@ from invdyn_cli.diagnosis.decide import claim, refusals
 from invdyn_cli.diagnosis.search import naming
 from invdyn_cli.diagnosis.search.delay_or_lag import distinguish
 from invdyn_cli.diagnosis.search.exact import refine
+from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.simulation import plant
@@ -29,7 +30,7 @@ def searched(effect, **parameters):
     log = plant.record(arm(), [Multisine()], hidden, duration=30.0, rate=500.0, seed=3, noise=noise)
     case = prepared(log, arm(), None, None, Options(), LATE)
     assert isinstance(case, Case)
-    return inquire(case.evidence, LATE, (), 3, compares=False)
+    return inquire(case.evidence, Question(LATE, 3))
 
 
 @pytest.fixture(scope="module")

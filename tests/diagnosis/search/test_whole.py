@@ -5,6 +5,7 @@ import pytest
 
 from experiments.cases import inverse_dynamics
 from invdyn_cli.diagnosis.search import whole
+from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.whole import inquire
 from invdyn_cli.effects.catalogue import EFFECTS
 from tests.diagnosis.analytic import FRICTIONS, arm, evidence_of, log_of, moved, on, raw
@@ -15,7 +16,7 @@ def test_another_kind_of_a_drop_may_be_likely():
     than a tenth, as no gear's does; it is found as Stribeck friction of the first kind, and not as quadratic."""
     torque = on(1, lambda t, q, qd, qdd: (1 + 0.13 * np.exp(-np.abs(qd) / 0.2)) * np.sign(qd) + 0.3 * qd)
     evidence = evidence_of(log_of(raw(*moved(30.0), torque, torque=0.005, position=1e-6)), FRICTIONS)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in FRICTIONS}, (), 4, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in FRICTIONS}, 4))
     found = {a.key: a.parameters for a in inquiry.whole.acting}
     assert found[("stribeck_friction", 1)]["exponent"] == 1.0 and ("quadratic_friction", 1) not in found
 
@@ -36,7 +37,7 @@ def test_a_weak_drive_gives_less_of_its_friction_too(start, end, rubs):
         return friction + (1 / 0.8 - 1) * whole * ((t > start) & (t < end))[:, None]
 
     evidence = evidence_of(log_of(raw(*moved(30.0), weak, torque=0.05, position=1e-6)), names)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), 6, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in names}, 6))
     (found,) = inquiry.whole.acting if not rubs else [a for a in inquiry.whole.acting if a.when is not None]
     assert (found.effect.name, found.joint) == ("torque_gain_change", 1)
     assert np.allclose([found.when.start, found.when.end], [start, end], atol=0.05)
@@ -62,6 +63,6 @@ def test_a_full_search_asks_for_no_windows(monkeypatch, most, windows):
     original = whole._searched
     monkeypatch.setattr(whole, "_searched", searched)
     evidence = evidence_of(log_of(raw(*moved(30.0), torque, torque=0.01, position=1e-6)), names)
-    inquiry = inquire(evidence, {name: EFFECTS[name] for name in names}, (), most, compares=False)
+    inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in names}, most))
     assert any(offered[1:]) == windows
     assert any(a.when is not None for a in inquiry.whole.acting) == windows
