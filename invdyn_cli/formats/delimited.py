@@ -41,13 +41,17 @@ def read(path: Path, limit: float) -> tuple[Table, ...]:
         raise LogError(f"{path} has no rows; allowed: a table of numbers")
     delimiter = _delimiter([line for _, line in lines[1 : 1 + SAMPLE]] or [lines[0][1]])
     rows = list(zip((k for k, _ in lines), _split([line for _, line in lines], delimiter), strict=True))
-    names, rows = _header(rows)
+    names, rows = _header(_below_titles(rows))
     if not names and comments and len(last := _split(comments[-1:], delimiter)[0]) == len(rows[-1][1]):
         names = last
     width = len(names) or max((len(row) for _, row in rows), key=[len(row) for _, row in rows].count)
     names = _unique(names or [f"c{k}" for k in range(1, width + 1)])
     if not rows:
         raise LogError(f"{path} has a header and no rows")
+    rows = [(k, row if any(row[width:]) else row[:width]) for k, row in rows]  # without delimiters at their ends
+    if all(len(row) != width for _, row in rows):
+        (k, row), *_ = rows
+        raise LogError(f"{path}: line {k} has {len(row)} cells, its header {width}; allowed: one name for each column")
     return (_table(path, names, rows, comma=delimiter != ","),)
 
 
@@ -98,6 +102,13 @@ def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     if delimiter == " ":
         return [line.split() for line in lines]
     return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter, skipinitialspace=True)]
+
+
+def _below_titles(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """The rows from the header on, where lines of another length stand above it."""
+    widths = [len(row) for _, row in rows]
+    first = widths.index(max(widths, key=widths.count))
+    return rows if any(_is_number(cell, True) for cell in rows[first][1]) else rows[first:]
 
 
 def _header(rows: list[tuple[int, list[str]]]) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -68,6 +68,24 @@ def test_bad_rows(tmp_path):
     assert found.notes == ("2 of 103 rows are left out; line 52 has 2 cells, not 3.",)
 
 
+@pytest.mark.parametrize(("above", "end"), [("", ","), ("An arm\n", ""), ("An arm, at night\n\n", ""), ("", ",,")])
+def test_what_loggers_write_about_a_table(above, end, tmp_path):
+    """Titles above the header, and delimiters after the last cell of each row, are no part of it."""
+    text = above + "t,q1,tau1\n" + "".join(f"{k},{k},{2 * k}{end}\n" for k in range(5))
+    found = table(tmp_path, text)
+    assert {name: list(x) for name, x in found.columns.items()} == {
+        name: [factor * k for k in range(5)] for name, factor in (("t", 1), ("q1", 1), ("tau1", 2))
+    }
+
+
+@pytest.mark.parametrize("head", ["t,q1", "t,q1,tau1,tau2", "An arm", "hello world"])
+def test_a_header_of_another_length(head, tmp_path):
+    """Nothing is assigned to names that are fewer or more than the columns."""
+    text = head + "\n" + "".join(f"{k},{k},{k}\n" for k in range(5))
+    with pytest.raises(LogError, match=rf"line 2 has 3 cells, its header {len(head.split(','))};"):
+        table(tmp_path, text)
+
+
 @pytest.mark.parametrize("text", ["", "\n\n", "hello\nworld\n", "t,q\n", "# only a comment\n"])
 def test_no_tables(text, tmp_path):
     """What has no numbers is refused in a line."""
