@@ -19,7 +19,7 @@ from invdyn_cli.diagnosis.decide.quantities import quantities
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import RELEVANT, Hypothesis
 from invdyn_cli.diagnosis.search.naming import blind_to_stribeck
-from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, place_of, stretches
+from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, containing, place_of, stretches
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.maths import standard
@@ -76,6 +76,7 @@ def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str
         place = place_of(more.acting, term, j)
         if place is not None:
             values[1, t, j] += more.acting[place].parameters[TERMS[term][1]] - both[columns.terms.index(term), j]
+            values[1, t, j] += sum(more.acting[k].parameters[TERMS[term][1]] for k in containing(more.acting, term, j))
     differ = _differ(values, halves)
     out: dict[str, dict[str, dict[str, Any]]] = {joint: {} for joint in evidence.robot.joints}
     for t, term, j, joint in _places(evidence):

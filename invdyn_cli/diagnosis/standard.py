@@ -204,7 +204,7 @@ def told(
     more: Mapping[str, Mapping[str, Mapping[str, Any]]],
 ) -> dict[str, Any]:
     """The standard terms of every joint in the written model, as diagnosis.json has them; empty where the findings
-    say all of it.
+    say all of it. What bristles or Stribeck friction have of a term is in it.
 
     Args:
         claimed: alternatives of what was claimed, by (effect, joint).
@@ -219,12 +219,15 @@ def told(
             place = place_of(made.acting, term, j)
             if place is None:
                 continue
-            value, low, high = made.intervals[place].get(name, (made.acting[place].parameters[name],) * 3)
+            parts = [place, *containing(made.acting, term, j)]
+            own = [made.intervals[k].get(name, (made.acting[k].parameters[name],) * 3) for k in parts]
+            value, *ends = np.sum(own, axis=0).tolist()
             unit = unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j])
-            ends = [float(low), float(high)]
             others = claimed.get((effect, joint), ())
-            row[term] = {"effect": effect, "value": float(value), "unit": unit, "interval95": ends}
+            row[term] = {"effect": effect, "value": value, "unit": unit, "interval95": ends}
             row[term]["claimed"] = (effect, joint) in claimed and not others
+            if parts[1:]:
+                row[term]["with"] = [made.acting[k].effect.name for k in parts[1:]]
             general = [x[0] for x in others if len(x) == 1 and x[0] in EFFECTS and effect in EFFECTS[x[0]].contains]
             if others and len(general) == len(others):
                 row[term]["perhaps"] = general
@@ -368,6 +371,13 @@ def place_of(acting: Sequence[EffectInstance], term: str, joint: int) -> int | N
     """Where a joint's term stands among effects that always act."""
     effect = TERMS[term][0]
     return next((k for k, a in enumerate(acting) if a.key == (effect, joint)), None)
+
+
+def containing(acting: Sequence[EffectInstance], term: str, joint: int) -> list[int]:
+    """Where effects of a joint stand that have a standard term in them, with a parameter of its name."""
+    effect, name = TERMS[term]
+    own = [k for k, a in enumerate(acting) if a.joint == joint and a.when is None]
+    return [k for k in own if effect in acting[k].effect.contains and name in acting[k].parameters]
 
 
 def _merged(

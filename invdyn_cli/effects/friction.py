@@ -4,8 +4,8 @@ Sizes refer to the logged torque. sign(qd) is part of the state, which defines h
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -165,12 +165,14 @@ class StribeckFriction(AbstractTorqueEffect):
             (Tustin), as multiples of its own.
         usual_velocity: [rad/s] of an ordinary one.
         usual_ratio: static over Coulomb level of an ordinary one.
+        largest_drop: the same that none exceeds.
     """
 
     velocities: tuple[float, ...] = (0.006, 0.01, 0.017, 0.028, 0.047, 0.08, 0.13, 0.22, 0.36)
     nearest: tuple[float, ...] = (0.4, 0.6, 0.85)
     usual_velocity: float = 0.028
     usual_ratio: float = 1.3
+    largest_drop: float = LARGEST_DROP
 
     name = "stribeck_friction"
     title = "Stribeck friction"
@@ -219,6 +221,10 @@ class StribeckFriction(AbstractTorqueEffect):
     def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
         return {"coulomb": coefficients[0], "static": coefficients[0] + coefficients[1], **shape}
 
+    def as_change(self) -> Self:
+        """The levels are then what came to those of before, which are not known: any ratio is possible."""
+        return replace(self, largest_drop=np.inf)
+
     def is_ordinary(self, shape: Parameters) -> bool:
         return 0.02 < shape["velocity"] < 0.1
 
@@ -231,9 +237,9 @@ class StribeckFriction(AbstractTorqueEffect):
     def refuse(self, parameters: Parameters) -> str:
         if parameters["static"] < parameters["coulomb"]:
             return "friction would rise with speed: the static level is below Coulomb's"
-        if parameters["static"] > LARGEST_DROP * parameters["coulomb"] > 0:
+        if parameters["static"] > self.largest_drop * parameters["coulomb"] > 0:
             ratio = parameters["static"] / parameters["coulomb"]
-            return f"the static level would be {ratio:.3g} times Coulomb's; possible: up to {LARGEST_DROP:g}"
+            return f"the static level would be {ratio:.3g} times Coulomb's; possible: up to {self.largest_drop:g}"
         return super().refuse(parameters)
 
 

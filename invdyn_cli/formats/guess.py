@@ -263,7 +263,13 @@ class _Guess:
         self.unit("tau", self.torque, "tau.unit='N m'|A|mA|percent")
 
     def no_torques(self) -> None:
-        """Columns without names may be torques; otherwise the file has none, and a note says so."""
+        """Columns that are named, but too few or too many, are asked for, and so are some without names; otherwise the
+        file has none, and a note says so."""
+        named = [list(c.columns.values()) for c in self.candidates if c.meaning.quantity in TORQUES]
+        nearest = max(named, key=len, default=[])
+        if len(nearest) > len(self.joints) / 2:
+            pair = f"the joints of {ranged(nearest)} ({len(nearest)}) are not those of {ranged(self.columns_q)}"
+            return self.ask(f"which columns are tau: {pair}", "q.columns=FIRST:LAST", "tau.columns=FIRST:LAST")
         used = {x for one in self.channels.values() for x in one.columns}
         rest = [x for x in self.table.columns if x not in used and not meaning(x).quantity]
         if any(meaning(x).quantity for x in self.table.columns) or len(rest) < len(self.joints):

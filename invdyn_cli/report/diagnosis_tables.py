@@ -18,6 +18,7 @@ from invdyn_cli.report.wording import (
     each_log,
     estimates,
     gaining,
+    included,
     joints_of,
     perhaps,
     place,
@@ -71,7 +72,8 @@ def standard_table(diagnosis: Diagnosis) -> Table | None:
     if not heads:
         return None
     said = (
-        f"Standard terms of every arm; bold: also claimed as a cause{perhaps(diagnosis)}. Links: {_links(diagnosis)}."
+        f"Standard terms of every arm; bold: also claimed as a cause{perhaps(diagnosis)}.{included(diagnosis)} "
+        f"Links: {_links(diagnosis)}."
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(said, style="dim"), caption_justify="left")
     table.add_column("joint", overflow="fold", max_width=24)

@@ -14,6 +14,7 @@ from invdyn_cli.report.wording import (
     claims,
     each_log,
     estimates,
+    included,
     place,
     standard_rows,
     words,
@@ -44,6 +45,7 @@ def standard_section(diagnosis: Diagnosis) -> str:
     if diagnosis.details.get("torque_side") == "link":
         note += " The torque was measured on the link side of the gear, so this friction is that of bearings, seals, "
         note += "cables and, if the sensor measures it, a part of the gear."
+    note += included(diagnosis)
     made = table(("joint", *heads, "links"), body, "dense") + f'<p class="note">{escape(note)}</p>'
     return made + _each_log(diagnosis)
 

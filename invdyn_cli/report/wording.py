@@ -191,6 +191,13 @@ def perhaps(diagnosis: Diagnosis) -> str:
     return f"; *: or {' or '.join(map(words, names))}" if names else ""
 
 
+def included(diagnosis: Diagnosis) -> str:
+    """A sentence: which effects are in the table of standard terms with what they have of a term; "" for none."""
+    found = (x.get("with", ()) for terms in standard_rows(diagnosis)[0].values() for x in terms.values())
+    names = dict.fromkeys(name for own in found for name in own)
+    return f" Coulomb friction includes that of {' and '.join(map(words, names))} on the same joint." if names else ""
+
+
 EACH_LOG = ("joint", "term", "in the reference", "now", "change")
 
 

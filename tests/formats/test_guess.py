@@ -252,3 +252,14 @@ def test_velocities_beside_angles_within_a_turn():
     data = DATA | {"q": wrap(q), "qd": 5 * DATA["qd"], "q_ref": wrap(q + 1e-3)}
     found = guessed(named(data, q="q_{}", qd="dq_{}", q_ref="target_q_{}", tau="tau_{}"))
     assert found.channel("qd").unit == ("rad/s",) and found.channel("q_ref").unit == ("rad",)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_torques_of_other_joints_than_the_positions(count):
+    """A file with them is none without torques, be they too many or called otherwise: which columns belong together is
+    asked for."""
+    columns = named(DATA, q="pos_{}", tau="effort_{}")
+    others = {name: x for name, x in columns.items() if not name.startswith("effort")}
+    others |= {f"effort_{k}": DATA["tau"][:, 0] for k in range(1, count + 1)}
+    said = refused(others)
+    assert f"the joints of effort_1:effort_{count} ({count}) are not those of pos_shoulder" in said

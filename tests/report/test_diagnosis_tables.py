@@ -289,3 +289,15 @@ def test_the_summary_names_every_cause_that_is_a_row():
     (friction,) = in_table(diagnosis)
     said = summary(replace(diagnosis, findings=(friction,) * 3), titles)
     assert "lacks standard terms (friction and the like) on 1 joint." in said
+
+
+def test_a_term_that_another_effect_has_a_share_of():
+    """The table says whose share is in it."""
+    diagnosis = make_diagnosis()
+    joint = JOINTS[0]
+    row = diagnosis.standard[joint]
+    summed = row | {"coulomb": row["coulomb"] | {"with": ["presliding_hysteresis"]}}
+    told = replace(diagnosis, standard=diagnosis.standard | {joint: summed})
+    sentence = "Coulomb friction includes that of presliding hysteresis on the same joint."
+    assert sentence in " ".join(printed(standard_table(told)).split()) and sentence in standard_section(told)
+    assert "includes" not in printed(standard_table(diagnosis)) + standard_section(diagnosis)
