@@ -113,5 +113,5 @@ def note_of(robot: Robot, speeds: Sequence[float]) -> tuple[str, ...]:
     told = [f"{j} ({v:.2g} {u})" for j, v, u in zip(robot.joints, speeds, units, strict=True) if v > 0]
     return (
         f"The friction of these joints changes sign gradually, as tanh(qd / v), with v in brackets: {listed(told)}. "
-        "They creep at reversals, or the log comes from a simulation that smooths friction.",
+        "They creep at reversals, as on bristles, or the log comes from a simulation that smooths friction.",
     )

@@ -23,7 +23,8 @@ _FLAGS = {
     "measured": "actual act measured meas msr feedback fb present observation ist istwert",
     "other": "tcp pose cartesian ee wrench ext external error err temp temperature temperatures temperatur "
     "voltage volt ft spannung",
-    "filler": "joint joints j a axis achse axe motor robot value values data sensor states field header",
+    "filler": "joint joints jnt jt j a axis dof gelenk achse axe motor robot value values data sensor states field "
+    "header",
     "unit": "deg degs degree degrees grad grados gradi rad rads radian radians ms us ns nm nmm ma rpm "
     "percent pct dps msec usec nsec",
 }

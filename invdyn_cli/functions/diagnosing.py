@@ -29,7 +29,7 @@ from invdyn_cli.report import diagnosis_figures, diagnosis_page, diagnosis_table
 from invdyn_cli.report.better_simulation import replay_line
 from invdyn_cli.report.check_terminal import shown
 from invdyn_cli.report.fragment import Shown
-from invdyn_cli.report.wording import advised
+from invdyn_cli.report.wording import CAUTION, advised
 from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Diagnosis, Finding, Robot
 
@@ -91,7 +91,8 @@ class DiagnosisResult(Shown):
         parts += [Text(note, "dim") for note in diagnosis.notes]
         if self.design is not None:
             said = f"To distinguish them, play and log {next_motion.FILE} ({self.design.t[-1]:.3g} s)"
-            parts.append(Text(f"Some causes remain ambiguous. {said}, then diagnose both logs together."))
+            said += f", then diagnose both logs together. {CAUTION}"
+            parts.append(Text(f"Some causes remain ambiguous. {said}"))
         else:
             parts += [Text(line) for line in advised(diagnosis)]
         return Group(*parts)

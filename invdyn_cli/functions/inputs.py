@@ -83,9 +83,12 @@ def named_by(header: Header | None) -> str:
     return path
 
 
-def with_joints(load: Callable[[Sequence[str] | None], Any], joints: Sequence[str] | None) -> Any:
+def with_joints(
+    load: Callable[[Sequence[str] | None], Any], joints: Sequence[str] | None, *, logged: bool = True
+) -> Any:
     """The result of `load(joints)`; if names are not the URDF's, that of the URDF's joints that they match, or, if they
-    are only numbers, of all its joints."""
+    are only numbers, or as many names of a log (`logged`), of all its joints: `recording.channels` says whether the
+    order of the log's columns is known then."""
     try:
         return load(joints)
     except RobotError:
@@ -96,6 +99,8 @@ def with_joints(load: Callable[[Sequence[str] | None], Any], joints: Sequence[st
         except RobotError:
             whole = None
         if whole is not None and tuple(joints) == numbered(len(joints)):
+            return whole
+        if logged and isinstance(whole, Robot) and whole.dofs == len(joints):
             return whole
         if not isinstance(whole, Robot) or not (found := matched(whole.joints, joints)):
             raise

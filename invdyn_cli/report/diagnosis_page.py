@@ -25,6 +25,7 @@ from invdyn_cli.report.replay_figure import REPLAY
 from invdyn_cli.report.residual_tests import RESIDUAL_TESTS, failing, tests_section
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
+    CAUTION,
     NO_BREAK,
     STATUS_WORDS,
     UNSEEN,
@@ -175,7 +176,9 @@ def _to_do(diagnosis: Diagnosis, record_next: str) -> str:
     items = []
     if record_next:
         link = f'<a href="{escape(record_next)}">{escape(record_next)}</a>'
-        items.append(f"Play {link}, log it, and diagnose both logs together: <code>data.path=[log.h5,next.h5]</code>.")
+        options = "data.path=[LOG,NEXT]" + " data.reference=REFERENCE" * (SINCE in diagnosis.details)
+        how = f"log it, and diagnose both logs together: <code>{options}</code>. {escape(CAUTION)}"
+        items.append(f"Play {link}, {how}")
     items += map(escape, advised(diagnosis))
     left: dict[str, dict[str, None]] = {}
     for x in failing(diagnosis) if diagnosis.verdict != "explained" else ():

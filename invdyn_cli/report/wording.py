@@ -13,6 +13,9 @@ from invdyn_cli.report.quantities import quantity_text, unit_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis, EffectText, Finding, Quantity
 
+CAUTION = "It keeps the joints' limits; collisions are not checked."
+"""What has to be known before a designed trajectory is played."""
+
 UNSEEN = ("not_excited", "not_observable")
 """Statuses of effects that a log cannot show."""
 

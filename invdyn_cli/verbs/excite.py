@@ -20,6 +20,7 @@ from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError, closest, listed
 from invdyn_cli.files import relative, write_file
 from invdyn_cli.report import excitation
+from invdyn_cli.report.wording import CAUTION
 from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Finding, Quantity, Robot
 from invdyn_cli.verbs import screen
@@ -76,6 +77,7 @@ def execute(config: DictConfig, folder: Path, console: Screen) -> Design | None:
         )
     write(made, folder)
     console.print(shown(made))
+    console.print(CAUTION)
     for line in advice(made):
         console.warn(line)
     console.whole(relative(folder))

@@ -149,7 +149,7 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
         joints = list(header.joints)
     try:
         path = str(node.path or named_by(header))
-        robot = with_joints(lambda names: instantiate(node, path=path, joints=names)(), joints)
+        robot = with_joints(lambda names: instantiate(node, path=path, joints=names)(), joints, logged=not node.joints)
     except RobotError as error:
         if not optional or node.path:
             raise
