@@ -81,7 +81,8 @@ class _Guess:
             name, known = self.named_clock()[0]
             self.channels["t"], self.known["t"] = replace(given, columns=(name,)), known
         else:
-            return self.ask("the clock (no column increases in equal steps)", "time.column=NAME", "(or rate=HZ)")
+            rate = "(or rate=HZ; without converting: 'data.columns={rate: HZ}')"
+            return self.ask("the clock (no column increases in equal steps)", "time.column=NAME", rate)
         self.time_unit()
         if not self.questions:
             self.clock = seconds(self.where, self.table, replace(self.given, channels=self.channels))

@@ -12,6 +12,7 @@ NAMES = {
     "actual_current_3": ("current", "3", False, ""),
     "target_moment_1": ("tau", "1", True, ""),
     "joint_1_position [deg]": ("q", "1", False, "deg"),
+    "jnt1_angle": ("q", "1", False, ""),
     "j3_quill_pos": ("q", "j3_quill", False, ""),
     "joint1_base_torque": ("tau", "joint1_base", False, ""),
     "pos_j1": ("q", "1", False, ""),

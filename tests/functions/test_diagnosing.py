@@ -87,6 +87,15 @@ def test_columns_without_names_follow_the_urdf(case):
     assert result.log.joints == case.robot.joints and any("are read as" in x for x in result.notes)
 
 
+def test_names_that_are_none_of_the_urdf_follow_it_in_order(case):
+    """As many of them as the URDF has joints are read in its order, with a note; of a robot that is given by its joints
+    others are refused."""
+    result = invdyn.check(**case.arrays, joints=["lower", "upper"], urdf=case.folder / "arm.urdf")
+    assert result.log.joints == case.robot.joints
+    (told,) = [x for x in result.notes if "are read as" in x]
+    assert "lower, upper" in told and "in this order" in told
+
+
 def test_defects_are_described(case):
     """NaN in the arrays is no exception but a finding of the check, which leaves such rows out unless told not to."""
     q = case.arrays["q"].copy()
