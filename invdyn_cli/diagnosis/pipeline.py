@@ -79,13 +79,7 @@ def diagnose(
         case = prepared(log, robot, windows, reference, options, effects, progress, checks)
         if isinstance(case, Diagnosis):
             return case
-        found = searched(case, progress)
-        gradual = _gradual(*found)
-        if gradual != case.recording.transition:
-            case = case.with_transition(gradual)
-            earlier, why = (found[0] if found[0].wear else None), "friction that changes side gradually"
-            found = searched(case, lambda done, note: progress(0.7, f"{note}, {why}"), earlier)
-        return decided(case, *found, options, learner, seed, progress)
+        return decided(*_found(case, progress), options, learner, seed, progress)
 
     with one_blas_thread():
         first = asked(CHECKS, progress)
@@ -94,6 +88,17 @@ def diagnose(
         untimed = [check for check in CHECKS if not isinstance(check, TimeOffset)]
         again = asked(untimed, lambda done, note: progress(0.9, f"again, torques at the times of the log: {note}"))
         return replace(again, notes=(lateness.NOT_SHIFTED, *again.notes))
+
+
+def _found(case: Case, progress: Progress) -> tuple[Case, Inquiry, standard.Columns]:
+    """What the search found, again where friction turns out to change its side more or less gradually."""
+    found = searched(case, progress)
+    gradual = _gradual(*found)
+    if gradual != case.recording.transition:
+        case = case.with_transition(gradual)
+        earlier, why = (found[0] if found[0].wear else None), "friction that changes side gradually"
+        found = searched(case, lambda done, note: progress(0.7, f"{note}, {why}"), earlier)
+    return case, *found
 
 
 def _gradual(inquiry: Inquiry, columns: standard.Columns) -> tuple[float, ...]:
@@ -221,32 +226,40 @@ def decided(
             *repeats.note_of(evidence.recording),
             *why,
         ),
-        details={
-            **evidence.recording.details,
-            "torque_side": side,
-            "time_taken_out_s": case.lead,
-            "friction_transition": dict(zip(robot.joints, case.recording.transition, strict=True)),
-            "samples": len(evidence.role),
-            "blocks": int(evidence.block.max() + 1),
-            "hypotheses_tried": inquiry.judge.tried,
-            "moments": {robot.joints[j]: x._asdict() for j, x in few.items()},
-            "beyond_noise": [j for j, x in zip(robot.joints, structured_joints, strict=True) if x],
-            "refused": [
-                {
-                    "effect": x.candidate.effect.name,
-                    "joint": None if x.candidate.joint is None else robot.joints[x.candidate.joint],
-                    "criterion": x.criterion,
-                    "figure": x.figure,
-                    "required": x.required,
-                }
-                for x in made.refused
-            ],
-            "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
-            **({wording.SINCE: [_scores(evidence, x) for x in (made.before, made.residual)]} if case.compares else {}),
-        },
+        details=_details(case, inquiry, made, few, structured_joints),
     )
     diagnosis = diagnosis if case.gained is None else gains.beside(diagnosis, case.gained)
     return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in of_name.items()}))
+
+
+def _details(
+    case: Case, inquiry: Inquiry, made: findings.Made, few: Mapping[int, moments.Moment], beyond: np.ndarray
+) -> dict[str, Any]:
+    """Numbers worth keeping. `few`: when the residual of a joint is largest; `beyond` (n,): whether it is no noise."""
+    evidence, robot = inquiry.evidence, inquiry.evidence.robot
+    return {
+        **evidence.recording.details,
+        "torque_side": case.log.torque_side,
+        "time_taken_out_s": case.lead,
+        "friction_transition": dict(zip(robot.joints, case.recording.transition, strict=True)),
+        "samples": len(evidence.role),
+        "blocks": int(evidence.block.max() + 1),
+        "hypotheses_tried": inquiry.judge.tried,
+        "moments": {robot.joints[j]: x._asdict() for j, x in few.items()},
+        "beyond_noise": [j for j, x in zip(robot.joints, beyond, strict=True) if x],
+        "refused": [
+            {
+                "effect": x.candidate.effect.name,
+                "joint": None if x.candidate.joint is None else robot.joints[x.candidate.joint],
+                "criterion": x.criterion,
+                "figure": x.figure,
+                "required": x.required,
+            }
+            for x in made.refused
+        ],
+        "noise_N_m": dict(zip(robot.joints, inquiry.noise.deviation.round(9).tolist(), strict=True)),
+        **({wording.SINCE: [_scores(evidence, x) for x in (made.before, made.residual)]} if case.compares else {}),
+    }
 
 
 def _fuller(

@@ -19,7 +19,7 @@ from invdyn_cli.diagnosis.decide.quantities import quantities
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import RELEVANT, Hypothesis
 from invdyn_cli.diagnosis.search.naming import blind_to_stribeck
-from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, containing, place_of, stretches
+from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, has_part, stretches
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.maths import standard
@@ -73,10 +73,8 @@ def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str
     values, halves = _fitted(columns, _without_links(columns, made.whole, more.found.theta), (reference, ~reference))
     both = more.found.theta[10 * n :].reshape(-1, n)
     for t, term, j, _ in _places(evidence):
-        place = place_of(more.acting, term, j)
-        if place is not None:
-            values[1, t, j] += more.acting[place].parameters[TERMS[term][1]] - both[columns.terms.index(term), j]
-            values[1, t, j] += sum(more.acting[k].parameters[TERMS[term][1]] for k in containing(more.acting, term, j))
+        now = sum(a.parameters[TERMS[term][1]] for a in more.acting if has_part(a, term, j))
+        values[1, t, j] += now - both[columns.terms.index(term), j]
     differ = _differ(values, halves)
     out: dict[str, dict[str, dict[str, Any]]] = {joint: {} for joint in evidence.robot.joints}
     for t, term, j, joint in _places(evidence):

@@ -213,21 +213,20 @@ def told(
     if not made.asked:
         return {}
     out: dict[str, Any] = {}
+    every = list(zip(made.acting, made.intervals, strict=True))
     for j, joint in enumerate(evidence.robot.joints):
         row = {}
         for term, (effect, name) in TERMS.items():
-            place = place_of(made.acting, term, j)
-            if place is None:
+            parts = [(a, x) for a, x in every if has_part(a, term, j)]
+            if not parts:
                 continue
-            parts = [place, *containing(made.acting, term, j)]
-            own = [made.intervals[k].get(name, (made.acting[k].parameters[name],) * 3) for k in parts]
-            value, *ends = np.sum(own, axis=0).tolist()
+            value, *ends = np.sum([x.get(name, (a.parameters[name],) * 3) for a, x in parts], axis=0).tolist()
             unit = unit_of(EFFECTS[effect], name, evidence.robot.prismatic[j])
             others = claimed.get((effect, joint), ())
             row[term] = {"effect": effect, "value": value, "unit": unit, "interval95": ends}
             row[term]["claimed"] = (effect, joint) in claimed and not others
-            if parts[1:]:
-                row[term]["with"] = [made.acting[k].effect.name for k in parts[1:]]
+            if shares := [a.effect.name for a, _ in parts if a.effect.name != effect]:
+                row[term]["with"] = shares
             general = [x[0] for x in others if len(x) == 1 and x[0] in EFFECTS and effect in EFFECTS[x[0]].contains]
             if others and len(general) == len(others):
                 row[term]["perhaps"] = general
@@ -373,11 +372,11 @@ def place_of(acting: Sequence[EffectInstance], term: str, joint: int) -> int | N
     return next((k for k, a in enumerate(acting) if a.key == (effect, joint)), None)
 
 
-def containing(acting: Sequence[EffectInstance], term: str, joint: int) -> list[int]:
-    """Where effects of a joint stand that have a standard term in them, with a parameter of its name."""
+def has_part(one: EffectInstance, term: str, joint: int) -> bool:
+    """Whether an effect that always acts is a standard term of a joint, or has it in it."""
     effect, name = TERMS[term]
-    own = [k for k, a in enumerate(acting) if a.joint == joint and a.when is None]
-    return [k for k in own if effect in acting[k].effect.contains and name in acting[k].parameters]
+    own = one.effect.name == effect or effect in one.effect.contains
+    return own and one.joint == joint and one.when is None and name in one.parameters
 
 
 def _merged(

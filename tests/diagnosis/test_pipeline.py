@@ -446,19 +446,20 @@ def test_friction_that_a_log_calls_compensated_and_has():
     assert sizes == pytest.approx([1.0] * 3, rel=0.05) and found.verdict == "explained"
 
 
+def rubbed(seed: int, coulomb: float, drop: float):
+    """A log of the arm with Coulomb friction of 1 N m and viscous friction, and on its second joint this much more
+    Coulomb friction, and a Stribeck friction that falls by `drop` [N m] over 0.08 rad/s."""
+    t, m = analytic.moved(seconds=30.0, rate=200.0, seed=seed)
+    friction = np.sign(m.qd) + 0.4 * m.qd
+    friction[:, 1] += (coulomb + drop * np.exp(-((m.qd[:, 1] / 0.08) ** 2))) * np.sign(m.qd[:, 1])
+    return analytic.log_of(analytic.raw(t, m, lambda *_: friction, torque=0.02, position=1e-6, seed=seed))
+
+
 def test_stribeck_friction_that_has_come_since_a_reference():
     """A change may have any ratio of its levels, here 4: it is named within 5 %, and each log's Coulomb friction is
     told with what has come, to 1 %."""
     robot, (extra, drop) = analytic.arm(), (0.5, 1.5)
-
-    def log(seed: int, came: bool):
-        t, m = analytic.moved(seconds=30.0, rate=200.0, seed=seed)
-        friction = np.sign(m.qd) + 0.4 * m.qd
-        level = extra + drop * np.exp(-((m.qd[:, 1] / 0.08) ** 2))
-        friction[:, 1] += came * level * np.sign(m.qd[:, 1])
-        return analytic.log_of(analytic.raw(t, m, lambda *_: friction, torque=0.02, position=1e-6, seed=seed))
-
-    found = diagnose(log(4, came=True), robot, reference=log(0, came=False))
+    found = diagnose(rubbed(4, extra, drop), robot, reference=rubbed(0, 0.0, 0.0))
     (one,) = claims(found)
     assert (one.effect, one.joint, one.status) == ("stribeck_friction", robot.joints[1], "named")
     sizes = [one.parameters[x].value for x in ("coulomb", "static", "velocity")]

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from invdyn_cli.diagnosis.decide.findings import Made
-from invdyn_cli.diagnosis.decide.gain import lowers
 from invdyn_cli.diagnosis.decide.passing import perhaps_unknown
 from invdyn_cli.types import Diagnosis, Finding
 
@@ -26,6 +25,9 @@ without the changes and with them."""
 
 FEW = 2
 """Largest number of named standard terms that are listed one by one."""
+
+LITTLE = 0.9
+"""Share of the error of all joints above which the joint is named whose own error falls most."""
 
 TEST_WORDS = {
     "level": "constant offset",
@@ -80,9 +82,9 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     units = units_of(diagnosis)
     ((unit, _),) = Counter(units.values()).most_common(1)
     apart = [joint for joint, own in units.items() if own != unit]
+    tables = diagnosis.details.get(SINCE, (diagnosis.baseline, diagnosis.extended))
     before, after = (
-        np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart]))
-        for table in diagnosis.details.get(SINCE, (diagnosis.baseline, diagnosis.extended))
+        np.sqrt(np.mean([x["rmse"] ** 2 for joint, x in table.items() if joint not in apart])) for table in tables
     )
     compares = SINCE in diagnosis.details
     over = "all joints" if not apart else f"all joints except {_listed(apart)}"
@@ -105,7 +107,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         several = f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}"
         few = [f"{titles[f.effect]} on {f.joint}" for f in usual]
         terms = few if len(few) <= FEW else [several]
-        said = [*terms, *said] if lowers(usual) > lowers(shown) else [*said, *terms]
+        said = [*said, *terms]
     more = f" and {len(diagnosis.unclaimed)} more that are not claimed" if diagnosis.unclaimed else ""
     if not compares:
         first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error"
@@ -115,11 +117,20 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         if new:
             changed.append(f"In this log only, and only for a time, there is {_listed(_grouped(new, titles))}.")
         first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
-    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {unit} over {over}."
+    first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {unit} over {over}"
+    was, now, joint = min(((a["rmse"], tables[1][j]["rmse"], j) for j, a in tables[0].items()), key=_share)
+    hidden = after > LITTLE * before and now < LITTLE * was
+    first += f", on {joint} from {was:.3g} to {now:.3g} {units[joint]}." if hidden else "."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     doubt = " An effect that is not in the catalogue may be the true cause of one of them."
     return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
+
+
+def _share(errors: tuple[float, float, str]) -> float:
+    """What is left of a joint's error, which `errors` begin with, before and after."""
+    was, now, _ = errors
+    return now / was if was > 0 else 1.0
 
 
 def units_of(diagnosis: Diagnosis) -> dict[str, str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.decide.wording import summary, verdict
-from invdyn_cli.types import Diagnosis, Examination, Finding
+from invdyn_cli.types import Diagnosis, Examination, Finding, Gain
 
 CONTACT = Finding("external_contact", "a", "ambiguous", window=(4.0, 9.0), trajectory="one")
 
@@ -51,3 +51,27 @@ def test_what_is_written_though_nothing_is_claimed_is_said(rmse, said):
     before, after = {"x": {"rmse": 3.0}}, {"x": {"rmse": rmse}}
     diagnosis = Diagnosis("nothing_found", Examination(True, (), {}), (), before, after, None, {"x": 0.0})
     assert said in summary(diagnosis, {})
+
+
+def test_what_most_arms_do_not_have_is_said_first():
+    """A ripple stands before friction that makes far more."""
+    ripple = Finding("torque_ripple", "b", "named", gain={"b": Gain(1.1, 1.0, 1.1, 1.0, (0.05, 0.15))})
+    friction = Finding("coulomb_friction", "a", "named", gain={"a": Gain(9.0, 1.0, 9.0, 1.0, (7.0, 9.0))})
+    row = {"coulomb": {"effect": "coulomb_friction", "claimed": True}}
+    errors, still = {"a": {"rmse": 1.0}, "b": {"rmse": 1.0}}, {"a": 0.0, "b": 0.0}
+    found = (friction, ripple)
+    made = Diagnosis("explained", Examination(True, (), {}), found, errors, errors, None, still, standard={"a": row})
+    said = summary(made, {"torque_ripple": "torque ripple", "coulomb_friction": "Coulomb friction"})
+    assert said.startswith("The simulation lacks torque ripple on b and Coulomb friction on a.")
+
+
+@pytest.mark.parametrize(
+    ("others", "said"), [(10.0, "10 to 10 N m over all joints, on b from 1 to 0.5 N m."), (0.1, "joints. ")]
+)
+def test_the_joint_that_gains_is_named_where_others_hide_it(others, said):
+    """A wrist's error falls by half beside a shoulder's that is ten times as large; alone, the whole arm's tells it."""
+    found = (Finding("torque_gain_error", "b", "named", gain={"b": Gain(1.0, 0.5, 1.0, 0.5, (0.4, 0.6))}),)
+    before, after = ({"a": {"rmse": np.sqrt(2) * others}, "b": {"rmse": x}} for x in (1.0, 0.5))
+    still = {"a": 0.0, "b": 0.0}
+    made = Diagnosis("explained", Examination(True, (), {}), found, before, after, None, still)
+    assert said in summary(made, {"torque_gain_error": "torque gain"})
