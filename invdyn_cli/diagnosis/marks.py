@@ -130,7 +130,8 @@ def _label(one: Check) -> str:
     if one.check == "time_offset" and value is not None:
         apart = f"{1e3 * abs(value):.3g} ms" if abs(value) < 1 else f"{abs(value):.3g} s"
         word = "late" if value > 0 else "early"
-        return f"q comes {apart} {word}" if known.get("channel") == "q_ref" else f"{apart} {word}"
+        doubt = "perhaps " * (one.severity == "note" and one.joint is None)  # nothing is changed then
+        return f"q comes {apart} {word}" if known.get("channel") == "q_ref" else f"{doubt}{apart} {word}"
     if one.check == "unit_error" and known.get("factor"):
         unit = one.meaning.split(":")[0]
         return unit if len(unit) < 40 else f"{known['channel']} is {known['factor']:.3g} times SI"
