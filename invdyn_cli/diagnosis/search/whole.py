@@ -59,8 +59,8 @@ def inquire(evidence: Evidence, question: Question, start: Hypothesis = ()) -> I
         if turn and inquiry and kept.keys() == held.keys():
             inquiry = again  # no window more, but what lasts is known better
             break
-        full = len(again.hypothesis) >= question.most and bool(held or found or not compares)  # nobody knows what lacks
-        full |= _is_crowded(again.hypothesis)
+        many = len(again.hypothesis) >= question.most  # nobody knows then what is missing
+        full = many and bool(held or found or not compares) or _is_crowded(again.hypothesis)
         idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else _proposed(inquiry, question, held, everywhere)
