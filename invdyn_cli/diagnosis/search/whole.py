@@ -60,7 +60,7 @@ def inquire(evidence: Evidence, question: Question, start: Hypothesis = ()) -> I
             inquiry = again  # no window more, but what lasts is known better
             break
         many = len(again.hypothesis) >= question.most  # nobody knows then what is missing
-        full = many and bool(held or found or not compares) or _is_crowded(again.hypothesis)
+        full = (many and bool(held or found or not compares)) or _is_crowded(again.hypothesis)
         idle = inquiry is not None and _left(again, again) > WORTH * _left(inquiry, again)
         inquiry, evidence, held = again, again.evidence, kept
         found = {} if full or idle else _proposed(inquiry, question, held, everywhere)
