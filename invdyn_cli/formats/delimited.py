@@ -2,6 +2,7 @@
 
 import csv
 import re
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def read(path: Path, limit: float) -> tuple[Table, ...]:
     names, rows = _header(_below_titles(rows))
     if not names and comments and len(last := _split(comments[-1:], delimiter)[0]) == len(rows[-1][1]):
         names = last
-    width = len(names) or max((len(row) for _, row in rows), key=[len(row) for _, row in rows].count)
+    width = len(names) or statistics.mode(len(row) for _, row in rows)
     names = _unique(names or [f"c{k}" for k in range(1, width + 1)])
     if not rows:
         raise LogError(f"{path} has a header and no rows")
@@ -90,7 +91,7 @@ def _delimiter(lines: Sequence[str]) -> str:
 
     def score(delimiter: str) -> tuple[float, int]:
         rows = _split(lines, delimiter)
-        width = max((len(row) for row in rows), key=[len(row) for row in rows].count)
+        width = statistics.mode(map(len, rows))
         cells = [cell for row in rows if len(row) == width for cell in row]
         numbers = sum(1 for cell in cells if _is_number(cell, delimiter != ",") or not cell or _DATE.fullmatch(cell))
         return numbers / sum(map(len, rows)), width
@@ -107,7 +108,7 @@ def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
 def _below_titles(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
     """The rows from the header on, where lines of another length stand above it."""
     widths = [len(row) for _, row in rows]
-    first = widths.index(max(widths, key=widths.count))
+    first = widths.index(statistics.mode(widths))
     return rows if any(_is_number(cell, True) for cell in rows[first][1]) else rows[first:]
 
 
