@@ -189,16 +189,20 @@ def each_log(diagnosis: Diagnosis) -> list[tuple[bool, tuple[str, ...]]]:
 
 def perhaps(diagnosis: Diagnosis) -> str:
     """'; *: or Stribeck friction' of the marks in the table of standard terms; nothing where there are none."""
-    found = (x.get("perhaps", ()) for terms in standard_rows(diagnosis)[0].values() for x in terms.values())
-    names = dict.fromkeys(name for own in found for name in own)
+    names = _named_in_table(diagnosis, "perhaps")
     return f"; *: or {' or '.join(map(words, names))}" if names else ""
 
 
 def included(diagnosis: Diagnosis) -> str:
-    """A sentence: which effects are in the table of standard terms with what they have of a term; "" for none."""
-    found = (x.get("with", ()) for terms in standard_rows(diagnosis)[0].values() for x in terms.values())
-    names = dict.fromkeys(name for own in found for name in own)
+    """A sentence: which effects' Coulomb friction the table of standard terms counts, too; "" for none."""
+    names = _named_in_table(diagnosis, "with")
     return f" Coulomb friction includes that of {' and '.join(map(words, names))} on the same joint." if names else ""
+
+
+def _named_in_table(diagnosis: Diagnosis, key: str) -> list[str]:
+    """The effects that stand under a key in the table of standard terms, each once."""
+    found = (x.get(key, ()) for terms in standard_rows(diagnosis)[0].values() for x in terms.values())
+    return list(dict.fromkeys(name for own in found for name in own))
 
 
 EACH_LOG = ("joint", "term", "in the reference", "now", "change")

@@ -27,7 +27,7 @@ FEW = 2
 """Largest number of named standard terms that are listed one by one."""
 
 LITTLE = 0.9
-"""Share of the error of all joints above which the joint is named whose own error falls most."""
+"""If more than this share of the error of all joints is left, and less on one joint, the summary tells that joint's."""
 
 TEST_WORDS = {
     "level": "constant offset",
@@ -118,19 +118,16 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
             changed.append(f"In this log only, and only for a time, there is {_listed(_grouped(new, titles))}.")
         first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
     first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {unit} over {over}"
-    was, now, joint = min(((a["rmse"], tables[1][j]["rmse"], j) for j, a in tables[0].items()), key=_share)
-    hidden = after > LITTLE * before and now < LITTLE * was
-    first += f", on {joint} from {was:.3g} to {now:.3g} {units[joint]}." if hidden else "."
+    ratios = {j: tables[1][j]["rmse"] / x["rmse"] for j, x in tables[0].items() if x["rmse"] > 0}
+    best = min(ratios, key=lambda j: ratios[j], default="")
+    if after > LITTLE * before and best and ratios[best] < LITTLE:
+        was, now = (x[best]["rmse"] for x in tables)
+        first += f", on {best} from {was:.3g} to {now:.3g} {units[best]}"
+    first += "."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
     doubt = " An effect that is not in the catalogue may be the true cause of one of them."
     return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
-
-
-def _share(errors: tuple[float, float, str]) -> float:
-    """What is left of a joint's error, which `errors` begin with, before and after."""
-    was, now, _ = errors
-    return now / was if was > 0 else 1.0
 
 
 def units_of(diagnosis: Diagnosis) -> dict[str, str]:
