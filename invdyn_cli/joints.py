@@ -12,6 +12,18 @@ NO_PLACE = "is left out: the files for simulators cannot contain it"
 NO_TIME = "is left out: the files for simulators do not change with time"
 
 
+class JointUnits(NamedTuple):
+    """What a joint's position and torque are measured in; `position`/s is that of its velocity."""
+
+    position: str
+    torque: str
+
+
+def units(slides: bool) -> JointUnits:
+    """rad and N m, m and N for a joint that slides."""
+    return JointUnits("m", "N") if slides else JointUnits("rad", "N m")
+
+
 class JointState(NamedTuple):
     """One joint over time, (T,) each or one sample: t [s], q, qd, qdd, sign(qd) without jumps at rest, and the rigid
     body's torque [N m; N] that the joint transmits; `before`, of what remembers: q (P,) until then, where it is

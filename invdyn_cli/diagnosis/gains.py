@@ -17,6 +17,7 @@ from invdyn_cli.diagnosis import standard, wear
 from invdyn_cli.diagnosis.columns.evidence import started
 from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.diagnosis.since import LOGS
+from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.channels import in_newton_metres
@@ -105,8 +106,8 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
         most = np.maximum(factor + error, 1e-9)
         value = np.where(known, value / np.where(known, factor, 1.0), np.maximum(value / most, 1.0))
         relative = np.where(known, np.hypot(error / np.where(known, factor, 1.0), wear.WORN), 1.0)
-    units = tuple("N/A" if slides else "N m/A" for slides in robot.prismatic)
-    return Gains(robot.joints, units, value, value * relative)
+    per_ampere = tuple(f"{units(slides).torque}/A" for slides in robot.prismatic)
+    return Gains(robot.joints, per_ampere, value, value * relative)
 
 
 def beside(diagnosis: Diagnosis, gains: Gains) -> Diagnosis:

@@ -116,6 +116,7 @@ def searched(
     search beside the standard model came to on the same log is where it starts: the arm is worn then."""
     progress(0.5, "search")
     plain = Question(case.effects, case.most, case.allowed, case.compares, case.log.torque_side, case.split)
+    plain = replace(plain, told=lambda number: progress(0.5, f"search, effects so far: {number}"))
 
     def asked(evidence: Evidence, links: Hypothesis, start: Hypothesis = ()) -> Inquiry:
         return inquire(evidence, replace(plain, wear=links), start)
@@ -134,7 +135,6 @@ def searched(
         return inquiry, replace(columns, evidence=inquiry.evidence)  # which knows that channels changed since
     fitted = wear.of(columns, inquiry)
     if fitted is not None:
-        progress(0.65, "search with link errors")
         again = asked(*wear.beside(columns, fitted, inquiry.noise.weights, inquiry.chosen.acting))
         worn = wear.is_worn(again, inquiry.hypothesis)
         if worn and np.any(again.noise.plainly_below(inquiry.noise)):

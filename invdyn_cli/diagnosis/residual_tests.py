@@ -15,6 +15,7 @@ from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.joints import units
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.statistics import autocorrelation_time, coherence
 from invdyn_cli.types import ResidualTest
@@ -144,8 +145,8 @@ def _bases(evidence: Evidence, motion: Mapping[str, np.ndarray], j: int, used: n
     """The columns of all tests of a joint."""
     q, qd, qdd, load = (*(motion[name][:, j] for name in ("q", "qd", "qdd")), evidence.nominal[:, j])
     sliding = evidence.robot.prismatic[j]
-    angle, torque = ("position", "N") if sliding else ("angle", "N m")
-    unit = "m" if sliding else "rad"
+    angle = "position" if sliding else "angle"
+    unit, torque = units(sliding)
     slope, parts = np.zeros_like(load), evidence.piece
     for number in range(len(evidence.recording.pieces)):
         own = np.flatnonzero(parts == number)
@@ -202,7 +203,7 @@ def _neighbours(evidence: Evidence, motion: Mapping[str, np.ndarray], j: int, us
     if not near:
         return Basis(np.zeros((len(used), 0)), np.zeros(len(used)), "")
     q, qd, qdd = (motion[name][:, near] for name in ("q", "qd", "qdd"))
-    unit = "m" if evidence.robot.prismatic[near[0]] else "rad"
+    unit = units(evidence.robot.prismatic[near[0]]).position
     said = f"velocity of {evidence.robot.joints[near[0]]} [{unit}/s]"
     return Basis(np.hstack([q, qd, np.sign(qd), qdd]), motion["qd"][:, near[0]], said)
 

@@ -12,6 +12,7 @@ from invdyn_cli.effects.composition import EffectInstance, sign_of
 from invdyn_cli.effects.friction import about_reversals
 from invdyn_cli.errors import listed
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState
+from invdyn_cli.joints import units
 from invdyn_cli.maths.statistics import autocorrelation_time
 from invdyn_cli.types import Array, Robot
 
@@ -109,8 +110,8 @@ def note_of(robot: Robot, speeds: Sequence[float]) -> tuple[str, ...]:
     """What is to be said of the joints whose friction does not jump."""
     if not any(speeds):
         return ()
-    units = ["m/s" if prismatic else "rad/s" for prismatic in robot.prismatic]
-    told = [f"{j} ({v:.2g} {u})" for j, v, u in zip(robot.joints, speeds, units, strict=True) if v > 0]
+    every = zip(robot.joints, speeds, robot.prismatic, strict=True)
+    told = [f"{joint} ({v:.2g} {units(slides).position}/s)" for joint, v, slides in every if v > 0]
     return (
         f"The friction of these joints changes sign gradually, as tanh(qd / v), with v in brackets: {listed(told)}. "
         "They creep at reversals, as on bristles, or the log comes from a simulation that smooths friction.",

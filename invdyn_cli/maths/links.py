@@ -7,6 +7,7 @@ consistent.
 import numpy as np
 import scipy
 
+from invdyn_cli.joints import units
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.regression import Solution
 from invdyn_cli.types import Array, Robot
@@ -70,7 +71,7 @@ def sentence(cost: float, chance: float, change: np.ndarray, robot: Robot) -> st
     """A sentence: the best-fit links are not physically consistent, with the RMS torque (n,) by which the nearest
     consistent ones differ."""
     worst = int(np.argmax(change))
-    torque = f"{change[worst]:.2g} {'N' if robot.prismatic[worst] else 'N m'}"
+    torque = f"{change[worst]:.2g} {units(robot.prismatic[worst]).torque}"
     return (
         f"The best-fit links are not physically consistent. With the nearest consistent ones, squared errors grow by "
         f"{cost:.3g} noise variances (by chance {chance:.3g} at most), and the torque of {robot.joints[worst]} changes "

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from invdyn_cli.design.trajectory import Design
+from invdyn_cli.joints import units
 from invdyn_cli.report.canvas import BLUE, GREY, LINE_POINTS, VERMILLION, WIDTH, house_style, plain, save
 
 ROW = 1.1
@@ -30,7 +31,7 @@ def picture(design: Design) -> Figure:
     axes = figure.subplots(robot.dofs, 2, sharex=True, squeeze=False)
     rows = np.linspace(0, len(design.t) - 1, min(len(design.t), LINE_POINTS)).astype(int)
     for i, name in enumerate(robot.joints):
-        unit = "m" if robot.prismatic[i] else "rad"
+        unit = units(robot.prismatic[i]).position
         panels = (
             (axes[i, 0], np.asarray(design.motion.q)[:, i], (robot.lower, robot.upper), f"{name} [{unit}]"),
             (axes[i, 1], np.asarray(design.motion.qd)[:, i], (-np.asarray(robot.velocity_limit), robot.velocity_limit),

@@ -15,6 +15,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from invdyn_cli import joints
 from invdyn_cli.maths import loads
 from invdyn_cli.types import Robot, RunRecord
 
@@ -45,7 +46,7 @@ def units(record: RunRecord) -> tuple[str, ...]:
     """Unit of every joint's torque: N for a joint known to slide, else N m."""
     robot = robot_of(record)
     slides = dict(zip(robot.joints, robot.prismatic, strict=True)) if robot else {}
-    return tuple("N" if slides.get(joint) else "N m" for joint in record.fit.joints)
+    return tuple(joints.units(slides.get(joint, False)).torque for joint in record.fit.joints)
 
 
 def units_said(record: RunRecord) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from invdyn_cli.joints import units
 from invdyn_cli.simulation import gear
 from invdyn_cli.simulation.arm import build, set_joints
 from invdyn_cli.simulation.control import Control, commissioned
@@ -117,7 +118,7 @@ class ClosedLoop:
             return ""
         t, off = self.sample / self.rate, abs(float(error[worst]))
         when = f"at {t:.2f} s" if t >= 0 else "before the log begins"
-        unit = "m" if self.robot.prismatic[worst] else "rad"
+        unit = units(self.robot.prismatic[worst]).position
         digits = next((k for k in range(3, 17) if f"{off:.{k}g}" != f"{largest:.{k}g}"), 17)
         return (
             f"the simulated arm is out of control {when}, {self.robot.joints[worst]} is {off:.{digits}g} {unit} from "

@@ -7,6 +7,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.samples import NO_MOTION, gather
 from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.signals import lattice
@@ -49,7 +50,7 @@ class Quantisation(AbstractCheck):
             qdd = [x.qdd[:, joint] for x in moving if x.trajectory == raw.name]
             if step > 0 and moves and qdd:
                 noise = step / np.sqrt(12) * (2 * np.pi) ** 2 * np.sqrt(cutoff**5 / 5 / (rate / 2))
-                unit = "m/s^2" if robot is not None and robot.prismatic[joint] else "rad/s^2"
+                unit = units(robot is not None and robot.prismatic[joint]).position + "/s^2"
                 share = noise / max(float(rms(np.concatenate(qdd))), 1e-12)
                 found.append(
                     Check(

@@ -13,6 +13,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.samples import SIZE, Samples, gather, regressor_rows
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.interfaces import AbstractEffect
+from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
 from invdyn_cli.recording.stretches import Stretch, stretches
@@ -112,7 +113,7 @@ class Excitation:
     ) -> Iterator[tuple[str, str]]:
         """(need, reason) for each need that this joint's motion does not meet; for a joint at rest only the need of
         motion."""
-        unit, torque = ("m", "N") if slides else ("rad", "N m")
+        unit, torque = units(slides)
         way = f"it moves by {numbers['peak_to_peak']:.2g} {unit}"
         if not moves:
             yield "motion", f"{way} only"

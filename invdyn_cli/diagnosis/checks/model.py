@@ -8,6 +8,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.samples import EXCITED, Samples, gather, regressor_rows
 from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.interfaces import AbstractCheck
+from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.recording.rows import usable_rows
 from invdyn_cli.types import Check, Robot
@@ -115,7 +116,7 @@ class ModelMismatch(AbstractCheck):
                     joint=log.joints[joint],
                     value=float(past[joint]),
                     threshold=self.beyond,
-                    seen=f"q goes {past[joint]:.3g} {'m' if robot.prismatic[joint] else 'rad'} past the URDF's limits",
+                    seen=f"q goes {past[joint]:.3g} {units(robot.prismatic[joint]).position} past the URDF's limits",
                     meaning="another zero, another sign of the axis, or another robot",
                     advice="the joint's zero and direction in the URDF",
                     source="own choice: more than a homing error",

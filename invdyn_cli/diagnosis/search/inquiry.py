@@ -1,6 +1,6 @@
 """What a search is asked, and what it comes to: a hypothesis, its exact parameters, and all that it is judged with."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,7 @@ class Question:
         wear: links that are some percent off. They are then part of every hypothesis, and so are friction, offset and
             rotor of every joint; none of these is looked for.
         heard: noise that another hypothesis leaves: a model of all columns may leave far more on a short log.
+        told: is called with the number of effects of every hypothesis that is refined.
     """
 
     effects: Mapping[str, AbstractEffect]
@@ -38,6 +39,7 @@ class Question:
     parted: bool = True
     wear: Hypothesis = ()
     heard: Noise | None = None
+    told: Callable[[int], None] = lambda number: None
 
 
 @dataclass(frozen=True)

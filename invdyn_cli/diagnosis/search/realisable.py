@@ -17,6 +17,7 @@ from invdyn_cli.diagnosis.search.composed import Model, Refined
 from invdyn_cli.diagnosis.search.coordinates import precision_of
 from invdyn_cli.diagnosis.search.exact import moved
 from invdyn_cli.diagnosis.search.judge import RELEVANT
+from invdyn_cli.joints import units
 from invdyn_cli.maths import pseudo_inertia
 from invdyn_cli.maths.pseudo_inertia import consistent
 
@@ -213,7 +214,7 @@ def _sentence(
     rows = np.maximum(evidence.valid.sum(0), 1)
     free, bound = (np.sum((x.residual * evidence.valid) ** 2, axis=0) / rows for x in (before, after))
     worst = int(np.argmax(bound - free))
-    unit = "N" if evidence.robot.prismatic[worst] else "N m"
+    unit = units(evidence.robot.prismatic[worst]).torque
     why = ""
     for body in bodies:
         mass, error = _row(before, body)[0], float(np.linalg.norm(before.unknown[:, body.places[0]]))

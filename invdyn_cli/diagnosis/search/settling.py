@@ -1,6 +1,6 @@
 """Search and exact refinement in turn, until the set of causes stays the same."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, permutations
 
@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.search.edges import together
 from invdyn_cli.diagnosis.search.exact import refine
 from invdyn_cli.diagnosis.search.feigned import feigned
 from invdyn_cli.diagnosis.search.further import acting_of, geared, others_of, related, sharpened
-from invdyn_cli.diagnosis.search.inquiry import Inquiry, beside
+from invdyn_cli.diagnosis.search.inquiry import Inquiry, Question, beside
 from invdyn_cli.diagnosis.search.judge import Hypothesis, HypothesisScorer
 from invdyn_cli.diagnosis.search.likely import unlikely
 from invdyn_cli.diagnosis.search.noise import Noise
@@ -23,7 +23,6 @@ from invdyn_cli.diagnosis.search.placed import placed
 from invdyn_cli.diagnosis.search.realisable import beyond
 from invdyn_cli.diagnosis.search.steps import free_beside, search
 from invdyn_cli.effects.composition import TimeWindow
-from invdyn_cli.interfaces import AbstractEffect
 
 ROUNDS = 3
 """Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
@@ -46,12 +45,11 @@ class Search:
     model. `pool` are the trials, which become more with what is found, and fewer by what cannot be (`barred`)."""
 
     evidence: Evidence
-    effects: Mapping[str, AbstractEffect]
+    question: Question
     choosing: np.ndarray
     noise: Noise
     always: Hypothesis
     usual: Hypothesis
-    most: int
     judge: HypothesisScorer
     model: Model
     pool: list[Candidate]
@@ -67,6 +65,7 @@ class Search:
             self._add(sharpened(self.judge, self.always, hypothesis, self.pool))
             hypothesis = placed(self.judge, self.always, hypothesis)
             seen.append({c.key for c in hypothesis})
+            self.question.told(len(hypothesis))
             refined = self._refined(hypothesis)
             odd = unlikely(self.evidence, self.model, self.noise, refined) | self._feigned(hypothesis)
             kin = [c for a in refined.acting if a.key not in widened for c in related(self.evidence, a)]
@@ -78,7 +77,7 @@ class Search:
                 continue
             trials = tuple(trial_at(self.evidence, a, others_of(refined.acting, a)) for a in refined.acting)
             self._add([*trials, *geared(self.evidence, refined.acting, loads)])
-            hypothesis = self._simplified(search(self.judge, self.pool, self.always, trials, self.most))
+            hypothesis = self._simplified(search(self.judge, self.pool, self.always, trials, self.question.most))
             before, loss = loss, self.judge.loss((*self.always, *hypothesis))
             if {c.key for c in hypothesis} in seen or (number >= ROUNDS and loss > WORTH * before):
                 break
@@ -106,7 +105,7 @@ class Search:
                 hypothesis = self.settled(hypothesis, rounds)
                 continue
             weights, around = self.noise.weights, self._around(hypothesis)
-            fixed = (self.judge, model, self.effects, around)
+            fixed = (self.judge, model, self.question.effects, around)
             hypothesis, chosen, close = distinguish(*fixed, hypothesis, chosen, self.barred)
             joined = self._joined(hypothesis, chosen)
             if joined is not None:
@@ -195,7 +194,7 @@ class Search:
         """The search again without what cannot be."""
         self._bar(odd)
         kept = tuple(c for c in hypothesis if c.key not in odd)
-        return search(self.judge, self.pool, self.always, kept, self.most)
+        return search(self.judge, self.pool, self.always, kept, self.question.most)
 
     def _bar(self, odd: Collection[tuple]) -> None:
         self.barred |= set(odd)
