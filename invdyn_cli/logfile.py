@@ -79,7 +79,7 @@ def write_log(log: Log, path: str | Path) -> None:
     names = [one.name for one in log.trajectories]
     for name in names:
         if not name or "/" in name or name in (".", "..") or names.count(name) > 1:
-            raise LogError(f"cannot write {path}: trajectory {name!r}; allowed: different names without /")
+            raise LogError(f"cannot write {path}: name {name!r} of a trajectory; allowed: unique names without /")
     groups = {
         one.name: Group(
             {"payload_mass": one.payload_mass, "notes": one.notes},

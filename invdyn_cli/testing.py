@@ -311,8 +311,8 @@ def _round_trip(who: str, model: AbstractModel, fit: Fit, samples: Motion, said:
     try:
         again = registry.decode(registry.encode(model), AbstractModel, [type(model).__module__])
     except InvdynError as error:
-        raise AssertionError(f"{who} cannot be stored and built again: {error}") from error
-    _claim(again == model, f"{who} is not the same once stored and built again from its fields")
+        raise AssertionError(f"{who} cannot be saved and loaded again: {error}") from error
+    _claim(again == model, f"{who} is not the same after saving and loading its fields")
     record = RunRecord({"seed": 0}, model, Batch(), fit, {}, {}, {}, {}, {}, {}, "")
     with tempfile.TemporaryDirectory() as folder:
         store.write_run(record, Path(folder) / "run.h5")

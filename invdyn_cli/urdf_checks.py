@@ -75,7 +75,7 @@ def _refuse_tree(links: Sequence[str], joints: Sequence[ET.Element], path: str |
             ends[end] = "" if tag is None else tag.get("link", "")
             if ends[end] not in known:
                 got = f"joint {joint.get('name')!r} of {path} has the {end} {shortened(ends[end])!r}"
-                raise RobotError(f"{got}; allowed: a link of the file")
+                raise RobotError(f"{got}; allowed: a link of the URDF")
         if ends["child"] in parent_of:
             raise RobotError(f"link {ends['child']!r} of {path} has several parent joints; allowed: one")
         parent_of[ends["child"]] = ends["parent"]

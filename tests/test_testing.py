@@ -78,7 +78,7 @@ BROKEN = {
     "the mean over its 2 members": {
         "members": lambda self, f: (f, replace(f, params=jax.tree.map(lambda x: x + 1, f.params)))
     },
-    "cannot be stored and built again: the trusted module .* has no dataclass": {},
+    "cannot be saved and loaded again: the trusted module .* has no dataclass": {},
 }  # fmt: skip
 
 

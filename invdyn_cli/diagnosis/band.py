@@ -9,7 +9,7 @@ import scipy
 from invdyn_cli.diagnosis.standard import Columns
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.signals import butterworth
-from invdyn_cli.recording.pieces import needed
+from invdyn_cli.recording.filter import needed
 
 DENSER = 3.0
 """How many times as dense as in a narrower band noise may be in the whole one: so much less is the evidence there for

@@ -106,7 +106,7 @@ def lowpass_each(parts: Sequence[np.ndarray], rate: float, cutoff: float, order:
 def _long_enough(x: np.ndarray, rate: float, cutoff: float, order: int) -> None:
     padding = settling(rate, cutoff, order)
     if x.shape[-1] <= padding:
-        raise ValueError(f"{x.shape[-1]} samples; a low-pass at {cutoff:g} Hz needs more than {padding} at {rate:g} Hz")
+        raise ValueError(f"{x.shape[-1]} samples at {rate:g} Hz; a low-pass at {cutoff:g} Hz needs more than {padding}")
 
 
 def _forth_and_back(parts: Sequence[np.ndarray], rate: float, cutoff: float, order: int) -> list[np.ndarray]:

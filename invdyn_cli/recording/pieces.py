@@ -4,7 +4,7 @@ Pieces are cut by their role (training, held-out, reference) before anything is 
 role to another.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,7 +14,9 @@ import scipy
 from invdyn_cli.effects.composition import Span
 from invdyn_cli.errors import LogError
 from invdyn_cli.log import Log, RawTrajectory, Window
-from invdyn_cli.maths.signals import lattice, lowpass, lowpass_each, resample, settling
+from invdyn_cli.maths.signals import lattice, lowpass, resample
+from invdyn_cli.recording import noise
+from invdyn_cli.recording.filter import Filter, needed
 from invdyn_cli.recording.rows import without_gaps
 from invdyn_cli.recording.selection import divided
 from invdyn_cli.recording.thinning import thinned
@@ -22,19 +24,8 @@ from invdyn_cli.types import Motion
 
 ROLES = ("train", "test", "reference")
 
-SMALL, NEGLIGIBLE = 0.3, 0.0001
-"""Share of the torque's noise, and of a joint's RMS torque, that the noise of the positions may cost."""
-
-CLEAR, SPEED_OVER = 0.1, 0.05
-"""Share that the noise of a joint's speed may have of its usual speed while it moves, the 90 % quantile of means over
-SPEED_OVER [s]: a joint rests below four times that noise (`columns.evidence`), and one of 14 bits that moves at 0.05
-rad/s would rest all of the time."""
-
 LONGER = 1.05
 """A part of a trajectory is longer than the filters need by this factor: it has some samples fewer than its time."""
-
-ANSWER = 5
-"""Number of samples of positions to which a controller's torque is assumed to react immediately."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +37,10 @@ class Preparation:
             filtered, so that a reversal is placed within 2 ms.
         cutoffs: [Hz] candidates for the cut-off of a joint's low-pass filter; the highest one is chosen at which the
             noise of the twice differentiated positions is small compared with that of the torque. `SMALL` and
-            `NEGLIGIBLE` say how small.
+            `NEGLIGIBLE` (`noise.py`) say how small.
         smoothing: [-] bandwidth of a joint's positions, speeds and accelerations, as a multiple of that cut-off.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms. A joint whose
-            speed the noise of its positions would hide (CLEAR) has less, `smoothing` times its cut-off at least.
+            speed the noise of its positions would hide (`noise.CLEAR`) has less: `smoothing` times its cut-off, or more.
         max_gap: [s] a longer step splits a trajectory.
         train_share: [-] first share of each trajectory's time for training; the rest is held out. A trajectory in
             which this leaves a joint without motion to learn from is first divided into parts (`selection.divided`).
@@ -98,63 +89,6 @@ class Piece:
     def motion(self) -> Motion:
         """q, qd and qdd, (n, T) each."""
         return Motion(self.q, self.qd, self.qdd)
-
-
-@dataclass(frozen=True)
-class Filter:
-    """The zero-phase low-passes, one for each joint, that its torque and all its columns pass alike; then every
-    `keep`-th sample, the ends cut off.
-
-    Attributes:
-        rate: [Hz] of the working clock.
-        cutoffs: (n,) [Hz].
-        keep: samples of which one is kept.
-        widest: (n,) [Hz] what the noise of the positions alone would allow: `cutoffs` or more.
-    """
-
-    rate: float
-    cutoffs: tuple[float, ...]
-    keep: int
-    widest: tuple[float, ...]
-
-    @property
-    def inset(self) -> int:
-        """Samples that are cut off at either end."""
-        return settling(self.rate, min(self.cutoffs))
-
-    def rows(self, samples: int) -> np.ndarray:
-        """Which samples are kept."""
-        return np.arange(self.inset, max(self.inset, samples - self.inset), self.keep)
-
-    def independent(self, joint: int) -> float:
-        """Samples of filtered white noise that a row counts for, one at most: twice the bandwidth for a second."""
-        return min(1.0, 2 * self.cutoffs[joint] * self.keep / self.rate)
-
-    def of(self, joint: int, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """A joint's columns (..., T) in every piece -> (..., rows)."""
-        return [x[..., self.rows(x.shape[-1])] for x in self.slowed(joint, parts)]
-
-    def slowed(self, joint: int, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """The same on all samples: (..., T)."""
-        return lowpass_each([np.asarray(x) for x in parts], self.rate, self.cutoffs[joint])
-
-    def __call__(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Columns of all joints (..., n, T) in every piece -> (..., n, rows)."""
-        cutoffs = np.array(self.cutoffs)
-        out = [np.empty((*x.shape[:-1], len(self.rows(x.shape[-1])))) for x in parts]
-        for cutoff in set(self.cutoffs):
-            joints = np.flatnonzero(cutoffs == cutoff)
-            for made, x in zip(out, self.of(int(joints[0]), [x[..., joints, :] for x in parts]), strict=True):
-                made[..., joints, :] = x
-        return out
-
-    def spread(self, mask: np.ndarray) -> np.ndarray:
-        """Rows (n, rows) that any True of a mask (n, T) reaches through the filters."""
-        out = []
-        for row, cutoff in zip(mask, self.cutoffs, strict=True):
-            reach = max(1, round(0.5 * self.rate / cutoff))
-            out.append(scipy.signal.convolve(row.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5)
-        return np.array(out)[:, self.rows(mask.shape[-1])]
 
 
 @dataclass(frozen=True)
@@ -209,11 +143,6 @@ class Recording:
         return Span(piece.trajectory, piece.t, self.filter.rate)
 
 
-def needed(rate: float, cutoff: float) -> int:
-    """Number of samples. Only pieces with more than that are used, where a low-pass has this cut-off [Hz]."""
-    return 3 * settling(rate, cutoff) + 8
-
-
 def prepare(
     log: Log,
     inertia: np.ndarray,
@@ -233,6 +162,56 @@ def prepare(
     Raises:
         LogError: if no piece is long enough.
     """
+    cut, period, notes = _cut(log, windows, options)
+    positions, torques = [q for *_, q, _ in cut], [tau for *_, tau in cut]
+    farthest = [max((raw.q[:, j] for raw in log.trajectories), key=np.ptp) for j in range(len(log.joints))]
+    position_noise = np.maximum(  # a joint that rests shows less noise than a step of its encoder makes
+        noise.of_positions(positions), np.array([lattice(q) for q in farthest]) / np.sqrt(12)
+    )
+    moving_noise = np.maximum(position_noise, noise.of_positions_in_motion(positions))
+    torque_noise = noise.of_torques(positions, torques)
+    step = max(1, round(1 / (period * options.rate)))
+    rate = 1 / (period * step)
+    strongest = np.sqrt(np.mean(np.concatenate(torques, axis=1) ** 2, axis=1))
+    cutoffs = [
+        noise.cutoff(*numbers, period, rate, options.cutoffs)
+        for numbers in zip(moving_noise, torque_noise, strongest, inertia, strict=True)
+    ]
+    widest = tuple(cutoffs)
+    if highest is not None:
+        cutoffs = np.minimum(cutoffs, highest).tolist()
+    common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))), widest)
+    least = options.smoothing * np.array(cutoffs)
+    smooth = noise.bandwidths(positions, position_noise, period, least, options.sharpness)
+    fewest = needed(rate, min(cutoffs))
+    length = fewest / rate
+    pieces = [_piece(x, position_noise, period, step, smooth) for x in cut if len(x[2]) // step > fewest]
+    if windows is None and not any(piece.role == "test" for piece in pieces):
+        if len(log.trajectories) > 1:
+            return prepare(log, inertia, _by_trajectory(log, options), options, highest)
+        shortest = LONGER * length / (1 - options.train_share)
+        if options.shortest < shortest < max(np.ptp(raw.t) for raw in log.trajectories):
+            return prepare(log, inertia, None, replace(options, shortest=shortest), highest)
+    if not any(piece.role == "train" for piece in pieces):
+        raise LogError(f"no uninterrupted stretch of the log is long enough; {length:.2g} s are needed")
+    if len(pieces) < len(cut):
+        notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
+    details = {
+        "working_rate_Hz": rate,
+        "filter_cutoff_Hz": dict(zip(log.joints, cutoffs, strict=True)),
+        "filter_order": 4,
+        "motion_cutoff_Hz": dict(zip(log.joints, smooth.tolist(), strict=True)),
+    }
+    jumps = (0.0,) * len(log.joints)
+    noises = position_noise, torque_noise
+    return Recording(log.joints, tuple(pieces), common, period, *noises, jumps, tuple(notes), details)
+
+
+def _cut(
+    log: Log, windows: Mapping[str, Sequence[Window]] | None, options: Preparation
+) -> tuple[list[tuple], float, list[str]]:
+    """Stretches (trajectory, role, t (T,), q and tau (n, T)) on a uniform clock, its period [s], and what is to be said
+    of them."""
     notes: list[str] = []
     cut = [
         (raw.name, role, *part)
@@ -251,69 +230,10 @@ def prepare(
             f"The log is {total:.0f} s long. Only stretches of some {length:g} s, spread evenly, are used: "
             f"{options.longest:g} s in total (diagnosis.conditioning.longest)."
         )
-    cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > 4 * ANSWER]
+    cut = [(name, role, *_uniform(t, q, tau, period)) for name, role, t, q, tau in cut if len(t) > noise.FEWEST]
     if not cut:
-        raise LogError(f"no stretch of the log has more than {4 * ANSWER} samples without a gap")
-    farthest = [max((raw.q[:, j] for raw in log.trajectories), key=np.ptp) for j in range(len(log.joints))]
-    position_noise = np.maximum(  # a joint that rests shows less noise than a step of its encoder makes
-        _noise([np.diff(q, 4, axis=1) for _, _, _, q, _ in cut]), np.array([lattice(q) for q in farthest]) / np.sqrt(12)
-    )
-    in_motion = np.maximum(position_noise, _moving_noise([q for _, _, _, q, _ in cut]))
-    torque_noise = _noise([_unanswered(q, tau) for _, _, _, q, tau in cut])
-    step = max(1, round(1 / (period * options.rate)))
-    rate = 1 / (period * step)
-    strongest = np.sqrt(np.mean(np.concatenate([tau for *_, tau in cut], axis=1) ** 2, axis=1))
-    cutoffs = [
-        _cutoff(*numbers, period, rate, options)
-        for numbers in zip(in_motion, torque_noise, strongest, inertia, strict=True)
-    ]
-    widest = tuple(cutoffs)
-    if highest is not None:
-        cutoffs = np.minimum(cutoffs, highest).tolist()
-    common = Filter(rate, tuple(cutoffs), max(1, int(rate / (2.5 * max(cutoffs)))), widest)
-    smooth = _bandwidths(cut, position_noise, np.array(cutoffs), period, options)
-    pieces = []
-    for name, role, t, q, tau in cut:
-        if len(t) // step > needed(rate, min(cutoffs)):
-            pieces.append(_piece(name, role, t, q, tau, position_noise, step, period, smooth))
-    length = needed(rate, min(cutoffs)) / rate
-    if windows is None and not any(piece.role == "test" for piece in pieces):
-        if len(log.trajectories) > 1:
-            return prepare(log, inertia, _by_trajectory(log, options), options, highest)
-        shortest = LONGER * length / (1 - options.train_share)
-        if options.shortest < shortest < max(np.ptp(raw.t) for raw in log.trajectories):
-            return prepare(log, inertia, None, replace(options, shortest=shortest), highest)
-    if not any(piece.role == "train" for piece in pieces):
-        raise LogError(f"no uninterrupted stretch of the log is long enough; {length:.2g} s are needed")
-    if len(pieces) < len(cut):
-        notes.append(f"{len(cut) - len(pieces)} stretches of the log are too short and were left out.")
-    details = {
-        "working_rate_Hz": rate,
-        "filter_cutoff_Hz": dict(zip(log.joints, cutoffs, strict=True)),
-        "filter_order": 4,
-        "motion_cutoff_Hz": dict(zip(log.joints, smooth.tolist(), strict=True)),
-    }
-    jumps = (0.0,) * len(log.joints)
-    noise = position_noise, torque_noise
-    return Recording(log.joints, tuple(pieces), common, period, *noise, jumps, tuple(notes), details)
-
-
-def _bandwidths(cut: list, noise: np.ndarray, cutoffs: np.ndarray, period: float, options: Preparation) -> np.ndarray:
-    """(n,) [Hz] of each joint's motion signals, as `Preparation` describes: where the noise of the positions would hide
-    a joint's speed, as little as keeps it clear."""
-    least, over = options.smoothing * cutoffs, max(1, round(SPEED_OVER / period))
-    ways = np.concatenate([np.abs(q[:, over:] - q[:, :-over]) for *_, q, _ in cut], axis=1)
-    seen = [way[way > 4 * np.sqrt(2) * x] for way, x in zip(ways, noise, strict=True)]  # a joint may seldom move
-    usual = [np.quantile(x if len(x) else way, 0.9) for x, way in zip(seen, ways, strict=True)]
-    clear = CLEAR * np.array(usual) / (over * period)
-    highest = (clear / np.maximum(_speed_noise(noise, 1.0, period), 1e-300)) ** (2 / 3)
-    return np.clip(highest, least, np.maximum(least, options.sharpness))
-
-
-def _speed_noise(noise: np.ndarray, bandwidth: np.ndarray | float, period: float) -> np.ndarray:
-    """[rad/s; m/s] Standard deviation of a joint's speed, after a low-pass at this bandwidth [Hz], where its positions
-    have white noise and are sampled with this period [s]."""
-    return noise * 2 * np.pi * bandwidth**1.5 * np.sqrt(2 * period / 3)
+        raise LogError(f"no stretch of the log has more than {noise.FEWEST} samples without a gap")
+    return cut, period, notes
 
 
 def _by_trajectory(log: Log, options: Preparation) -> dict[str, list[Window]]:
@@ -334,63 +254,32 @@ def _roles(
     return sorted(asked, key=lambda stretch: stretch[1])
 
 
-def _uninterrupted(raw: RawTrajectory, start: float, end: float, max_gap: float):
+def _uninterrupted(
+    raw: RawTrajectory, start: float, end: float, max_gap: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """t (T,) [s] from the start of the trajectory, q and tau (n, T) of all stretches without a gap between two times of
+    the log's clock [s]."""
     for piece in without_gaps(raw.t, np.flatnonzero((raw.t >= start) & (raw.t < end)), max_gap):
         yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
 
 
-def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float):
-    """Resampled to a uniform clock with the log's own period; cubic for positions, because they are differentiated."""
+def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """t (T,), q and tau (n, T) resampled to a uniform clock with this period [s]; cubic for positions, because they are
+    differentiated."""
     ticks, q = resample(t, np.asarray(q, float).T, 1 / period, degree=3, tolerance=1e-3)
     return ticks, q.T, resample(t, np.asarray(tau, float).T, 1 / period, tolerance=1e-3)[1].T
 
 
-def _noise(fourth: list[np.ndarray]) -> np.ndarray:
-    """Standard deviation (n,) of white noise on smooth signals from their fourth differences (n, T): the lower quartile
-    over stretches, so that jumps do not count."""
-    together = np.concatenate(fourth, axis=1)
-    parts = np.array_split(together, min(20, together.shape[1]), axis=1)
-    return np.quantile([np.sqrt(np.mean(part**2, axis=1)) for part in parts], 0.25, axis=0) / np.sqrt(70)
-
-
-def _moving_noise(positions: list[np.ndarray]) -> np.ndarray:
-    """Standard deviation (n,) of white noise on the positions (n, T) of each joint where it moves faster than usual:
-    stamps that are a little off make it there, and speed times as much."""
-    fourth = np.concatenate([np.diff(q, 4, axis=1) for q in positions], axis=1)
-    ways = np.concatenate([q[:, 4:] - q[:, :-4] for q in positions], axis=1)
-    fast = np.abs(ways) >= (1 - 1e-9) * np.sqrt(np.mean(ways**2, axis=1, keepdims=True))  # or all as fast, rounded
-    return np.array([_noise([x[None, where]])[0] for x, where in zip(fourth, fast, strict=True)])
-
-
-def _unanswered(q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Fourth differences of torques (n, T) without what answers to the noise of the positions in the last samples: that
-    is torque which the controller asked for and the joint got."""
-    x, y = np.diff(q, 4, axis=1), np.diff(tau, 4, axis=1)
-    past = np.concatenate([x[:, ANSWER - k : x.shape[1] - k] for k in range(ANSWER + 1)])
-    gram = past @ past.T
-    factors = np.linalg.lstsq(gram, past @ y[:, ANSWER:].T, rcond=1e-12)[0]
-    return y[:, ANSWER:] - factors.T @ past
-
-
-def _cutoff(
-    position_noise: float,
-    torque_noise: float,
-    strongest: float,
-    inertia: float,
+def _piece(
+    cut: tuple[str, str, np.ndarray, np.ndarray, np.ndarray],
+    position_noise: np.ndarray,
     period: float,
-    rate: float,
-    options: Preparation,
-) -> float:
-    """A joint's cut-off frequency [Hz], as `Preparation` describes."""
-    possible = [f for f in options.cutoffs if f <= 0.2 * rate] or [min(options.cutoffs[-1], 0.2 * rate)]
-    for cutoff in possible:
-        acceleration = position_noise * (2 * np.pi) ** 2 * cutoff**2.5 * np.sqrt(2 * period / 5)
-        if inertia * acceleration <= max(SMALL * torque_noise * np.sqrt(2 * cutoff * period), NEGLIGIBLE * strongest):
-            return cutoff
-    return possible[-1]
-
-
-def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: np.ndarray) -> Piece:
+    step: int,
+    smooth: np.ndarray,
+) -> Piece:
+    """A stretch (trajectory, role, t (T,), q (n, T), tau (n, T)) at every `step`-th sample, positions low-passed at
+    `smooth` (n,) [Hz] and differentiated, the ends cut off."""
+    name, role, t, q, tau = cut
     rate = 1 / period
     bandwidth = np.minimum(smooth, 0.35 * rate / step)
     q = np.array([lowpass(x, rate, f) if f < 0.35 * rate else x for x, f in zip(q, bandwidth, strict=True)])
@@ -399,8 +288,8 @@ def _piece(name, role, t, q, tau, noise, step: int, period: float, smooth: np.nd
         q, t, rate = q[:, ::step], t[::step], rate / step
     ticks = np.arange(len(t)) / rate
     spline = scipy.interpolate.make_interp_spline(ticks, q, k=5, axis=1)
-    feigned = _speed_noise(noise, bandwidth, period)
+    motion_noise = noise.of_speeds(position_noise, bandwidth, period)
     edge = ENDS + int(np.ceil(rate / bandwidth.min()))
     sure = slice(edge, len(t) - edge)
     q, qd, qdd = (x[:, sure] for x in (q, spline.derivative(1)(ticks), spline.derivative(2)(ticks)))
-    return Piece(name, role, t[sure], q, qd, qdd, tau[:, sure], feigned)
+    return Piece(name, role, t[sure], q, qd, qdd, tau[:, sure], motion_noise)

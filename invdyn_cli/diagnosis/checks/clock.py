@@ -181,7 +181,7 @@ class ClockJitter(AbstractCheck):
                         threshold=self.rate,
                         seen=f"the nominal rate is {log.rate:g} Hz, the median step says {1 / step:.4g} Hz",
                         meaning="the rate attribute or the time stamps are wrong; the time stamps are used",
-                        advice="the correct rate attribute in the log",
+                        advice="set the log's rate attribute to the rate of its clock",
                         source="own choice: from 20 % on data=real_log uses the median step",
                     )
                 )

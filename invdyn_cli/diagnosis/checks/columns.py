@@ -202,7 +202,7 @@ class SignError(AbstractCheck):
         unsure = [log.joints[j] for j in unsure if log.joints[j] not in told or (j in half and not verdict.judged[j])]
         if unsure:
             found.append(self.skipped("this motion does not show the sign of " + ", ".join(unsure), "tau"))
-        return found or [Check(self.name, "ok", value=1.0, seen="no joint's sign can be turned without a worse fit")]
+        return found or [Check(self.name, "ok", value=1.0, seen="the fit is worse with any joint's sign reversed")]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Turn them round."""

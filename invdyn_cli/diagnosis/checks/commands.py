@@ -179,8 +179,8 @@ class CommandUnits(AbstractCheck):
             one.trajectory,
             value=value,
             threshold={"channel": "q_ref", "factor": unit, "within": self.within},
-            seen=f"q_ref is {value:.4g} times q at a lag of {1e3 * one.lag:.4g} ms, where it explains "
-            f"{100 * one.explained:.4g} % of q (median of the joints)",
+            seen=f"q_ref is {value:.4g} times q at a lag of {1e3 * one.lag:.4g} ms; this "
+            f"explains {100 * one.explained:.4g} % of q (median of the joints)",
             meaning=f"q_ref is in {words}",
             advice="q_ref in rad",
             source="exact ratio of two units",

@@ -196,7 +196,7 @@ class TimeOffset(AbstractCheck):
                 value=float(s),
                 threshold={"channel": "tau", "seconds": limit},
                 seen=f"this joint's torque comes {_apart(s)}; that of the others {_apart(x.common)}",
-                meaning="a delay or a lag of its drive, or gear play: an effect, not a defect of the log",
+                meaning="delay or lag of the drive, or gear play: an effect, not a defect of the log",
                 source="own choice",
             )
             for joint, s in x.offsets.items()

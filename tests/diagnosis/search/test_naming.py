@@ -11,7 +11,7 @@ from invdyn_cli.diagnosis.search import naming, noise
 from invdyn_cli.diagnosis.search.further import acting_of, related
 from invdyn_cli.diagnosis.search.judge import HypothesisScorer
 from invdyn_cli.diagnosis.search.steps import search
-from invdyn_cli.recording.pieces import Filter
+from invdyn_cli.recording.filter import Filter
 from tests.diagnosis.analytic import FRICTIONS, candidate, evidence_of, judged, log_of, moved, on, raw, scorer_of
 
 
