@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from invdyn_cli.diagnosis.standard import Columns
+from invdyn_cli.diagnosis.standard_columns import Columns
 from invdyn_cli.maths import ripple
 from invdyn_cli.maths.signals import butterworth
 from invdyn_cli.recording.filter import needed

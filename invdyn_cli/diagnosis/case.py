@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import band, doctor, gains, known, standard, transition, yielding
+from invdyn_cli.diagnosis import band, doctor, gains, known, transition, yielding
 from invdyn_cli.diagnosis.columns import hold
 from invdyn_cli.diagnosis.columns.candidates import gather, shown_by
 from invdyn_cli.diagnosis.columns.evidence import Evidence, started
-from invdyn_cli.diagnosis.standard import Columns
+from invdyn_cli.diagnosis.standard_columns import Columns, columns_of
 from invdyn_cli.effects.actuator import TorqueGainError
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.rigid import rigid_torque
@@ -97,7 +97,7 @@ class Case:
             self,
             recording=replace(self.recording, transition=speeds),
             evidence=evidence,
-            columns=standard.columns_of(evidence, self.log.torque_side),
+            columns=columns_of(evidence, self.log.torque_side),
         )
 
 
@@ -147,13 +147,13 @@ def prepared(
     try:
         measured = rows()
         changed, recording, lead = asked(measured)
-        columns = standard.columns_of(started(changed, recording), log.torque_side)
+        columns = columns_of(started(changed, recording), log.torque_side)
         gear = yielding.gear(columns, shown_by(pool.values(), log.torque_side, log.position_side))
         gradual = transition.speeds(columns, yielding.left(columns, gear))
         if any(gradual):
             measured = replace(measured, transition=gradual)
             changed, recording, lead = asked(measured)
-            columns = standard.columns_of(started(changed, recording), log.torque_side)
+            columns = columns_of(started(changed, recording), log.torque_side)
         heard = band.heard(columns, yielding.left(columns, gear), options.conditioning.cutoffs)
         if heard != recording.filter.cutoffs:
             measured = replace(rows(heard), transition=gradual)
@@ -163,7 +163,7 @@ def prepared(
         return _unusable(examination, (*notes, str(error)))
     progress(0.25, "columns")
     evidence = _gathered(changed, recording, log, pool, facts, gear)
-    columns = standard.columns_of(evidence, log.torque_side) if columns is None else replace(columns, evidence=evidence)
+    columns = columns_of(evidence, log.torque_side) if columns is None else replace(columns, evidence=evidence)
     return Case(
         log=log,
         robot=robot,

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.diagnosis import standard, wear
+from invdyn_cli.diagnosis import wear
 from invdyn_cli.diagnosis.columns.evidence import started
 from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.diagnosis.since import LOGS
+from invdyn_cli.diagnosis.standard_columns import columns_of
 from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
@@ -89,7 +90,7 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
     for number in range(ROUNDS):
         recording = prepare(in_newton_metres(replace(log, drive_gain=value)), inertia, windows, options)
         evidence = started(robot, recording)
-        columns = standard.columns_of(evidence, log.torque_side)
+        columns = columns_of(evidence, log.torque_side)
         own = np.concatenate([columns.own, evidence.nominal.T[None]])
         columns = replace(columns, terms=(*columns.terms, "gain"), own=own)
         rows = evidence.of_role("train")

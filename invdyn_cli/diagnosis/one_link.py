@@ -8,7 +8,8 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Evidence, judged
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.decide.intervals import reach
-from invdyn_cli.diagnosis.standard import LINK, Beside, least_of, stretches
+from invdyn_cli.diagnosis.standard import Beside
+from invdyn_cli.diagnosis.standard_columns import LINK, least_of, stretches
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths import standard
 from invdyn_cli.types import Finding, Quantity

@@ -33,6 +33,7 @@ from invdyn_cli.diagnosis.search.composed import Model
 from invdyn_cli.diagnosis.search.inquiry import Inquiry, Question
 from invdyn_cli.diagnosis.search.judge import Hypothesis
 from invdyn_cli.diagnosis.search.whole import inquire
+from invdyn_cli.diagnosis.standard_columns import LINK, Columns
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import LogError
@@ -90,7 +91,7 @@ def diagnose(
         return replace(again, notes=(lateness.NOT_SHIFTED, *again.notes))
 
 
-def _found(case: Case, progress: Progress) -> tuple[Case, Inquiry, standard.Columns]:
+def _found(case: Case, progress: Progress) -> tuple[Case, Inquiry, Columns]:
     """What the search found, again where friction turns out to change its side more or less gradually."""
     found = searched(case, progress)
     gradual = _gradual(*found)
@@ -101,17 +102,15 @@ def _found(case: Case, progress: Progress) -> tuple[Case, Inquiry, standard.Colu
     return case, *found
 
 
-def _gradual(inquiry: Inquiry, columns: standard.Columns) -> tuple[float, ...]:
+def _gradual(inquiry: Inquiry, columns: Columns) -> tuple[float, ...]:
     """How gradually friction changes its side beside what was found, where that tells it."""
     acting = inquiry.chosen.acting
     jumping = [a for a in acting if a.effect.jumps and not a.effect.coupled and a.when is None]
-    rest = [a for a in acting if a not in jumping and a.effect is not standard.LINK]
+    rest = [a for a in acting if a not in jumping and a.effect is not LINK]
     return transition.speeds(columns.behind(rest), inquiry.model.residual(rest), jumping)
 
 
-def searched(
-    case: Case, progress: Progress = silent, earlier: Inquiry | None = None
-) -> tuple[Inquiry, standard.Columns]:
+def searched(case: Case, progress: Progress = silent, earlier: Inquiry | None = None) -> tuple[Inquiry, Columns]:
     """The search, beside the standard model where the arm is worn; and the standard model's columns. What an `earlier`
     search beside the standard model came to on the same log is where it starts: the arm is worn then."""
     progress(0.5, "search")
@@ -147,7 +146,7 @@ def searched(
 def decided(
     case: Case,
     inquiry: Inquiry,
-    columns: standard.Columns,
+    columns: Columns,
     options: Options,
     learner: AbstractModel | None = None,
     seed: int = 0,
@@ -263,7 +262,7 @@ def _details(
 
 
 def _fuller(
-    inquiry: Inquiry, columns: standard.Columns, made: findings.Made, more: standard.Beside, unsure: Hypothesis
+    inquiry: Inquiry, columns: Columns, made: findings.Made, more: standard.Beside, unsure: Hypothesis
 ) -> tuple[standard.Beside, tuple[Finding, ...]]:
     """The standard model beside all torques that were found, claimed or not, and the findings that are not, where
     held-out data are predicted better so: of each joint with what acts on it, and of all joints together; else beside

@@ -19,7 +19,8 @@ from invdyn_cli.diagnosis.decide.quantities import quantities
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import RELEVANT, Hypothesis
 from invdyn_cli.diagnosis.search.naming import blind_to_stribeck
-from invdyn_cli.diagnosis.standard import SYSTEMATIC, TERMS, Beside, Columns, has_part, stretches
+from invdyn_cli.diagnosis.standard import Beside
+from invdyn_cli.diagnosis.standard_columns import SYSTEMATIC, TERMS, Columns, has_part, stretches
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.effects.friction import StribeckFriction
 from invdyn_cli.maths import standard
@@ -67,11 +68,11 @@ def _factor(table: np.ndarray, tau: np.ndarray, rows: np.ndarray) -> tuple[float
 def each_log(evidence: Evidence, made: Made, more: Beside) -> dict[str, dict[str, dict[str, Any]]]:
     """{joint: {term: {"reference": (value, lower, upper), "now": …, "differ": …}}} of offset, Coulomb and viscous
     friction beside all other changes; 95 % intervals. Nothing where there is no reference."""
-    columns, n, reference = more.columns, evidence.dofs, evidence.reference_rows
+    columns, reference = more.columns, evidence.reference_rows
     if reference is None or not more.asked:
         return {}
     values, halves = _fitted(columns, _without_links(columns, made.whole, more.found.theta), (reference, ~reference))
-    both = more.found.theta[10 * n :].reshape(-1, n)
+    _, both = columns.split(more.found.theta)
     for t, term, j, _ in _places(evidence):
         now = sum(a.parameters[TERMS[term][1]] for a in more.acting if has_part(a, term, j))
         values[1, t, j] += now - both[columns.terms.index(term), j]

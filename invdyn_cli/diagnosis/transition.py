@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from invdyn_cli.diagnosis.columns.evidence import filtered
-from invdyn_cli.diagnosis.standard import Columns
+from invdyn_cli.diagnosis.standard_columns import Columns
 from invdyn_cli.effects.composition import EffectInstance, sign_of
 from invdyn_cli.effects.friction import about_reversals
 from invdyn_cli.errors import listed

@@ -16,7 +16,8 @@ from invdyn_cli.diagnosis.search.further import others_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.diagnosis.search.judge import PRICE_OF_COEFFICIENT, Hypothesis
 from invdyn_cli.diagnosis.search.noise import MOVES, measure
-from invdyn_cli.diagnosis.standard import CLAIMED, LINK, Columns, least_of, std_of
+from invdyn_cli.diagnosis.standard import CLAIMED
+from invdyn_cli.diagnosis.standard_columns import LINK, Columns, least_of, std_of
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import USUAL, Standard, link_scales
 
@@ -99,14 +100,14 @@ def plain(columns: Columns, residual: np.ndarray) -> Standard | None:
     PLAINLY of the joints that would show it have a friction that can be claimed. No single cause makes that, so the arm
     is not looked at as if it were as its URDF says, though its links may be. Links that seem to be off without being
     asked for may be a load that comes and goes: nothing is plain then."""
-    evidence, n = columns.evidence, columns.evidence.dofs
+    evidence = columns.evidence
     choosing = evidence.of_role("train")
     fitted = columns.fit(residual, choosing)
     right = fitted.gain > 0 and fitted.share <= WORN
     if not right and _asked_for(fitted) is None:
         return None
     of_friction = [t for t, term in enumerate(columns.terms) if term in ("coulomb", "viscous")]
-    value, std = (x[10 * n :].reshape(-1, n)[of_friction] for x in (fitted.theta, std_of(fitted)))
+    value, std = (columns.split(x)[1][of_friction] for x in (fitted.theta, std_of(fitted)))
     made = np.sqrt(np.mean(columns.own[of_friction][:, :, choosing] ** 2, axis=2))
     whole = np.sqrt(np.mean(evidence.tau[choosing] ** 2, axis=0))
     moves = (evidence.valid & choosing[:, None]).sum(0) > MOVES * choosing.sum()

@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis.columns.evidence import Evidence, slow_saved, slow_sha
 from invdyn_cli.diagnosis.columns.links import loaded_by
 from invdyn_cli.diagnosis.search.equations import inverse_root
 from invdyn_cli.diagnosis.search.feigned import asked_by_noise
-from invdyn_cli.diagnosis.standard import Columns
+from invdyn_cli.diagnosis.standard_columns import Columns
 from invdyn_cli.diagnosis.transition import TOLD
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.interfaces import AbstractEffect, AbstractGearEffect

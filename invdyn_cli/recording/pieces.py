@@ -40,7 +40,7 @@ class Preparation:
             `NEGLIGIBLE` (`noise.py`) say how small.
         smoothing: [-] bandwidth of a joint's positions, speeds and accelerations, as a multiple of that cut-off.
         sharpness: [Hz] smallest bandwidth of the motion signals: friction near a reversal takes 20 ms. A joint whose
-            speed the noise of its positions would hide (`noise.CLEAR`) has less: `smoothing` times its cut-off, or more.
+            speed the noise of its positions would hide (`noise.CLEAR`) has less, `smoothing` times its cut-off or more.
         max_gap: [s] a longer step splits a trajectory.
         train_share: [-] first share of each trajectory's time for training; the rest is held out. A trajectory in
             which this leaves a joint without motion to learn from is first divided into parts (`selection.divided`).

@@ -5,7 +5,8 @@ import pytest
 import scipy.integrate
 import scipy.signal
 
-from invdyn_cli.diagnosis import band, standard
+from invdyn_cli.diagnosis import band
+from invdyn_cli.diagnosis.standard_columns import columns_of
 from invdyn_cli.recording.pieces import Preparation
 from invdyn_cli.types import Motion
 from tests.diagnosis.analytic import evidence_of, log_of, moved, on, raw
@@ -16,7 +17,7 @@ def heard(*terms, motion=None):
     evidence = evidence_of(
         log_of(raw(*(motion or moved(30.0)), *terms, torque=0.02, position=1e-7)), ("coulomb_friction",)
     )
-    columns, target = standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0))
+    columns, target = columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0))
     return evidence.recording.filter.cutoffs, band.heard(columns, target, Preparation().cutoffs)
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn_cli.diagnosis import diagnose, standard, transition
+from invdyn_cli.diagnosis import diagnose, transition
+from invdyn_cli.diagnosis.standard_columns import columns_of
 from invdyn_cli.effects.composition import sign_of
 from invdyn_cli.effects.description import as_dict, from_dict
 from invdyn_cli.errors import UsageError
@@ -24,7 +25,7 @@ LEVELS = (5.0, 3.0, 1.0)
 def found(*terms):
     """The transitions that a log of 30 s with these terms and noise tells."""
     evidence = evidence_of(log_of(raw(*moved(30.0), *terms, torque=0.02, position=1e-7)), ("coulomb_friction",))
-    return transition.speeds(standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
+    return transition.speeds(columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
 
 
 @pytest.mark.parametrize("speed", np.random.default_rng(5).uniform(0.01, 0.04, 2))
@@ -50,7 +51,7 @@ def test_of_two_logs_the_reference_tells():
     for before in ("reference", "test"):
         role = np.where(evidence.on_rows("t") < 15, ROLES.index(before), ROLES.index("train"))
         own = replace(evidence, role=role)
-        told.append(transition.speeds(standard.columns_of(own, "unknown"), own.residual((), np.zeros(0)))[0])
+        told.append(transition.speeds(columns_of(own, "unknown"), own.residual((), np.zeros(0)))[0])
     assert told[0] == 0 < told[1]
 
 
@@ -67,7 +68,7 @@ def test_a_slow_joint_creeps_as_others_do():
         return 2.0 * np.stack(sides, axis=1)
 
     evidence = evidence_of(log_of(raw(t, slow, term, torque=0.02, position=1e-7)), ("coulomb_friction",))
-    told = transition.speeds(standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
+    told = transition.speeds(columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
     np.testing.assert_allclose(told[:2], speed, rtol=0.1)
     assert told[2] == 0
 

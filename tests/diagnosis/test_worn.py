@@ -11,12 +11,13 @@ from experiments.cases import draw_case, scene_of
 from experiments.confusion import claims
 from experiments.worn import COUNTS, STANDARD, drawn, spoken
 from experiments.worn import wear as drawn_wear
-from invdyn_cli.diagnosis import diagnose, standard, wear
+from invdyn_cli.diagnosis import diagnose, wear
 from invdyn_cli.diagnosis.decide.refusals import REFUSALS, supported
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.believed import believed
 from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.whole import inquire
+from invdyn_cli.diagnosis.standard_columns import columns_of, least_of, std_of
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import link_scales
@@ -38,7 +39,7 @@ def test_the_directions_that_are_kept_make_all_that_links_do(share):
     friction = on(0, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(20.0), friction, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in NAMES}, 3))
-    columns = standard.columns_of(evidence, "unknown")
+    columns = columns_of(evidence, "unknown")
     (worn,) = wear.worn_links(columns, inquiry.noise.weights, share)
     scale = share * link_scales(evidence.robot).ravel()
     assert 0 < len(worn.precision) < len(scale)
@@ -59,7 +60,7 @@ def test_links_that_were_moved_are_believed_about_the_urdf():
     is then about the URDF. About the fit, which has seen the same rows, a small prior would cost nothing, and an
     encoder offset be named that an error of one link explains."""
     evidence = evidence_of(log_of(raw(*moved(20.0), torque=0.02, position=1e-5)), NAMES)
-    columns = standard.columns_of(evidence, "unknown")
+    columns = columns_of(evidence, "unknown")
     weights = noise.measure(evidence, np.ones(len(evidence.tau), bool)).weights
     by = 0.05 * link_scales(evidence.robot).ravel() * np.random.default_rng(5).normal(size=10 * evidence.dofs)
     (about,) = wear.worn_links(columns, weights, 0.05, by)
@@ -88,7 +89,7 @@ def test_wear_is_asked_for_where_links_are_off(off):
     term = beside(arm(), off, np.random.default_rng(0), friction)
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), NAMES)
     inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in NAMES}, 3))
-    fitted = wear.of(standard.columns_of(evidence, "unknown"), inquiry)
+    fitted = wear.of(columns_of(evidence, "unknown"), inquiry)
     assert (fitted is None) == (off == 0.0)
 
 
@@ -99,7 +100,7 @@ def test_friction_on_most_joints_is_wear_though_links_are_right(joints, worn):
     friction = [on(j, lambda t, q, qd, qdd: 2.0 * np.tanh(qd / 0.01)) for j in joints]
     log = log_of(raw(*moved(20.0), lambda t, m: sum(term(t, m) for term in friction), torque=0.02, position=1e-5))
     evidence = evidence_of(log, NAMES)
-    fitted = wear.plain(standard.columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
+    fitted = wear.plain(columns_of(evidence, "unknown"), evidence.residual((), np.zeros(0)))
     assert (fitted is not None) == worn
 
 
@@ -125,7 +126,7 @@ def test_links_may_be_farther_off_than_was_fitted():
     evidence = evidence_of(log_of(raw(*moved(20.0), term, torque=0.02, position=1e-5)), names)
     rows = np.ones(len(evidence.tau), bool)
     least = noise.measure(evidence, rows)
-    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.01)
+    (links,) = wear.worn_links(columns_of(evidence, "unknown"), least.weights, 0.01)
     pool = [c for c in evidence.candidates if c.effect.name == "joint_spring"]
     found, _ = believed(evidence, rows, least, (), links, pool, [()], 3)
     assert [c.key for c in found.found] == [("joint_spring", 0)]
@@ -138,11 +139,11 @@ def test_friction_with_a_memory_takes_over_other_friction(found, expected):
     friction takes that away in the model. Beside what is no friction it cannot be negative."""
     too_much = on(0, lambda t, q, qd, qdd: -1.0 * np.tanh(qd / 0.01))
     evidence = evidence_of(log_of(raw(*moved(20.0), too_much, torque=0.02, position=1e-5)), NAMES)
-    columns = standard.columns_of(evidence, "unknown")
+    columns = columns_of(evidence, "unknown")
     sizes = {"presliding_hysteresis": {"coulomb": 3.0, "stiffness": 500.0}}
     acting = [EffectInstance(EFFECTS[found], 0, sizes.get(found, {"amplitude": 3.0, "cycles": 20.0, "phase": 0.0}))]
     left, rows = evidence.residual((), np.zeros(0)), np.ones(len(evidence.tau), bool)
-    fitted = columns.fit(left, rows, standard.least_of(columns, acting))
+    fitted = columns.fit(left, rows, least_of(columns, acting))
     terms = dict(zip(columns.terms, fitted.theta[columns.inertial.sum() :].reshape(-1, evidence.dofs), strict=True))
     assert terms["coulomb"][0] == pytest.approx(expected, abs=0.1)
 
@@ -159,7 +160,7 @@ def test_intervals_of_standard_terms_have_their_true_values():
         wave = partial(lambda p, t, m: 0.3 * np.sin(2 * np.pi * 0.21 * t[:, None] + p), phase)
         term = beside(arm(), 0.05, draw, frictions, wave)
         evidence = evidence_of(log_of(raw(*moved(30.0, seed=seed), term, torque=0.02, position=1e-6)), NAMES)
-        columns, every = standard.columns_of(evidence, "unknown"), np.ones(len(evidence.tau), bool)
+        columns, every = columns_of(evidence, "unknown"), np.ones(len(evidence.tau), bool)
         left = evidence.residual((), np.zeros(0))
         fitted = columns.fit(left, every)
         half = columns.reach(fitted, left, every)[10 * n :].reshape(-1, n)
@@ -167,7 +168,7 @@ def test_intervals_of_standard_terms_have_their_true_values():
         for name, true in (("coulomb", coulomb), ("viscous", damping)):
             row = columns.terms.index(name)
             covered += list(np.abs(value[row] - true) <= half[row])
-        narrower += list(1.96 * standard.std_of(fitted)[10 * n :] / half.ravel())
+        narrower += list(1.96 * std_of(fitted)[10 * n :] / half.ravel())
     assert len(covered) == 36 and np.mean(covered) >= 0.85
     assert np.median(narrower) < 0.9
 
@@ -326,7 +327,7 @@ def test_a_payload_must_be_more_than_links_may_be_wrong(last_link_off, mass, cla
     log = log_of(raw(*moved(40.0), lambda t, m: beyond(robot, other, m), torque=0.02, position=1e-6))
     evidence = evidence_of(log, names)
     least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
-    links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 1e-3)
+    links = wear.worn_links(columns_of(evidence, "unknown"), least.weights, 1e-3)
     inquiry = inquire(evidence, Question({x: EFFECTS[x] for x in names}, 3, wear=links))
     assert [c.key for c in inquiry.hypothesis] == [("payload", None)]
     evidence = [x for x in REFUSALS if x.name.startswith("evidence")]

@@ -25,7 +25,7 @@ from invdyn_cli.diagnosis.search.steps import free_beside, search
 from invdyn_cli.effects.composition import TimeWindow
 
 ROUNDS = 3
-"""Search and refinement in turn, at most: the second search knows the nonlinear parameters."""
+"""Search and refinement in turn: the second search knows the nonlinear parameters. More follow only as WORTH says."""
 
 WORTH = 0.97
 """Of what was left before a round beyond ROUNDS, or before windows, what it must come below for another to follow."""

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from experiments.cases import inverse_dynamics
-from invdyn_cli.diagnosis import standard, wear
+from invdyn_cli.diagnosis import wear
 from invdyn_cli.diagnosis.checks.excitation import Excitation
 from invdyn_cli.diagnosis.decide.not_shown import like_links, unseen
 from invdyn_cli.diagnosis.search import noise
 from invdyn_cli.diagnosis.search.inquiry import Question
 from invdyn_cli.diagnosis.search.whole import inquire
+from invdyn_cli.diagnosis.standard_columns import columns_of
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Examination, Finding, Motion
 from tests.diagnosis.analytic import arm, beyond, gather, log_of, moved, raw, recording_of
@@ -122,7 +123,7 @@ def test_a_payload_is_not_shown_where_links_are_as_wrong(lighter, hidden):
     recording = recording_of(log_of(raw(t, m, term, torque=0.005, position=1e-6)))
     evidence = gather(robot, recording, [EFFECTS[name] for name in names], "unknown")
     least = noise.measure(evidence, np.ones(len(evidence.tau), bool))
-    links = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    links = wear.worn_links(columns_of(evidence, "unknown"), least.weights, 0.1)
     inquiry = inquire(evidence, Question({x: EFFECTS[x] for x in names}, 3, wear=links))
     assert not inquiry.hypothesis
     assert (("payload", None) in {(f.effect, f.joint) for f in like_links(inquiry, ())}) is hidden

@@ -7,8 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from invdyn_cli.diagnosis import standard, wear
+from invdyn_cli.diagnosis import wear
 from invdyn_cli.diagnosis.search import believed, noise
+from invdyn_cli.diagnosis.standard_columns import columns_of
 from invdyn_cli.maths.standard import Standard
 from tests.diagnosis.analytic import arm, evidence_of, log_of, moved, on, raw
 
@@ -21,7 +22,7 @@ def test_a_step_back_is_not_the_end(monkeypatch):
     evidence = evidence_of(log_of(raw(*moved(10.0), torque, torque=0.02, position=1e-5)), names)
     rows = np.ones(len(evidence.tau), bool)
     least = noise.measure(evidence, rows)
-    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    (links,) = wear.worn_links(columns_of(evidence, "unknown"), least.weights, 0.1)
     pool = [c for c in evidence.candidates if c.joint == 0 and c.effect.name in ("torque_delay", "joint_spring")]
     wins = {("torque_delay", ""), ("torque_delay", "joint_spring"), ("", "torque_delay"), ("joint_spring", "")}
     visited, more = [], believed._more
@@ -43,7 +44,7 @@ def test_hypotheses_are_compared_in_one_noise(monkeypatch):
     evidence = evidence_of(log_of(raw(*moved(10.0), term, torque=0.02, position=1e-5)), ("joint_spring",))
     rows, last, told = np.ones(len(evidence.tau), bool), [], {}
     least = noise.measure(evidence, rows)
-    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    (links,) = wear.worn_links(columns_of(evidence, "unknown"), least.weights, 0.1)
     pool = [c for c in evidence.candidates if c.effect.name == "joint_spring"]
     asked, left = believed.HypothesisScorer.quick, believed.beside
 
@@ -67,7 +68,7 @@ def test_no_anomaly_is_allowed():
     evidence = evidence_of(log_of(raw(*moved(10.0), torque=0.02, position=1e-5)), ("joint_spring",))
     rows = np.ones(len(evidence.tau), bool)
     least = noise.measure(evidence, rows)
-    (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, 0.1)
+    (links,) = wear.worn_links(columns_of(evidence, "unknown"), least.weights, 0.1)
     assert believed.believed(evidence, rows, least, (), links, list(evidence.candidates), [()], 0)[0].found == ()
 
 
@@ -91,7 +92,7 @@ def test_a_payload_is_paid_for_as_links_are(seed):
     rows = np.ones(len(evidence.tau), bool)
     least = noise.measure(evidence, rows)
     for share in (0.01, 0.1):
-        (links,) = wear.worn_links(standard.columns_of(evidence, "unknown"), least.weights, share)
+        (links,) = wear.worn_links(columns_of(evidence, "unknown"), least.weights, share)
         assert believed.believed(evidence, rows, least, (), links, list(evidence.candidates), [()], 3)[0].found == ()
 
 
@@ -99,7 +100,7 @@ def test_a_payload_is_paid_for_as_links_are(seed):
 def test_links_are_not_believed_far_beyond_the_usual(fitted, believed_in):
     """A fit with links that are off by 90 % is no reason to believe in 90 %: the search begins at the usual 10 %."""
     evidence = evidence_of(log_of(raw(*moved(10.0), torque=0.02, position=1e-5)), ())
-    columns, weights = standard.columns_of(evidence, "unknown"), np.ones(3)
+    columns, weights = columns_of(evidence, "unknown"), np.ones(3)
     fit = cast(Standard, SimpleNamespace(theta=np.zeros(len(columns.links)), share=fitted))
     _, (links,), _ = wear.beside(columns, fit, weights)
     (asked,) = wear.worn_links(columns, weights, believed_in)
