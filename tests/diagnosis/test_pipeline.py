@@ -86,7 +86,7 @@ def test_linear_algebra_of_a_diagnosis_has_one_thread(monkeypatch, robot, loaded
 
 def test_several_effects_at_once(loaded, robot):
     """A payload and friction on every joint: four claims, sizes within 5 % (the noise is a permille of the torque).
-    The search says meanwhile that it has one effect beside the standard model, and the share that is done never falls."""
+    The search says that it has one effect beside the standard model; the share that is done never falls."""
     told: list[tuple[float, str]] = []
     diagnosis = diagnose(loaded, robot, progress=lambda *now: told.append(now))
     shares, notes = zip(*told, strict=True)
