@@ -9,7 +9,7 @@ import numpy as np
 from invdyn_cli.design.causes import Cause
 from invdyn_cli.design.contest import Side
 from invdyn_cli.design.sizes import left_out, refused, unplayable
-from invdyn_cli.design.trajectory import TRIES, Design, Told, design
+from invdyn_cli.design.trajectory import APART, CHANCE, TRIES, Design, Told, design
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractBodyEffect, AbstractMotionEffect, Progress, silent
@@ -147,7 +147,7 @@ def after(
         return replace(diagnosis, notes=(*diagnosis.notes, f"No further recording was designed: {error}")), None
     for k, one in enumerate(questions):
         findings[one.finding] = _said(_advised(findings[one.finding], made.of(k), duration), one.said)
-    useful = any(pair.possible for pair in made.pairs)
+    useful = any(pair.useful for pair in made.pairs)
     return replace(diagnosis, findings=tuple(findings)), made if useful else None
 
 
@@ -165,15 +165,17 @@ def _said(finding: Finding, said: Sequence[str]) -> Finding:
 
 def _advised(finding: Finding, pairs: Sequence[Told], duration: float) -> Finding:
     """The finding with the answer of the design in its advice."""
-    can = [p for p in pairs if p.possible]
-    cannot = [p for p in pairs if not p.possible]
+    can = [p for p in pairs if p.useful]
+    cannot = [p for p in pairs if not p.useful]
     said = []
     if can:
-        least = min(p.distance for p in can)
-        apart = f"{least:.2g} standard errors or more"
-        said.append(f"play and log {FILE} ({duration:g} s): it separates {_names(can)} by {apart}")
-    if cannot:
-        said.append(f"no motion separates {_names(cannot)}; use instead: {finding.advice}" if finding.advice else "")
+        separates, by = "separates", f"{APART:g} standard errors or more"
+        if not all(p.apart for p in can):
+            separates, by = "probably separates", f"{CHANCE:g} to {APART:g} standard errors"
+        said.append(f"play and log {FILE} ({duration:g} s): it {separates} {_names(can)} ({by})")
+    if cannot and finding.advice:
+        motion = f"motion of {duration:g} s" if any(p.possible for p in cannot) else "motion"
+        said.append(f"no {motion} separates {_names(cannot)}; use instead: {finding.advice}")
     evidence = {
         **finding.evidence,
         "distances": [

@@ -63,6 +63,9 @@ APART = 10.0
 """Standard errors from which two causes are told apart: what `naming` asks of a rival is a difference of ten noise
 variances on nearly every draw of the blocks, and estimated sizes are not the true ones."""
 
+CHANCE = 2.0
+"""Standard errors up to which a difference may be chance."""
+
 ALIKE = 0.02
 """Share of its torque that a cause must keep from its rival on all motions together: below, no motion tells them
 apart, and a little noise in the regressor does the rest."""
@@ -93,6 +96,11 @@ class Told:
     def apart(self) -> bool:
         """Whether the designed motion distinguishes them."""
         return self.possible and self.distance >= APART
+
+    @property
+    def useful(self) -> bool:
+        """Whether it shows a difference at all."""
+        return self.possible and self.distance >= CHANCE
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,25 @@ def test_a_finding_that_a_motion_settles_says_so(arm, monkeypatch):
     assert np.isfinite([x["standard_errors"] for x in finding.evidence["distances"]]).all()
 
 
+@pytest.mark.parametrize(
+    ("distance", "said"),
+    [(0.09, "no motion of 8 s separates"), (4.0, "it probably separates"), (40.0, "it separates")],
+)
+def test_what_a_motion_settles_hardly_is_not_promised(arm, monkeypatch, distance, said):
+    """Ten standard errors are certain, and below two there is nothing to record."""
+    monkeypatch.setattr(next_motion, "TRIES", 6)
+    real = next_motion.design
+
+    def designed(*args, **options):
+        made = real(*args, **options)
+        return replace(made, pairs=tuple(replace(p, distance=distance) for p in made.pairs))
+
+    monkeypatch.setattr(next_motion, "design", designed)
+    advised, made = after(diagnosis(arm, LATE), arm, duration=8.0)
+    assert said in advised.findings[0].advice
+    assert (made is None) == (distance < 2)
+
+
 def test_a_finding_that_no_motion_settles_says_so(arm):
     """There is nothing to record, and the advice is what else would tell."""
     advised, made = after(diagnosis(arm, SAME), arm, duration=8.0)

@@ -182,10 +182,9 @@ def _rest(diagnosis: Diagnosis) -> str:
         if not x.passed:
             goes.setdefault(x.joint, []).append(test_words(x.against))
     if goes and not said:
-        said += [
-            f"The residual on {joint} is not noise according to these tests: {_listed(names)}."
-            for joint, names in goes.items()
-        ]
+        names = dict.fromkeys(name for own in goes.values() for name in own)
+        where = _listed(list(goes))
+        said.append(f"The residual on {where} is not noise according to these tests: {_listed(list(names))}.")
     return " ".join(said)
 
 
