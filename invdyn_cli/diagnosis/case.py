@@ -119,11 +119,7 @@ def prepared(
         return _unusable(examination, () if options.correct else (AS_RECORDED,))
     notes = doctor.done(examination)
     corrected = (*log.history, *notes)
-    notes = (*doctor.doubts(examination), *(notes if options.correct else (AS_RECORDED,)))
-    notes = notes if gained is None else (gained.note(), *notes)
-    if log.torque_unit == "A" and log.drive_gain is not None and gained is None:
-        gains = ", ".join(f"{x:.3g}" for x in np.ravel(log.drive_gain))
-        notes += (f"Torques are the log's currents times its drive gains: {gains} N m/A.",)
+    notes = (*_of_gains(log, gained), *doctor.doubts(examination), *(notes if options.correct else (AS_RECORDED,)))
     progress(0.1, "checked")
     split = windows is not None
     if reference is not None:
@@ -253,6 +249,16 @@ def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options, c
     renamed = tuple(replace(x, name=f"reference/{x.name}") for x in reference.trajectories)
     windows = {**windows, "reference": [(x.name, -np.inf, np.inf) for x in renamed]}
     return replace(log, trajectories=(*log.trajectories, *renamed)), windows, doctor.done(examination)
+
+
+def _of_gains(log: Log, gained: gains.Gains | None) -> tuple[str, ...]:
+    """By which drive gains currents became torques."""
+    if gained is not None:
+        return (gained.note(),)
+    if log.torque_unit != "A" or log.drive_gain is None:
+        return ()
+    each = ", ".join(f"{x:.3g}" for x in np.ravel(log.drive_gain))
+    return (f"Torques are the log's currents times its drive gains: {each} N m/A.",)
 
 
 def _unusable(examination: Examination, notes: Sequence[str]) -> Diagnosis:

@@ -324,7 +324,7 @@ def _errors(diagnosis: Diagnosis) -> str:
     note += "Standard model: these terms and errors of the links. NMSE: mean squared error over the torque's variance. "
     note += "Unexplained: the share of the residual that a small neural network predicts. These errors include samples "
     note += "at rest; the errors of single causes do not. "
-    note += "" if floor else "No trajectory was repeated, so there is no noise floor."
+    note += "" if floor else "No trajectory was recorded twice, so there is no noise floor."
     return table(heads, body, "") + f'<p class="note">{escape(note)}</p>'
 
 

@@ -38,9 +38,9 @@ def standard_section(diagnosis: Diagnosis) -> str:
     if not links["share"]:
         about = "left as the URDF has them, because held-out data are predicted better so."
     note = (
-        "Every arm has these terms in addition to its URDF. They are part of the extended model, whether they are also "
-        "claimed as a cause (bold) or not. Links: RMS of the torque by which the corrected inertial parameters of the "
-        "links change the model. These parameters are " + about
+        "Every arm has these terms in addition to its URDF. All are part of the extended model; bold ones are "
+        "significant by themselves. Links: RMS of the torque by which the corrected inertial parameters of the links "
+        "change the model. These parameters are " + about
     )
     if diagnosis.details.get("torque_side") == "link":
         note += " The torque was measured on the link side of the gear, so this friction is that of bearings, seals, "
@@ -64,11 +64,12 @@ def _each_log(diagnosis: Diagnosis) -> str:
 
 def _term(term: Mapping[str, Any], number: int | None) -> str:
     """A term's value; of one that is claimed a link to its evidence."""
-    value = escape(quantity_text(Quantity(term["value"], term["unit"], term["interval95"])))
+    value, _, ends = quantity_text(Quantity(term["value"], term["unit"], term["interval95"])).partition(" [")
+    value, ends = escape(value), f"<small>[{escape(ends)}</small>" if ends else ""
     if not number or not (term["claimed"] or "perhaps" in term):
-        return value
+        return value + ends
     others = f"<small>or {escape(' or '.join(map(words, term['perhaps'])))}</small>" if "perhaps" in term else ""
-    return f'<a href="#finding-{number}"><b>{value}</b></a>{others}'
+    return f'<a href="#finding-{number}"><b>{value}</b></a>{ends}{others}'
 
 
 def unclaimed_section(diagnosis: Diagnosis) -> str:

@@ -17,8 +17,8 @@ OPENING, OVERLAY = "torque", "torques"
 
 CAPTION = "Measured torque beside that of the nominal and of the extended model."
 RESTING = (
-    " Most of the error of the extended model is at rest: friction then holds any torque up to its level, and no "
-    "model follows it."
+    " Most of the error of the extended model is where joints rest or reverse: friction then holds any torque up to "
+    "its level, and no model follows it."
 )
 
 

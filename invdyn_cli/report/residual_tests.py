@@ -48,7 +48,7 @@ def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
     out += f'<p class="note">[{"; ".join(dict.fromkeys(units.values()))}] {escape(NOTE)}</p>'
     rows = "".join(
         f'<tr><td class="whole">{escape(x.joint)}</td><td>{escape(test_words(x.against))}</td>'
-        f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of the residual</td>"
+        f"<td>{significant(x.torque)} {units.get(x.joint, 'N m')}, {100 * x.share:.0f} % of the squared residual</td>"
         f"<td>{escape(', '.join(map(words, x.points_at)) or '-')}</td></tr>"
         for x in failing(diagnosis)
     )

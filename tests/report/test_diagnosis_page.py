@@ -104,7 +104,7 @@ def test_a_term_that_every_arm_has_stands_in_its_table(written):
     text = written[1].read_text("utf-8")
     causes, _, rest = text.partition("<h2>Standard terms</h2>")
     assert "coulomb_friction" not in causes.partition("<h2>Causes</h2>")[2]
-    assert re.search(r'<a href="#finding-\d"><b>1\.5\d* N m \[', rest.partition("<h2>")[0])
+    assert re.search(r'<a href="#finding-\d"><b>1\.5\d* N m</b></a><small>\[', rest.partition("<h2>")[0])
 
 
 def test_links_lead_somewhere(written):

@@ -182,7 +182,7 @@ class CommandUnits(AbstractCheck):
             seen=f"q_ref is {value:.4g} times q at a lag of {1e3 * one.lag:.4g} ms; this "
             f"explains {100 * one.explained:.4g} % of q (median of the joints)",
             meaning=f"q_ref is in {words}",
-            advice="q_ref in rad",
+            advice="convert q_ref to rad",
             source="exact ratio of two units",
         )
 

@@ -203,7 +203,7 @@ class Outliers(AbstractCheck):
             meaning="so many that they are noise of this channel; they are kept"
             if noise
             else "likely transmission errors; a single one can distort a least-squares fit",
-            advice="the bus or the driver that this channel comes from",
+            advice="check the bus or the driver of this channel",
             source="Hampel 1974; Pearson 2002; 20 instead of 3 is an own choice: torque noise has heavy tails",
         )
 

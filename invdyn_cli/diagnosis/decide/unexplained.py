@@ -106,7 +106,7 @@ def in_doubt(
         resembled = effect.late_by or (effect.changes_inertials and not effect.load)
         least = (LATE_UNKNOWN if resembled else MOSTLY_UNKNOWN) if mostly else doubt.BEYOND
         if one.status == "named" and saved < least * unknown:
-            advice = "look for another effect on this joint: most of what the model misses there is still unknown"
+            advice = "look for another effect on the joint: most of what the model misses there is still unknown"
             one = doubt.or_else(one, doubt.UNKNOWN, advice=advice)
         out.append(one)
     return tuple(out)
