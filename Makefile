@@ -24,7 +24,7 @@ TESTED = OMP_NUM_THREADS=1 XLA_FLAGS="$$(XLA_FLAGS="$(QUICK)" $(BIN)/python -c '
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv run test lint tables figures grand real experiment fuzz docs wheel clean $(ALIASES)
+.PHONY: help venv run test lint tables figures grand real experiment fuzz docs wheel $(ALIASES)
 
 help:  ## what there is to make
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -70,10 +70,6 @@ docs: $(DOCS)/.installed  ## the pages as a site, into site (mkdocs-material, in
 	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --strict --quiet
 
 wheel: dist/.built  ## the wheel, into dist
-
-clean:  ## remove what building and testing left; outputs and .venv stay
-	rm -rf dist build site .cache .pytest_cache .ruff_cache .import_linter_cache *.egg-info
-	find invdyn_cli tests experiments -name __pycache__ -prune -exec rm -rf {} +
 
 $(INSTALLED): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
