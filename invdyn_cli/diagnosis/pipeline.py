@@ -114,8 +114,10 @@ def searched(case: Case, progress: Progress = silent, earlier: Inquiry | None = 
     """The search, beside the standard model where the arm is worn; and the standard model's columns. What an `earlier`
     search beside the standard model came to on the same log is where it starts: the arm is worn then."""
     progress(0.5, "search")
-    plain = Question(case.effects, case.most, case.allowed, case.compares, case.log.torque_side, case.split)
-    plain = replace(plain, told=lambda number: progress(0.5, f"search, effects so far: {number}"))
+    plain = Question(
+        case.effects, case.most, case.allowed, case.compares, case.log.torque_side, case.split,
+        told=lambda number: progress(0.5, f"search, effects so far: {number}"),
+    )  # fmt: skip
 
     def asked(evidence: Evidence, links: Hypothesis, start: Hypothesis = ()) -> Inquiry:
         return inquire(evidence, replace(plain, wear=links), start)

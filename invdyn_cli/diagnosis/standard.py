@@ -38,7 +38,7 @@ class Beside:
         before: (R, n) what the nominal model leaves.
         learned, found: the standard model beside the findings, of what chose and of all rows.
         reach: (p,) half of the 95 % interval of each coefficient of `found`.
-        share: by which the URDF's links are off, and how that was learned (`Standard.chosen`).
+        share: by which the URDF's links are typically off, and how that was estimated (`Standard.chosen`).
         worth: (n,) RMS torque of the links' change [N m; N].
     """
 

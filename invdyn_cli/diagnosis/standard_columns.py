@@ -1,4 +1,4 @@
-"""The columns of the standard model on the rows of a log, and its fit to what is left there.
+"""The standard model as columns on the rows of a log, and its least-squares fit to a residual.
 
 The standard model (`maths/standard.py`) is what every arm has beside its URDF: friction, offset and rotor of every
 joint, and errors of all links.
@@ -154,7 +154,7 @@ class Columns:
         return Sums(grams, count)
 
     def times(self, left: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Autocorrelation time (n,) [rows] of what is left, the longest of all pieces."""
+        """Autocorrelation time (n,) [rows] of each joint's residual `left` (R, n), the longest of all pieces."""
         times = np.ones(self.evidence.dofs)
         for number in range(len(self.evidence.recording.pieces)):
             mine = rows & (self.evidence.piece == number)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from invdyn_cli.diagnosis.marks import Mark
-from invdyn_cli.joints import units
+from invdyn_cli.joints import JointUnits, units
 from invdyn_cli.log import Log
 from invdyn_cli.recording.rows import forward_rows, median_step, without_gaps
 from invdyn_cli.types import Robot
@@ -72,7 +72,7 @@ class CheckedLog:
 
     def unit(self, channel: str, joint: int) -> str:
         """The unit of a channel in this log."""
-        own = units(self.robot is not None and self.robot.prismatic[joint])
+        own = self._units(joint)
         if channel == "tau":
             return "A" if self.log.torque_unit == "A" else own.torque
         if channel == "t":
@@ -81,8 +81,10 @@ class CheckedLog:
 
     def torque_unit(self, joint: int) -> str:
         """The unit of a joint's torque once drive gains, where the log has any, turn currents into it."""
-        slides = self.robot is not None and self.robot.prismatic[joint]
-        return self.unit("tau", joint) if self.log.drive_gain is None else units(slides).torque
+        return self.unit("tau", joint) if self.log.drive_gain is None else self._units(joint).torque
+
+    def _units(self, joint: int) -> JointUnits:
+        return units(self.robot is not None and self.robot.prismatic[joint])
 
     def logged_unit(self, channel: str, joint: int) -> str:
         """The unit of a channel as logged, which is not known if a check found a unit error in it."""

@@ -64,8 +64,10 @@ def _each_log(diagnosis: Diagnosis) -> str:
 
 def _term(term: Mapping[str, Any], number: int | None) -> str:
     """A term's value; of one that is claimed a link to its evidence."""
-    value, _, ends = quantity_text(Quantity(term["value"], term["unit"], term["interval95"])).partition(" [")
-    value, ends = escape(value), f"<small>[{escape(ends)}</small>" if ends else ""
+    quantity = Quantity(term["value"], term["unit"], term["interval95"])
+    value = quantity_text(quantity, interval=False)
+    ends = f"<small>{escape(quantity_text(quantity).removeprefix(value).strip())}</small>"
+    value = escape(value)
     if not number or not (term["claimed"] or "perhaps" in term):
         return value + ends
     others = f"<small>or {escape(' or '.join(map(words, term['perhaps'])))}</small>" if "perhaps" in term else ""

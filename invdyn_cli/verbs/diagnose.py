@@ -156,9 +156,8 @@ def options_of(config: DictConfig) -> Options:
     refuse_flags(config, "diagnosis.replay")
     conditioning = instantiate(node.conditioning)
     if not isinstance(conditioning, Preparation):
-        raise UsageError(
-            f"diagnosis.conditioning is a {type(conditioning).__name__}; allowed: a recording.pieces.Preparation"
-        )
+        got = f"diagnosis.conditioning is a {type(conditioning).__name__}"
+        raise UsageError(f"{got}; allowed: invdyn_cli.recording.pieces.Preparation")
     for one in fields(Preparation):
         values = getattr(conditioning, one.name)
         several = values if isinstance(values, list | tuple) else [values]

@@ -177,14 +177,11 @@ def _rest(diagnosis: Diagnosis) -> str:
     if swings:
         where = ", ".join(swings)
         said.append(f"The residual on {where} is not noise, although no learner predicts it from the motion.")
-    goes: dict[str, list[str]] = {}
-    for x in diagnosis.tests:
-        if not x.passed:
-            goes.setdefault(x.joint, []).append(test_words(x.against))
-    if goes and not said:
-        names = dict.fromkeys(name for own in goes.values() for name in own)
-        where = _listed(list(goes))
-        said.append(f"The residual on {where} is not noise according to these tests: {_listed(list(names))}.")
+    failed = [x for x in diagnosis.tests if not x.passed]
+    if failed and not said:
+        where = _listed(list(dict.fromkeys(x.joint for x in failed)))
+        names = _listed(list(dict.fromkeys(test_words(x.against) for x in failed)))
+        said.append(f"The residual on {where} is not noise according to these tests: {names}.")
     return " ".join(said)
 
 
