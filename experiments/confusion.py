@@ -12,7 +12,7 @@ import numpy as np
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
-from invdyn_cli.effects.catalogue import EFFECTS, may_be_ambiguous
+from invdyn_cli.effects.catalogue import may_be_ambiguous
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Diagnosis, Finding
 
@@ -74,17 +74,6 @@ ROUGH = {"backlash": 0.2, "joint_elasticity": 0.2}
 
 OVERLAP = 0.8
 """Share of two windows together that both must have to be the same."""
-
-MISTAKEN = (
-    ("backlash", "presliding_hysteresis", "stribeck_friction"),
-    ("joint_elasticity", "torque_delay", "actuator_lag"),
-    ("payload", "link_inertia_error", "torque_gain_error"),
-    ("base_tilt", "link_inertia_error"),
-    ("torque_offset", "asymmetric_coulomb_friction"),
-    ("torque_offset_drift", "viscous_friction", "thermal_friction_drift"),
-    ("payload_change", "external_contact", "torque_gain_change"),
-)
-"""Effects that are known to be mistaken for each other."""
 
 
 def claims(diagnosis: Diagnosis) -> list[Finding]:
@@ -214,43 +203,23 @@ def wilson(right: int, total: int) -> tuple[float, float]:
     return (middle - reach) / (1 + z * z / total), (middle + reach) / (1 + z * z / total)
 
 
-def matrix(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
-    """Hidden effect by named effect."""
-    columns = [n for n in MAIN if n in EFFECTS]
-    short = {n: str(i + 1) for i, n in enumerate(columns)}
-    lines = ["| hidden \\ named | " + " | ".join(short[n] for n in columns) + " | ambiguous | nothing |"]
-    lines.append("|---|" + "---:|" * (len(columns) + 2))
-    for name in [*columns, "(nothing)"]:
-        own = list(clean) if name == "(nothing)" else [o for o in loud if o.hidden[0].startswith(name + "@")]
-        if not own:
-            continue
-        row = dict.fromkeys([*columns, "ambiguous", "nothing"], 0)
-        for o in own:
-            for said in o.named or ("nothing",):
-                row["ambiguous" if "|" in said else said.split("@")[0]] += 1
-        label = f"{short.get(name, '')} {name}".strip()
-        lines.append(f"| {label} | " + " | ".join(str(x or "") for x in row.values()) + " |")
-    return lines
-
-
-def mistaken(loud: Sequence[Outcome]) -> list[str]:
-    """Of effects that are known to be mistaken for each other: how often each was named, and which others instead."""
-    lines = ["| hidden | among | logs | named | ambiguous | taken for another of them |", "|---|---|" + "---:|" * 4]
-    for group in MISTAKEN:
-        for name in group:
-            own = [o for o in loud if o.hidden[0].startswith(name + "@")]
-            others = [x for x in group if x != name]
-            taken = [o for o in own if o.result == "wrong" and any(s.split("@")[0] in others for s in o.named)]
-            count = [sum(o.result == r for o in own) for r in ("named", "ambiguous")]
-            row = [len(own), *count, len(taken)]
-            if own:
-                lines.append(f"| {name} | {', '.join(others)} | " + " | ".join(map(str, row)) + " |")
-    return lines
+def confused(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
+    """The confusion matrix off its diagonal: what was said that is not the hidden effect alone, on its joint."""
+    logs: dict[tuple[str, str], list[bool]] = {}
+    for o in (*loud, *clean):
+        name, place = (*o.hidden, "nothing@")[0].split("@")
+        for said in o.named or ("nothing@",):
+            effects, at = said.split("@")
+            other = effects.replace("|", " or ") + (" on another joint" if at not in (place, "") else "")
+            logs.setdefault((name, other), []).append(o.result in ("named", "ambiguous"))
+    lines = ["| hidden | said instead | logs | of these rightly |", "|---|---|---:|---:|"]
+    told = ((*key, right) for key, right in logs.items() if key[0] != key[1])
+    return lines + [f"| {name} | {other} | {len(right)} | {sum(right)} |" for name, other, right in told]
 
 
 @dataclass(frozen=True)
 class Confusion(AbstractExperiment):
-    """The confusion matrix of the diagnosis; `only` may join effects with "+": both in one log."""
+    """What is named of what is hidden; `only` may join effects with "+": both in one log."""
 
     row: ClassVar[type] = Outcome
 
@@ -278,7 +247,7 @@ class Confusion(AbstractExperiment):
         return f"{row.result}: seed {row.seed} {row.hidden} -> {row.named} share {row.share:.1f} ({row.said})"
 
     def table(self, rows: Sequence[Outcome]) -> str:
-        """The confusion matrix and the table of effects, as Markdown."""
+        """The table of effects and what was said instead of them, as Markdown."""
         single = [o for o in rows if len(o.hidden) == 1]
         clean = [o for o in rows if not o.hidden]
         loud = [o for o in single if o.share >= LOUD]
@@ -319,4 +288,4 @@ class Confusion(AbstractExperiment):
                 f"Intervals that hold the truth: {100 * np.mean(covered):.1f} %."
             )
         lines.append(f"- Seconds per diagnosis: median {np.median([o.seconds for o in rows]):.1f}.")
-        return "\n".join([*lines, "", *matrix(loud, clean), "", *mistaken(loud)])
+        return "\n".join([*lines, "", *confused(loud, clean)])
