@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN
-from invdyn_cli.diagnosis.decide.wording import SINCE, in_table, units_of
+from invdyn_cli.diagnosis.decide.wording import PREDICTABLE, SINCE, in_table, units_of
 from invdyn_cli.files import write_file
 from invdyn_cli.report.better_simulation import better_simulation
 from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reasons
@@ -57,8 +57,8 @@ CAPTION = (
 )
 OVERVIEW_CAPTION = (
     "Errors on held-out data. A black line, if there is one, is the noise floor: how much the torque differs between "
-    "repetitions of a trajectory. A small neural network that still predicts a part of the residual shows that a cause "
-    "has no name here."
+    f"repetitions of a trajectory. Where a small neural network predicts over {100 * PREDICTABLE:g} % of the residual, "
+    "a cause has no name here."
 )
 COMMAND = """\
 invdyn run data=real_log data.path=log.h5 robot.path=arm.urdf model=extended model.path=extended_model.json"""

@@ -9,7 +9,7 @@ from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, label_below, l
 from invdyn_cli.report.exhibits import Rows, as_numpy, exhibits, telling_window
 from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import causes, joints_of
+from invdyn_cli.report.wording import cause, causes, joints_of
 from invdyn_cli.types import Diagnosis
 
 OPENING, OVERLAY = "torque", "torques"
@@ -45,12 +45,16 @@ def opening(diagnosis: Diagnosis) -> Figure:
 
 
 def caption(diagnosis: Diagnosis) -> str:
-    """What the opening picture shows; also, if it is so, that joints rest where most of the squares are left."""
+    """What the opening picture shows, and why that joint; also, if it is so, that joints rest where most of the squares
+    are left."""
     assert diagnosis.signals is not None
+    anomalies = causes(diagnosis)
+    most = f"{cause(anomalies[0][1])} is largest" if anomalies else "the nominal model misses most"
     signals = as_numpy(diagnosis.signals)
     left = ((signals.tau - signals.extended) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)) ** 2
     left = np.nan_to_num(left) * signals.held_out[:, None]
-    return CAPTION + RESTING * bool(np.sum(left[~signals.valid]) > np.sum(left) / 2)
+    at_rest = bool(np.sum(left[~signals.valid]) > np.sum(left) / 2)
+    return f"{CAPTION} Shown is the joint on which {most}.{RESTING * at_rest}"
 
 
 def overlay(diagnosis: Diagnosis) -> Figure:
