@@ -165,7 +165,8 @@ def run(
             f"control of {robot.name}, which has prismatic joints; allowed: arms with revolute joints only"
         )
     if source.decimate != 1:
-        raise UsageError(f"data.decimate={source.decimate}; allowed here: 1, the loop ticks at {source.rate:g} Hz")
+        got = f"data.decimate={source.decimate}"
+        raise UsageError(f"{got}; allowed here: 1, because the loop runs at {source.rate:g} Hz")
     if not sweep.velocity_cutoff < source.rate / 2:
         raise UsageError(
             f"velocity_cutoff={sweep.velocity_cutoff:g}; allowed: above 0 and below {source.rate / 2:g} Hz"

@@ -66,8 +66,8 @@ def run(
     started = time.perf_counter()
     splits = prepared.splits if prepared else source.load(robot, stage("data"))
     if "test" not in splits.tests:
-        got = f"the source {type(source).__name__} has no test set named test, but {listed(splits.tests)}"
-        raise UsageError(f"{got}; allowed: one named test, and others beside it")
+        got = f"the source {type(source).__name__} has no test set named test, only {listed(splits.tests)}"
+        raise UsageError(f"{got}; allowed: one test set named test, and any others")
     fit_started = time.perf_counter()
     fit = adaptation.fit(
         _known(model, prepared.fit) if prepared else model,
@@ -210,7 +210,7 @@ def diverged(adaptation: AbstractAdapter, data: Dataset, learned: np.ndarray, fo
             at = f"{x.t[row] - x.t[0]:.2f} s of {x.name}"
             how = "from there on" if not finite[first:].any() else "there"
             advice = f"; {adaptation.if_diverged}" if adaptation.if_diverged else ""
-            return (f"adapting diverged at {at}: its torques are not finite {how}{advice}",)
+            return (f"the adaptation diverged at {at}: its torques are not finite {how}{advice}",)
         row -= len(x.t)
     return ()
 

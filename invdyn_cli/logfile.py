@@ -91,7 +91,7 @@ def write_log(log: Log, path: str | Path) -> None:
         hdf5.write(path, Group(_attributes(log, path.parent), {"trajectories": groups}))
     except OSError as error:
         got = f"cannot write {path}: {error.strerror or error}"
-        raise LogError(got, advice="a folder that can be written, on a disk with room") from error
+        raise LogError(got, advice="a writable folder, on a disk with free space") from error
 
 
 def refuse_defects(log: Log, where: str = "the log") -> None:
@@ -140,7 +140,8 @@ def _refuse_shapes(n: int, channels: Mapping[str, Any], where: str) -> None:
         if shape[:1] != (samples,):
             raise LogError(f"{where}: {channel} has shape {shape}; allowed: {samples} rows, one for each sample of t")
         if channel != "stage" and shape[1:] != (n,):
-            raise LogError(f"{where}: {channel} has shape {shape}; allowed: ({samples}, {n}), as joint_names has {n}")
+            got = f"{where}: {channel} has shape {shape}"
+            raise LogError(f"{got}; allowed: ({samples}, {n}), because joint_names has {n} names")
 
 
 def _refuse_values(log: Log, trajectory: RawTrajectory, where: str) -> None:
@@ -162,7 +163,7 @@ def _refuse_values(log: Log, trajectory: RawTrajectory, where: str) -> None:
         what = "repeats" if t[row] == t[row - 1] else "runs backwards"
         raise LogError(
             f"{where}: time {what} in row {row}, from {t[row - 1]:.6g} s to {t[row]:.6g} s; {len(stuck)} such rows",
-            advice="a log without these rows, or with the parts between as trajectories",
+            advice="a log without these rows, or a trajectory for each part between them",
         )
 
 

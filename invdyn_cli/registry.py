@@ -177,7 +177,7 @@ def _class_of(name: Any, trust: Sequence[str]) -> type:
         got = f"the class {shortened(name)!r} is not one of invdyn's own"
         raise RunFileError(
             f"{got}; allowed: {listed(CLASSES)}, and those of modules that you trust",
-            advice=f"trust=[{shortened(module)}], if you know that module: its code is run",
+            advice=f"trust=[{shortened(module)}], if you know that module, because its code will be run",
         )
     try:
         kind = vars(import_module(module)).get(own)

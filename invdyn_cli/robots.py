@@ -170,7 +170,7 @@ def _model(root: ET.Element, path: str | Path | None) -> tuple[pin.Model, list[s
     except (ValueError, RuntimeError) as error:
         reason = (said[0] if said else str(error)).rstrip(".")
         raise RobotError(
-            f"{path} is not a valid URDF: {reason}", advice="check_urdf, or another export of it"
+            f"{path} is not a valid URDF: {reason}", advice="check_urdf on this file, or a new export"
         ) from error
     if model.njoints == 1:
         raise RobotError(f"{path} has no moving joint; allowed types: {listed(MOVING)}", advice="the URDF of an arm")
@@ -294,7 +294,7 @@ def _gravity(gravity: Sequence[float] | None, base_rpy: Sequence[float] | None) 
 def _payload(payload: Mapping[str, Any]) -> np.ndarray:
     """(10,) inertial parameters of a declared body about the joint frame's origin."""
     if not isinstance(payload, Mapping) or not {"mass", "com"} <= set(payload) <= {"mass", "com", "inertia"}:
-        raise RobotError(f"robot.payload={payload!r}; allowed: mass and com, and inertia of what is no point mass")
+        raise RobotError(f"robot.payload={payload!r}; allowed: mass and com; also inertia, unless it is a point mass")
     mass = float(urdf.finite(payload["mass"], "robot.payload.mass", ()))
     com = urdf.finite(payload["com"], "robot.payload.com", (3,))
     inertia = np.zeros((3, 3))
@@ -304,6 +304,6 @@ def _payload(payload: Mapping[str, Any]) -> np.ndarray:
         inertia = inertia[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
     if mass < 0 or not np.array_equal(inertia, inertia.T) or np.linalg.eigvalsh(inertia)[0] < 0:
         raise RobotError(
-            f"robot.payload={payload!r}; allowed: mass and moments of inertia from zero up, inertia symmetric"
+            f"robot.payload={payload!r}; allowed: mass and moments of inertia >= 0, and a symmetric inertia"
         )
     return pin.Inertia(mass, com, inertia).toDynamicParameters()

@@ -110,7 +110,8 @@ def load_asked(path: str | Path) -> tuple[str, tuple[str, ...]]:
 def _read(path: Path, members: Sequence[str] | None, limit: float) -> dict[str, Any]:
     """The tree of a run.h5, or some of its members, with all values."""
     if not path.is_file():
-        raise RunFileError(f"no run at {path}", advice="the run.h5 in the folder that `invdyn run` printed last")
+        advice = "the run.h5 in the folder that `invdyn run` prints in its last line"
+        raise RunFileError(f"no run at {path}", advice=advice)
     root = hdf5.outline(path, RunFileError)
     schema = root.attributes.get("schema")
     told = schema.values[0] if schema is not None and schema.values else None

@@ -75,7 +75,7 @@ def robot(tree: Mapping[str, Any]) -> Robot:
     limits = dict.fromkeys(("lower", "upper", "velocity_limit", "effort_limit"), (n,))
     columns = names(tree.get("columns", ()), "columns")
     if columns and sorted(columns) != sorted(joints):
-        raise ValueError(f"columns {shortened(columns)}: other names than those of the joints")
+        raise ValueError(f"columns {shortened(columns)}; allowed: the names of the joints, in any order")
     return Robot(
         name=text(tree["name"], "name"),
         joints=joints,

@@ -60,7 +60,7 @@ def _expanded(file: Path) -> str:
     except Exception as error:  # xacro evaluates Python: anything can come out
         raise RobotError(
             f"{file} cannot be expanded by xacro: {error}",
-            advice=f"xacro {file.name} > {file.stem} where its packages are found, and give that file",
+            advice=f"xacro {file.name} > {file.stem} on a computer with its packages, then give invdyn {file.stem}",
         ) from error
 
 
@@ -71,7 +71,7 @@ def parse(text: str, path: str | Path | None) -> ET.Element:
     try:
         root = ET.fromstring(text)
     except (ET.ParseError, ValueError) as error:
-        raise RobotError(f"{path} is not XML: {error}", advice="a .urdf file, whole and not compressed") from error
+        raise RobotError(f"{path} is not XML: {error}", advice="a complete, uncompressed .urdf file") from error
     if root.tag != "robot":
         raise RobotError(f"{path} has <{root.tag}> at its root; allowed: <robot>, a URDF", advice="convert it to URDF")
     refuse_types(root.findall("joint"), (*MOVING, "fixed", "floating", "planar"))
@@ -96,7 +96,7 @@ def refuse_types(joints: Sequence[ET.Element], allowed: Sequence[str]) -> None:
     if wrong:
         raise RobotError(
             f"joints of types that are not supported: {listed(wrong)}; allowed: {listed(MOVING)}, fixed",
-            advice="robot.tip=… or robot.joints=[…] that leave them out, which locks them; or type fixed in the URDF",
+            advice="leave them out by robot.tip=… or robot.joints=[…] (this locks them), or set their type to fixed",
         )
 
 

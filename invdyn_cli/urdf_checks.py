@@ -115,7 +115,7 @@ def _refuse_axis(joint: ET.Element) -> None:
     axis = triple(joint, "axis", "xyz", "1 0 0")
     if not SHORTEST_AXIS <= np.abs(axis).max() <= LONGEST_AXIS:
         got = f"joint {joint.get('name')!r} has the axis {axis.tolist()}"
-        raise RobotError(f"{got}; allowed: a direction, of length 1")
+        raise RobotError(f"{got}; allowed: a vector of length 1")
 
 
 def doubts(root: ET.Element) -> list[str]:

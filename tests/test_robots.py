@@ -306,7 +306,7 @@ REFUSED = {
     "axis without a length": (
         urdf(BASE, link("l1"), joint("j1", "revolute", "base", "l1", "0 1e-200 0")),
         {},
-        "a direction",
+        "a vector of length 1",
     ),
     "a mass beyond reason": (urdf(BASE, link("l1", 1e300), joint("j1", "revolute", "base", "l1")), {}, "up to 1e.06"),
     "a link twice": (
@@ -359,7 +359,7 @@ REFUSED = {
     "gravity": (ARM, {"gravity": [0, 9.81]}, "robot.gravity is .0, 9.81.; allowed: finite numbers"),
     "gravity and tilt": (ARM, {"gravity": [0, 0, 9.81], "base_rpy": [0, 0, 0]}, "one of them"),
     "payload": (ARM, {"payload": {"weight": 1}}, "allowed: mass and com"),
-    "payload's mass": (ARM, {"payload": {"mass": -1, "com": [0, 0, 0]}}, "from zero up"),
+    "payload's mass": (ARM, {"payload": {"mass": -1, "com": [0, 0, 0]}}, "mass and moments of inertia >= 0"),
     "payload's inertia": (ARM, {"payload": {"mass": 1, "com": [0, 0, 0], "inertia": [1, 2]}}, "inertia is"),
     "tags": (ARM, {"dynamics_tags": "yes"}, "allowed: ignore, use"),
 }

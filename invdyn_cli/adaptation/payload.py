@@ -76,7 +76,7 @@ class Payload(AbstractAdapter):
                 allowed = f"a whole number of samples from {least}{', or null' * (name == 'observer')}"
                 raise UsageError(f"adaptation.{name}={value}; allowed: {allowed}")
         if not self.margin >= 1:
-            raise UsageError(f"adaptation.margin={self.margin}; allowed: a number from 1")
+            raise UsageError(f"adaptation.margin={self.margin}; allowed: a number >= 1")
 
     @property
     def block(self) -> int:

@@ -102,9 +102,9 @@ class Plant(AbstractSource):
             got = f"data.reference is a {type(self.reference).__name__}"
             raise UsageError(f"{got}; allowed: {listed(REFERENCES)}, or a _target_ in invdyn_cli.simulation.references")
         if not (isinstance(self.trajectories, int) and self.trajectories >= 1):
-            raise UsageError(f"data.trajectories={self.trajectories}; allowed: a whole number from 1")
+            raise UsageError(f"data.trajectories={self.trajectories}; allowed: a whole number >= 1")
         if not (isinstance(self.seed, int) and self.seed >= 0):
-            raise UsageError(f"data.seed={self.seed}; allowed: a whole number from 0")
+            raise UsageError(f"data.seed={self.seed}; allowed: a whole number >= 0")
         for name, allowed in (("torque_side", SIDES), ("position_side", POSITION_SIDES)):
             if getattr(self, name) not in allowed:
                 raise UsageError(f"data.{name}={getattr(self, name)}; allowed: {listed(allowed)}")

@@ -88,7 +88,7 @@ class SineTasks(AbstractSource):
         if not 1 <= self.savgol_order < self.savgol_window <= self.duration * self.rate:
             raise UsageError(
                 f"data.savgol_order={self.savgol_order} and data.savgol_window={self.savgol_window}; allowed: an order "
-                "from 1, a longer window, and no more samples than a task has"
+                ">= 1, and a window that is longer than the order but not longer than a task"
             )
         if not 0 <= self.jitter <= np.pi:
             raise UsageError(f"data.jitter={self.jitter}; allowed: a spread from 0 to pi [rad]")
@@ -96,11 +96,11 @@ class SineTasks(AbstractSource):
             raise UsageError(f"data.decimals={self.decimals}; allowed: 0 to {DIGITS}, the digits of a float64")
         if not 0 < self.duration * self.rate <= MOST_SAMPLES:
             got = f"data.duration={self.duration} s at data.rate={self.rate} Hz"
-            raise UsageError(f"{got}; allowed: above 0, for at most {MOST_SAMPLES:.0e} samples a task")
+            raise UsageError(f"{got}; allowed: both above 0, and at most {MOST_SAMPLES:.0e} samples per task")
         if self.trim < 0 or self.duration * self.rate - 2 * self.trim < 100:
             raise UsageError(
-                f"data.duration={self.duration} s at data.rate={self.rate} Hz less 2 x data.trim={self.trim} samples "
-                "leaves fewer than 100; allowed: 100 or more",
+                f"data.duration={self.duration} s at data.rate={self.rate} Hz, minus 2 x data.trim={self.trim} "
+                "samples, leaves fewer than 100 samples; allowed: 100 or more",
                 advice="a longer duration, a higher rate or a smaller trim",
             )
 

@@ -35,7 +35,7 @@ def typical(effect: AbstractEffect, joint: int | None, robot: Robot, usual: Usua
     if made is None:
         raise UsageError(
             f"{effect.name} has no typical size",
-            advice=f"values of {listed(effect.parameters)}, in the units that invdyn effects {effect.name} lists",
+            advice=f"values of {listed(effect.parameters)}, in the units listed by `invdyn effects {effect.name}`",
         )
     return made
 
@@ -48,7 +48,7 @@ def unplayable(
     if coupled and joint in robot.joints and not has_driver(robot, robot.joints.index(joint)):
         return f"there is no joint before {joint} that could share a gear with it"
     if effect.passing:
-        return "it acts only for a time, and no motion reproduces it"
+        return "it acts only in a time window, and no motion reproduces it"
     if effect.point not in POINTS:
         return f"it acts at the {effect.point}, and no motion can be designed for such effects"
     if effect.turns_gravity and not np.any(robot.gravity):

@@ -154,7 +154,7 @@ def design(
     if not questions:
         raise UsageError("0 causes to distinguish; allowed: two or more")
     if not np.isfinite(duration) or duration < 5.0:
-        raise UsageError(f"duration={duration:g} s; allowed: from 5 s")
+        raise UsageError(f"duration={duration:g} s; allowed: 5 s or more")
     draw = np.random.default_rng(seed)
     allowed, usual, postures = _room_and_usual(robot, draw)
     start = (allowed.lower + allowed.upper) / 2

@@ -62,7 +62,7 @@ def read(
         effect = effects[name]
         whole = not effect.of_joint
         if whole and joint is not None:
-            raise UsageError(f"diagnosis.known: {name} is of the whole arm, and has no joint; got {joint!r}")
+            raise UsageError(f"diagnosis.known: {name} acts on the whole arm, and has no joint; got {joint!r}")
         given = {k: v for k, v in one.items() if k not in ("effect", "joint")}
         if not given:
             parts = effect.sum_of or (name,)

@@ -114,5 +114,5 @@ def note_of(robot: Robot, speeds: Sequence[float]) -> tuple[str, ...]:
     told = [f"{joint} ({v:.2g} {units(slides).position}/s)" for joint, v, slides in every if v > 0]
     return (
         f"The friction of these joints changes sign gradually, as tanh(qd / v), with v in brackets: {listed(told)}. "
-        "They creep at reversals, as on bristles, or the log comes from a simulation that smooths friction.",
+        "They creep at reversals (presliding), or the log comes from a simulation that smooths friction.",
     )

@@ -96,5 +96,5 @@ class CoupledFriction(AbstractTorqueEffect):
 
     def refuse(self, parameters: Parameters) -> str:
         if abs(parameters["ratio"]) < LEAST_RATIO:
-            return f"ratio would be {parameters['ratio']:.2g}: the joint before hardly turns this drive"
+            return f"ratio would be {parameters['ratio']:.2g}: the previous joint hardly turns this drive"
         return super().refuse(parameters)

@@ -170,7 +170,7 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
             name = row["effect"]
             if name not in effects:
                 got = f"{where}: no effect {name!r}{closest(name, effects)}; allowed: {listed(effects)}"
-                raise UsageError(got, advice="model.effects=[{_target_: mine.MyEffect}] for one of your own")
+                raise UsageError(got, advice="model.effects=[{_target_: mine.MyEffect}] for an effect of your own")
             joint = None if row["joint"] is None else robot.joints.index(row["joint"])
             parameters = effects[name].whole({k: _numbers(v["value"]) for k, v in row["parameters"].items()})
             when = None
@@ -186,10 +186,10 @@ def from_dict(stored: Any, where: str = "the model", effects: Mapping[str, Abstr
         if transition and not (len(transition) == robot.dofs and all(0 <= x < np.inf for x in transition)):
             raise ValueError(f"friction_transition={list(transition)}; allowed: {robot.dofs} speeds from 0")
     except KeyError as error:
-        raise UsageError(f"{where} lacks {error}", advice="the file as invdyn diagnose wrote it") from error
+        raise UsageError(f"{where} lacks {error}", advice="the unchanged file of invdyn diagnose") from error
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
         got = f"{where} is not a complete model ({error})"
-        raise UsageError(got, advice="the file as invdyn diagnose wrote it") from error
+        raise UsageError(got, advice="the unchanged file of invdyn diagnose") from error
     more = stored.get("filter", {}), stored.get("provenance", {}), transition
     return ExtendedModel(robot, tuple(acting), tuple(intervals), *more)
 

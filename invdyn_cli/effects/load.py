@@ -173,7 +173,7 @@ class BaseTilt(AbstractBodyEffect):
             return ""
         down = np.asarray(self.changed(parameters, robot, None).gravity) / _length(robot)
         turned = np.degrees(np.arccos(np.clip(nominal @ down, -1.0, 1.0)))
-        return f"Gravity is {turned:.3g} degrees away from where the stated mounting of the base has it."
+        return f"Gravity is {turned:.3g} degrees away from its direction in the stated mounting of the base."
 
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
         nominal = np.asarray(robot.gravity) / _length(robot)

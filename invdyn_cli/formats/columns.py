@@ -111,7 +111,7 @@ def log_from(where: str, tables: Sequence[Table], columns: ColumnMap) -> Log:
     tau = columns.channel("tau")
     current = bool(set(tau.unit) & set(CURRENTS)) and not tau.full_scale
     if current and not set(tau.unit) <= set(CURRENTS):
-        raise UsageError(f"tau.unit={list(tau.unit)}; allowed: torques, or currents, on all joints")
+        raise UsageError(f"tau.unit={list(tau.unit)}; allowed: torques on all joints, or currents on all joints")
     if columns.drive_gain and not current:
         raise UsageError("drive_gain is given, but tau is not a current", advice="tau.unit=A")
     gain = each("drive_gain", columns.drive_gain, len(columns.joints)) if columns.drive_gain else None

@@ -52,7 +52,8 @@ def read(path: Path, limit: float) -> tuple[Table, ...]:
     rows = [(k, row if any(row[width:]) else row[:width]) for k, row in rows]  # without delimiters at their ends
     if all(len(row) != width for _, row in rows):
         (k, row), *_ = rows
-        raise LogError(f"{path}: line {k} has {len(row)} cells, its header {width}; allowed: one name for each column")
+        got = f"{path}: line {k} has {len(row)} cells, the header has {width}"
+        raise LogError(f"{got}; allowed: one name for each column")
     return (_table(path, names, rows, comma=delimiter != ","),)
 
 

@@ -157,7 +157,7 @@ class _Guess:
             return named
         if len(wanted) != len(named) or len(set(wanted)) < len(wanted):
             got = f"{self.where}: joints={wanted}, and q has {len(named)} columns: {listed(self.columns_q)}"
-            raise LogError(f"{got}; allowed: a name for each, each once")
+            raise LogError(f"{got}; allowed: a name for each column, each once")
         if order := matched(named, wanted) if words else None:  # an order, not new names
             self.joints_by = [self.joints_by[k] for k in order]
             if self.given.channel("q").columns:

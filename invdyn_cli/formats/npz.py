@@ -36,7 +36,7 @@ def _array(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.n
         shape, _, dtype = header[version](file)
     if dtype.hasobject:
         got = f"{path}: {entry.filename[:-4]} holds Python objects"
-        raise LogError(f"{got}; allowed: numbers", advice="an archive without it, as reading them would run code")
+        raise LogError(f"{got}; allowed: numbers", advice="an archive without them, because reading them runs code")
     if int(np.prod(shape, dtype=object)) * dtype.itemsize > entry.file_size:
         raise ValueError(f"{entry.filename} claims the shape {listed(map(str, shape))}")
     with archive.open(entry) as file:

@@ -21,7 +21,7 @@ from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel, Progress, silent
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
-HINT = "the extended_model.json in the folder that `invdyn diagnose` printed last"
+HINT = "the extended_model.json in the folder that `invdyn diagnose` prints in its last line"
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ class Extended(AbstractModel):
         if dataset.joints != joints:
             got = f"{self.path or 'the model'} has joints {listed(joints)}, the data have {listed(dataset.joints)}"
             raise UsageError(
-                f"{got}; allowed: the same, in one order", advice="robot.path=…, the URDF that diagnose was given"
+                f"{got}; allowed: the same joints in the same order",
+                advice="robot.path=…, the URDF that diagnose was given",
             )
         params = self.init(dataset, key)
         count = sum(np.size(x) for x in jax.tree.leaves(params))

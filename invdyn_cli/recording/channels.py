@@ -56,7 +56,7 @@ def _order(joints: Sequence[str], robot: Robot, notes: list[str]) -> list[int]:
             said = f"{apart[0][0]} resembles {apart[0][1]}, which has another place in the order"
         got = f"robot {robot.name!r} moves {listed(wanted)}, the log has {listed(joints)}: {said}"
         raise RobotError(
-            f"{got}; allowed: exactly the robot's names, in any order, or only other names, in the robot's order",
+            f"{got}; allowed: exactly the robot's names (in any order), or none of its names (in the robot's order)",
             advice="'data.columns={joints: […]}', the robot's names in the order of the log's columns; or another URDF",
         )
     notes.append(f"the log's joints {listed(joints)} are read as the robot's {listed(wanted)}, in this order")

@@ -149,7 +149,10 @@ class Conditioning:
         rate = self.rate or (log.rate if nominal else measured)
         if rate < (1 - RATE_TOLERANCE) * measured:
             got = f"data.rate={rate:g}, but trajectory {key!r} is logged at {measured:.4g} Hz"
-            raise UsageError(f"{got}; allowed: no slower", advice="data.decimate, which drops samples after the filter")
+            raise UsageError(
+                f"{got}; allowed: at least the logged rate",
+                advice="data.decimate, which drops samples after the filter",
+            )
         if self.filter_cutoff is not None and not 0 < self.filter_cutoff < rate / 2:
             got = f"data.filter_cutoff={self.filter_cutoff:g} Hz for trajectory {key!r} at {rate:.4g} Hz"
             raise UsageError(f"{got}; allowed: above 0 and below half the rate, or null")

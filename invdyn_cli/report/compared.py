@@ -206,7 +206,7 @@ def _joints(runs: Sequence[Compared]) -> str:
                      for c, b in zip(columns, best, strict=True))  # fmt: skip
             body += f"<tr><td>{escape(x.name)}</td>{''.join(f'<td>{c}</td>' for c in cells)}</tr>"
         out += table((head, *joints), body, "joints")
-    return out + '<p class="note">The lowest of every joint is bold.</p>'
+    return out + '<p class="note">The lowest error of every joint is bold.</p>'
 
 
 def _configs(runs: Sequence[Compared]) -> str:

@@ -119,13 +119,14 @@ def _as_learned(record: RunRecord) -> str:
     if math.isnan(train):
         return f"{first} There is no training error to compare it with."
     if max(train, mean) < EXACT:
-        return f"{first} The training error ({significant(train)}) is a rounding error, too: the model is exact here."
+        both = f"The mean and the training error ({significant(train)}) are rounding errors"
+        return f"{first} {both}: the model is exact here."
     ratio = mean / train if train > 0 else math.inf
     if ratio >= APART:
         times = f"{significant(ratio)} times the training error ({significant(train)})"
-        return f"{first} That is {times}: the model does not fully generalise to the test set."
+        return f"{first} The mean is {times}: the model does not fully generalise to the test set."
     if ratio <= 1 / APART:
-        return f"{first} That is less than the training error ({significant(train)}): the test set is easier."
+        return f"{first} The mean is less than the training error ({significant(train)}): the test set is easier."
     return f"{first} The training error is about the same ({significant(train)})."
 
 

@@ -89,9 +89,10 @@ def summary(verdicts: Iterable[Grid]) -> str:
     kinds = [kind_of(row[-1]) for grid in verdicts for row in grid.rows]
     parts = [f"{kinds.count(kind)} {said}" for kind, said in SAID.items() if kind in kinds]
     judged = (
-        "Each is judged for every seed, and for every reading of what the paper leaves open. Only powers of ten count."
+        "Each is judged for every seed and every interpretation of what the paper leaves open. Only orders of "
+        "magnitude count."
     )
-    return f"Of {len(kinds)} statements, the paper's and those marked as ours, {', '.join(parts)}. {judged}"
+    return f"Of {len(kinds)} statements (of the paper, or marked as ours), {', '.join(parts)}. {judged}"
 
 
 SAID = {"holds": "hold", "partly": "hold in part", "differs": "do not hold", "not": "were not run"}

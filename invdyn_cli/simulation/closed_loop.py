@@ -121,6 +121,6 @@ class ClosedLoop:
         unit = units(self.robot.prismatic[worst]).position
         digits = next((k for k in range(3, 17) if f"{off:.{k}g}" != f"{largest:.{k}g}"), 17)
         return (
-            f"the simulated arm is out of control {when}, {self.robot.joints[worst]} is {off:.{digits}g} {unit} from "
+            f"the simulated arm is out of control {when}: {self.robot.joints[worst]} is {off:.{digits}g} {unit} from "
             f"its reference; allowed: {largest:g} {unit}"
         )

@@ -36,7 +36,8 @@ class Segment:
         shapes = {np.shape(x) for x in (self.q, self.qd, self.tau)}
         if len(shapes) != 1 or len(self.t) < 3 or next(iter(shapes))[:1] != np.shape(self.t):
             got = ", ".join(str(np.shape(x)) for x in (self.t, self.q, self.qd, self.tau))
-            raise LogError(f"{self.name}: t, q, qd, tau have shapes {got}; allowed: (T,) and thrice (T, n), T from 3")
+            got = f"{self.name}: t, q, qd, tau have shapes {got}"
+            raise LogError(f"{got}; allowed: (T,) for t, (T, n) for the others, T >= 3")
         steps = np.diff(self.t)
         if not np.all(np.abs(steps - self.period) < 0.01 * self.period):
             raise LogError(f"{self.name}: the clock is uneven; allowed: steps within 1 % of {self.period:.3g} s")
@@ -66,7 +67,8 @@ class Driven:
         self.step = stretch.period / self.substeps
         spec: Any = mujoco.MjSpec.from_string(mjcf)
         if len(spec.actuators) != n:
-            raise UsageError(f"the MJCF has {len(spec.actuators)} motors, the log {n} joints; allowed: as many")
+            got = f"the MJCF has {len(spec.actuators)} motors, the log has {n} joints"
+            raise UsageError(f"{got}; allowed: one motor per joint")
         spec.option.timestep = self.step
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         for motor in spec.actuators:

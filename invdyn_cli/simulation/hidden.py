@@ -187,7 +187,7 @@ def refuse(one: Hidden, robot: Robot | None = None) -> None:
         raise UsageError(f"{got}; allowed: {listed(KINDS, most=30)}")
     kind, joints = KINDS[one.effect], robot.joints if robot else ()
     if kind.of_joint is False and one.joint is not None:
-        raise UsageError(f"{one.effect} on joint {one.joint!r}; allowed: no joint, it belongs to the whole arm")
+        raise UsageError(f"{one.effect} on joint {one.joint!r}; allowed: no joint, because it acts on the whole arm")
     if kind.of_joint and one.joint is None:
         raise UsageError(f"{one.effect} names no joint; allowed: {listed(joints) if robot else 'a joint of the robot'}")
     if robot and one.joint is not None and one.joint not in joints:

@@ -91,7 +91,7 @@ def written(robot: Robot, parts: Sequence[Part] = ()) -> tuple[str, tuple[str, .
     made = _Numbers(robot, np.array(robot.inertial, float), joint, np.zeros(robot.dofs))
     for part in parts:
         if part.joint is not None and part.joint not in robot.joints:
-            raise UsageError(f"{part.title} is on no joint {part.joint!r}; allowed: {listed(robot.joints)}")
+            raise UsageError(f"{part.title} is on the unknown joint {part.joint!r}; allowed: {listed(robot.joints)}")
         _put(made, part, 0 if part.joint is None else robot.joints.index(part.joint))
     _make_consistent(made)
     return _text(made), tuple(made.said)

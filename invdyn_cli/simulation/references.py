@@ -49,7 +49,7 @@ class Multisine(AbstractReference):
         _refuse_shares(self)
         if self.base <= 0 or self.harmonics < 1 or self.ramp <= 0:
             got = f"multisine with base={self.base}, harmonics={self.harmonics}, ramp={self.ramp}"
-            raise UsageError(f"{got}; allowed: base and ramp above 0, harmonics from 1")
+            raise UsageError(f"{got}; allowed: base and ramp above 0, harmonics >= 1")
 
     def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
         draw = np.random.default_rng(seed)
@@ -88,7 +88,7 @@ class PickPlace(AbstractReference):
     def __post_init__(self) -> None:
         _refuse_shares(self)
         if self.dwell < 0:
-            raise UsageError(f"pick_place with dwell={self.dwell}; allowed: from 0")
+            raise UsageError(f"pick_place with dwell={self.dwell}; allowed: 0 or more")
 
     def motion(self, robot: Robot, duration: float, rate: float, seed: int) -> Motion:
         draw = np.random.default_rng(seed)
@@ -139,7 +139,7 @@ class Manipulation(AbstractReference):
     def __post_init__(self) -> None:
         if self.spread < 0 or self.grasping <= 0:
             got = f"manipulation with spread={self.spread}, grasping={self.grasping}"
-            raise UsageError(f"{got}; allowed: spread from 0, grasping above 0")
+            raise UsageError(f"{got}; allowed: spread >= 0, grasping above 0")
 
     def times(self, seed: int) -> dict[str, tuple[float, float]]:
         """When each stage begins and ends, and when the hand "holds" the object [s]."""
@@ -160,7 +160,8 @@ class Manipulation(AbstractReference):
         rest, approach, lift, carry, retract = self._durations(seed)
         if self.times(seed)["retract"][1] > duration:
             takes = self.times(seed)["retract"][1]
-            raise UsageError(f"duration={duration:g} s; allowed: {takes:.2f} s or more, which the manipulation takes")
+            got = f"duration={duration:g} s, but the manipulation takes {takes:.2f} s"
+            raise UsageError(f"{got}; allowed: {takes:.2f} s or more")
         t = np.arange(round(duration * rate)) / rate
         q, qd, qdd = np.tile(home, (len(t), 1)), np.zeros((len(t), robot.dofs)), np.zeros((len(t), robot.dofs))
         here, start = home, rest

@@ -151,7 +151,7 @@ def replay(
     total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
     if not total > 0:
         got = f"no stretch is longer than {length + MEMORY:g} s without a gap"
-        raise LogError(f"{got}; a replay needs {length:g} s and the {MEMORY:g} s before, because motors may be late")
+        raise LogError(f"{got}; a replay needs {length:g} s, and {MEMORY:g} s before, because motors may be delayed")
     every = max(total / most, length)
     found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     where: list[tuple[Segment, int]] = []
@@ -207,9 +207,8 @@ def free(mjcf: str, stretch: Segment, starts: Sequence[int] | np.ndarray, length
     """
     samples = round(length / stretch.period)
     if len(starts) and not (min(starts) >= 0 and max(starts) + samples < len(stretch.t) and samples >= 1):
-        raise UsageError(
-            f"a window of {length:g} s from row {max(starts)} of {stretch.name}; allowed: within its {len(stretch.t)}"
-        )
+        got = f"a window of {length:g} s from row {max(starts)} of {stretch.name}"
+        raise UsageError(f"{got}; allowed: within its {len(stretch.t)} rows")
     arm = Driven(mjcf, stretch)
     out = np.empty((len(starts), samples + 1, stretch.q.shape[1]))
     with quiet():

@@ -40,7 +40,7 @@ class Noise:
         except (TypeError, ValueError):
             numbers = np.array(np.nan)
         if numbers.shape not in ((), (joints,)) or not np.all(numbers >= 0) or not np.isfinite(numbers).all():
-            raise UsageError(f"noise.{name}={value}; allowed: a number from 0, or {joints} of them, one for each joint")
+            raise UsageError(f"noise.{name}={value}; allowed: a number >= 0, or a list of {joints}, one for each joint")
         return np.broadcast_to(numbers, joints).copy()
 
 

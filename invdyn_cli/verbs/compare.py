@@ -33,7 +33,7 @@ def task(config: DictConfig) -> None:
     if len(paths) < 2:
         raise UsageError(
             f"compare got {len(paths)} runs ({listed(map(str, paths))}); allowed: two or more",
-            advice="invdyn compare RUN RUN, folders that `invdyn run` printed last",
+            advice="invdyn compare RUN RUN; RUN: the folder in the last line of `invdyn run`",
         )
     trust, limit = trusted(config), size_limit(config)
     folder, console = Path(job().runtime.output_dir), Screen()

@@ -110,14 +110,13 @@ def _of_diagnosis(config: DictConfig, robot: Robot) -> tuple[list[tuple[Side, ..
     for one in findings:
         if one.joint is not None and one.joint not in robot.joints:
             got = f"{config.diagnosis} has a joint {one.joint!r}; allowed: {listed(robot.joints)}"
-            raise UsageError(got, advice="robot=urdf robot.path=… of the arm that was diagnosed")
+            raise UsageError(got, advice="robot=urdf robot.path=…, the URDF of the diagnosed arm")
     asked = [x for x in all_open(findings, robot) if number in (None, x.finding + 1)]
     asked = [x for x in asked if x.playable or x.said or x.notes]
     if not asked:
         told = [f"{k + 1} {f.effect} ({f.status})" for k, f in enumerate(findings)]
-        raise UsageError(
-            f"{config.diagnosis}: nothing to distinguish among {listed(told)}; allowed: an ambiguous finding"
-        )
+        got = f"{config.diagnosis}: nothing to distinguish among the findings {listed(told)}"
+        raise UsageError(f"{got}; allowed: an ambiguous finding")
     return [x.sides for x in asked if x.playable], [line for x in asked for line in (*x.said, *x.notes)]
 
 
@@ -164,7 +163,7 @@ def noise_of(config: DictConfig, robot: Robot) -> np.ndarray | float | None:
     except (TypeError, ValueError):
         numbers = np.array(np.nan)
     if numbers.shape not in ((), (robot.dofs,)) or not np.all(np.isfinite(numbers)) or np.any(numbers < 0):
-        raise UsageError(f"noise={value}; allowed: a number from 0, {robot.dofs} of them, or null")
+        raise UsageError(f"noise={value}; allowed: a number >= 0, a list of {robot.dofs} such numbers, or null")
     return numbers
 
 
@@ -278,7 +277,7 @@ def _cause(one: Any, robot: Robot, option: str) -> Cause | str:
     parameters = effect.whole(parameters) if parameters else {}
     missing = [k for k in effect.parameters if k not in parameters]
     if parameters and missing:
-        raise UsageError(f"{option}: {name} without {listed(missing)}; allowed: all of its parameters, or none")
+        raise UsageError(f"{option}: {name} lacks {listed(missing)}; allowed: all of its parameters, or none")
     wrong = refused(effect, parameters) if parameters else ""
     if wrong:
         raise UsageError(f"{option}: {name}: {wrong}")

@@ -49,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _experiment(name: str, argv: Sequence[str]) -> int:
     if "=" in name:
-        raise UsageError(f"{name} is no experiment; the first word is its name", advice="invdyn experiment")
+        raise UsageError(f"{name} is no experiment; the first argument must be one", advice="invdyn experiment")
     spec = listing.read(name)
     if "_target_" not in spec:
         from invdyn_cli.verbs import tables
@@ -102,9 +102,9 @@ def _draw(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
 
 def _refuse_docs(name: str, experiment: AbstractExperiment) -> None:
     if not (_root() / "docs" / "index.md").is_file():
-        raise UsageError("docs=true writes into the pages of a checkout; this invdyn is installed without them")
+        raise UsageError("docs=true writes into the docs of a source checkout; this installation has none")
     if not experiment.page and type(experiment).figures is AbstractExperiment.figures:
-        raise UsageError(f"docs=true; {name} has no table or figure in the docs")
+        raise UsageError(f"docs=true, but {name} has no table or figure in the docs")
 
 
 def _publish(name: str, experiment: AbstractExperiment, text: str, figures: Mapping[str, Any]) -> list[Path]:

@@ -55,8 +55,8 @@ def read(name: str) -> dict[str, Any]:
     for allowed, one in ((needed, spec), *((("name", "overrides"), job) for job in _jobs(spec))):
         if lacking := [name for name in allowed if not isinstance(one, dict) or name not in one]:
             raise UsageError(
-                f"{path} lacks {listed(lacking)}; an experiment needs {listed(SWEEP)} (and each job "
-                f"a name and overrides), or {listed(CLASS)}"
+                f"{path} lacks {listed(lacking)}; an experiment needs {listed(SWEEP)} (each job "
+                f"with a name and overrides), or {listed(CLASS)}"
             )
     return spec  # pyright: ignore[reportReturnType]
 

@@ -217,7 +217,8 @@ def make_object(config: DictConfig, group: str, kind: type) -> Any:
         json.dumps(registry.encode(made))
     except TypeError:
         got = f"{group}: a {type(made).__name__} cannot be stored with its run"
-        raise UsageError(f"{got}; allowed: a frozen dataclass whose fields are plain values or such objects") from None
+        allowed = "a frozen dataclass whose fields are plain values or such dataclasses"
+        raise UsageError(f"{got}; allowed: {allowed}") from None
     return made
 
 

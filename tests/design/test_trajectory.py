@@ -192,5 +192,5 @@ def test_misuse(arm):
     """Fewer than two rivals, or hardly any time: a line that says what is allowed."""
     with pytest.raises(UsageError, match="two or more"):
         design(arm, [[side(("viscous_friction", 1))]])
-    with pytest.raises(UsageError, match="from 5 s"):
+    with pytest.raises(UsageError, match="5 s or more"):
         design(arm, [[side(("viscous_friction", 1)), side(("torque_offset", 1))]], duration=1.0)

@@ -23,7 +23,7 @@ WRONG = {
     "a word for a number": ({"effect": "coulomb_friction", "joint": JOINT, "coulomb": "much"}, "allowed: a number"),
     "two of three numbers": ({"effect": "payload", "mass": 1.0, "com": [0.0, 0.1]}, "allowed: 3 numbers"),
     "an infinite one": ({"effect": "coulomb_friction", "joint": JOINT, "coulomb": np.inf}, "allowed: a number"),
-    "a joint of the whole arm": (f"base_tilt@{JOINT}", "is of the whole arm"),
+    "a joint of the whole arm": (f"base_tilt@{JOINT}", "acts on the whole arm"),
     "no joint": ({"effect": "coulomb_friction", "coulomb": 1.0}, "needs a joint"),
 }
 

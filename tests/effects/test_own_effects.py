@@ -159,7 +159,7 @@ def test_what_cannot_come_and_go_is_refused():
     """A torque effect in a window has no columns: the message says which kinds may be passing."""
     evidence = gather(arm(), recording_of(log_of(raw(*moved(8.0, 200.0)))), [Jerk()], "unknown")
     with pytest.raises(
-        UsageError, match=r"jerk acts on torque, and .* cannot act for a time only .*; allowed .* bodies, forces"
+        UsageError, match=r"jerk acts on torque, and .* cannot act in a time window .*; allowed .* bodies, forces"
     ):
         places(evidence, {"jerk": Jerk()}, "unknown")
 

@@ -82,7 +82,7 @@ def test_what_loggers_write_about_a_table(above, end, tmp_path):
 def test_a_header_of_another_length(head, tmp_path):
     """Nothing is assigned to names that are fewer or more than the columns."""
     text = head + "\n" + "".join(f"{k},{k},{k}\n" for k in range(5))
-    with pytest.raises(LogError, match=rf"line 2 has 3 cells, its header {len(head.split(','))};"):
+    with pytest.raises(LogError, match=rf"line 2 has 3 cells, the header has {len(head.split(','))};"):
         table(tmp_path, text)
 
 

@@ -72,7 +72,7 @@ def test_it_overwrites_nothing(command, run):
         (["run.csv", "log.h5", "q.colums=[a]"], "q.colums"),
         (["run.csv", "log.h5", "q.columns=[a,b]"], "no column 'a'; allowed: t, q_shoulder"),
         (["run.csv", "log.h5", "q.sign=[1,1,1]"], "q.sign has 3 values; allowed: 1, or 2"),
-        (["run.csv", "log.h5", "joints=[a,a]"], "allowed: a name for each, each once"),
+        (["run.csv", "log.h5", "joints=[a,a]"], "allowed: a name for each column, each once"),
         (["run.csv", "log.h5", "drive_gain=[1,2]"], "drive_gain is given, but tau is not a current"),
         (["run.csv", "log.h5", "columns=nowhere.yaml"], "nowhere.yaml does not exist"),
         (["run.csv", "log.h5", "drive_gain=[a]"], "drive_gain=a; allowed: a number"),

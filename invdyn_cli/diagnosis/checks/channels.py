@@ -60,9 +60,9 @@ class Quantisation(AbstractCheck):
                         name,
                         value=step,
                         threshold={"channel": "q", "share": self.share},
-                        seen=f"q comes in steps of {step:.3g}: rounding makes {noise:.2g} {unit} of noise in qdd, "
-                        f"{share:.2g} of its RMS",
-                        meaning="accelerations from these positions are mostly rounding"
+                        seen=f"q is quantised in steps of {step:.3g}: rounding adds {noise:.2g} {unit} of noise to qdd,"
+                        f" {share:.2g} of its RMS",
+                        meaning="accelerations from these positions are mostly rounding noise"
                         if share > self.share
                         else "rounding does not matter after the filter",
                         advice="a lower data.filter_cutoff, or velocities from the drive" if share > self.share else "",
@@ -80,9 +80,9 @@ class Quantisation(AbstractCheck):
                         name,
                         value=step,
                         threshold={"channel": "tau", "steps": self.levels},
-                        seen=f"tau comes in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
-                        meaning="what is smaller than a step cannot be distinguished from rounding",
-                        advice="a logger that keeps more digits, or motion that asks more torque of this joint",
+                        seen=f"tau is quantised in steps of {step:.3g}: {levels:.3g} steps cover its whole range",
+                        meaning="torques smaller than a step cannot be distinguished from rounding",
+                        advice="a logger that keeps more digits, or motion that needs more torque at this joint",
                         source="own choice: rounding is then above 1 % of the range",
                     )
                 )
@@ -126,8 +126,8 @@ class NotMoving(AbstractCheck):
             value=value,
             threshold=self.least,
             seen=f"{what}: q ranges over {value:.2g}",
-            meaning="nothing can be learned of its friction, drive or inertia",
-            advice="a motion that moves it there and back",
+            meaning="nothing can be learned about friction, drive or inertia",
+            advice="a motion that moves the joint back and forth",
             source="own choice: a controller that holds a joint moves it less",
         )
 
@@ -162,9 +162,9 @@ class CommandCopiesMeasurement(AbstractCheck):
                         raw.name,
                         value=apart,
                         threshold=self.equal,
-                        seen=f"q_ref and q are the same to {apart:.1g}",
+                        seen=f"q_ref and q differ by at most {apart:.1g}",
                         meaning="one is a copy of the other: the command was logged as the position, or the reverse",
-                        advice="the topic or field that q is taken from",
+                        advice="check the topic or field that q is taken from",
                         source="own choice: no controller tracks better than its encoder resolves",
                     )
                 )
@@ -188,7 +188,7 @@ class CommandCopiesMeasurement(AbstractCheck):
                     seen="the torque equals the nominal model's inverse dynamics: their difference has at most "
                     f"{missed.max():.1g} of the torque's variance",
                     meaning="this torque was computed, not measured: nothing can be learned from it about the robot",
-                    advice="the measured torque or current in its place",
+                    advice="log the measured torque or current instead",
                     source="own choice: no measured torque agrees with a URDF so closely",
                 )
             )

@@ -74,7 +74,7 @@ class Duplicates(AbstractCheck):
                         seen=f"in {stuck.sum()} of {len(stuck)} rows the time stamp does not increase, "
                         f"first in row {np.argmax(stuck)}",
                         meaning="rows were written twice, or out of order",
-                        advice="time stamps from where the sample is taken, in the order of the samples",
+                        advice="stamp each sample where it is taken, and write the samples in order",
                         source="a clock increases",
                     )
                 )
@@ -90,7 +90,7 @@ class Duplicates(AbstractCheck):
                         threshold=self.share,
                         seen=f"{repeated.sum()} rows ({100 * part:.2g} %) have exactly the q and tau of the row "
                         "before, although the arm moves",
-                        meaning="the log is written faster than its source, or samples were lost and held",
+                        meaning="the log is written faster than its source, or lost samples repeat the last one",
                         advice="logging at the source's own rate",
                         source="own choice: noise on all channels does not repeat by chance",
                     )
@@ -164,10 +164,10 @@ class ClockJitter(AbstractCheck):
                         value=jitter,
                         threshold=self.warn if jitter > self.warn else self.note,
                         seen=f"steps of {1e3 * step:.3g} ms vary by {1e3 * jitter * step:.2g} ms (standard deviation), "
-                        f"{1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
+                        f"from {1e3 * steps.min():.2g} to {1e3 * steps.max():.3g} ms",
                         meaning="the log is interpolated to a uniform clock, which attenuates fast signals",
                         advice="time stamps from the controller, not from the program that writes the log",
-                        source="own choice: half a step, as much as the hold of a controller",
+                        source="own choice: half a step, as much as the delay of a zero-order hold",
                     )
                 )
             off = log.rate * step - 1
@@ -179,10 +179,10 @@ class ClockJitter(AbstractCheck):
                         raw.name,
                         value=1 / step,
                         threshold=self.rate,
-                        seen=f"the nominal rate is {log.rate:g} Hz, the median step says {1 / step:.4g} Hz",
+                        seen=f"the nominal rate is {log.rate:g} Hz, the median step corresponds to {1 / step:.4g} Hz",
                         meaning="the rate attribute or the time stamps are wrong; the time stamps are used",
                         advice="set the log's rate attribute to the rate of its clock",
-                        source="own choice: from 20 % on data=real_log uses the median step",
+                        source="own choice: if they differ by over 20 %, data=real_log uses the median step",
                     )
                 )
         return found
@@ -228,7 +228,7 @@ class Gaps(AbstractCheck):
                     value=float(lengths.max()),
                     threshold=longest_step(np.diff(raw.t[usable_rows(raw)])),
                     seen=f"{len(lengths)} gap{'s' * (len(lengths) > 1)}, the longest {lengths.max():.3g} s at "
-                    f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time",
+                    f"t = {raw.t[pieces[worst][-1]]:.3f} s, {100 * missing:.2g} % of the time is missing",
                     meaning="nothing is interpolated across a gap: the trajectory is divided there",
                     advice="a buffer or a faster disk for the logger" if missing > self.share else "",
                     source="own choice, as data.max_gap",
@@ -266,7 +266,7 @@ class TooShort(AbstractCheck):
                 seen=f"{x:.3g} s without a break",
                 meaning="too short to be filtered and differentiated; it is left out",
                 advice="a longer recording",
-                source="first order: what a 10 Hz zero-phase low-pass of order 4 unsettles at either end",
+                source="first order: transients of a 10 Hz zero-phase low-pass of order 4 at both ends",
             )
             for name, x in short.items()
         ]

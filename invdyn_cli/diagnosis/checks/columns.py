@@ -95,10 +95,10 @@ class JointOrder(AbstractCheck):
             threshold={"order": list(best.order), "columns": list(best.columns), "log_odds": FOUND},
             seen=f"{words}: log odds of {gain:.3g} against the order as logged; every other order is less likely by "
             f"log odds of {ALIKE:g} or more",
-            meaning="torques stand in the columns of other joints"
+            meaning="torques are in the columns of other joints"
             if best.order == tuple(range(robot.dofs))
-            else "the log's columns stand in another order of joints than the robot's",
-            advice="the order of joint_names, as the driver publishes them",
+            else "the joint order of the log's columns is not the robot's",
+            advice="check that joint_names has the order that the driver publishes",
             source=SOURCE,
         )
 
@@ -286,7 +286,7 @@ class SignError(AbstractCheck):
             seen=f"correlation of torque and nominal torque, without friction: {value:.2f}",
             meaning=f"the torque of {log.joints[j]} is opposite to the URDF's; a wrong sign, a spring or a wrong "
             "inertia in the URDF would explain this equally well, so nothing is changed",
-            advice="the sign convention of this torque; or a recording in which gravity loads this joint",
+            advice="check the sign convention of this torque, or record a motion in which gravity loads this joint",
             source=SOURCE,
         )
 
@@ -301,13 +301,13 @@ class SignError(AbstractCheck):
             f"likely by log odds of {ALIKE:g} or more",
             meaning=f"the sign is opposite to the URDF's: {what}. Either the torque of the load was logged instead of "
             "the drive's, or the axis is reversed",
-            advice="the sign convention of the channel; positive torque drives towards positive q",
+            advice="check the sign convention of the channel: positive torque drives towards positive q",
             source=SOURCE,
         )
 
 
 def _drives(work: float) -> str:
-    return f"with the logged signs, friction would drive this joint, with {-work:.2g} of its torque, and not brake it"
+    return f"with the logged signs, friction would drive this joint (with {-work:.2g} of its torque) and not brake it"
 
 
 def _words(log: Log, robot: Robot, order: tuple[int, ...], columns: tuple[int, ...]) -> str:

@@ -213,7 +213,7 @@ class CommandSigns(AbstractCheck):
                         threshold={"channel": "q_ref", "within": self.within},
                         seen=f"q is {one.factor[j]:.3g} times q_ref at a lag of {1e3 * one.lag:.4g} ms",
                         meaning="q_ref has the opposite sign of q on this joint",
-                        advice="the sign convention of the commanded positions",
+                        advice="check the sign convention of the commanded positions",
                         source="own choice: a controller tracks moving joints to 10 %",
                     )
                 )
@@ -275,8 +275,8 @@ def _meaning(lag: float, limit: float) -> str:
     if abs(lag) <= limit:
         return ""
     if lag < 0 or lag > 0.5:
-        return "longer than the lag of a controller, or q leads: q_ref and q have different clocks or buffers"
-    return "the controller's tracking lag, or q and q_ref have different clocks; a command cannot replace q"
+        return "the lag is longer than a controller's, or q leads: q_ref and q have different clocks or buffers"
+    return "it is the controller's tracking lag, or q and q_ref have different clocks; q_ref cannot replace q"
 
 
 def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Check]]:
@@ -292,8 +292,8 @@ def _followed(check: AbstractCheck, log: Log) -> tuple[list[Following], list[Che
 
 def _unlike(one: Following) -> str:
     return (
-        f"at the best lag q_ref explains {100 * one.explained:.2g} % of q only (needed: {100 * EXPLAINED:g} %): unit, "
-        "sign and lag of q_ref are not judged"
+        f"at the best lag q_ref explains only {100 * one.explained:.2g} % of q (needed: {100 * EXPLAINED:g} %): unit, "
+        "sign and lag of q_ref are not checked"
     )
 
 

@@ -118,13 +118,13 @@ class DerivativeConsistency(AbstractCheck):
                 joint,
                 value=value,
                 threshold={"channel": channel, "slope": self.slope, "rest": self.rest, "lag": self.lag},
-                seen=f"{channel} is {value:.3g} times {of}, {lag} samples later; the RMS of the difference is "
+                seen=f"{channel} is {value:.3g} times {of} with a lag of {lag} samples; the RMS of the difference is "
                 f"{100 * rest[worst]:.2g} % of that of {channel}",
                 meaning=meaning,
-                advice="data.derivatives=positions for a run; a diagnosis always takes them from q"
+                advice="use data.derivatives=positions for a run; a diagnosis always takes derivatives from q"
                 if not clock
-                else "correct time stamps t in this log",
-                source="own choice: a tenth of the variance; lag: a hold and a difference quotient",
+                else "correct the time stamps t in this log",
+                source="own choice: a tenth of the variance; lag of a zero-order hold and a difference quotient",
             )
         ]
 

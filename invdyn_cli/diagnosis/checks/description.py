@@ -171,8 +171,8 @@ class Description(AbstractCheck):
                 f"degrees from {np.round(known, 2).tolist()}; the unexplained torque falls by a factor of "
                 f"{before / after:.3g}",
                 meaning="the base may not be mounted as the URDF says",
-                advice="if the base is tilted, say so by robot.gravity or robot.base_rpy",
-                source="own choice: wrong inertials make less",
+                advice="if the base is tilted, set robot.gravity or robot.base_rpy",
+                source="own choice: wrong inertials cause a smaller angle",
             )
         ]
 

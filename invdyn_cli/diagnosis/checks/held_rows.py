@@ -61,7 +61,7 @@ class HeldRows(AbstractLateStamps):
         t, period, groups = raw.t.copy(), _period(raw.t), list(held(raw.t))
         for rows in groups:
             t[rows.start + 1 : rows.stop] = _in_time(raw, rows, period)
-        return t, f"rows that were written together ({len(groups)} times) put on a regular clock"
+        return t, f"rows that were written together ({len(groups)} times) moved to a regular clock"
 
 
 def held(t: np.ndarray) -> Iterator[slice]:

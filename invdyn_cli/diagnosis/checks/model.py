@@ -66,14 +66,14 @@ class ModelMismatch(AbstractCheck):
                 value=refit if fails else float(np.median(nominal)),
                 threshold=self.refit if fails else self.nominal,
                 seen=f"nominal torque and friction explain {np.median(nominal):.2g} of the torque's variance (median "
-                f"of {len(judged)} joints), refitted inertials {refit:.2g} on held-out data",
+                f"of {len(judged)} joints), refitted inertials explain {refit:.2g} on held-out data",
                 meaning="the kinematics are not this robot's, or this channel is not a torque"
                 if fails
-                else "the URDF's inertials are far from this robot's, or a heavy tool is missing in it",
-                advice="the URDF of the logged robot, the order of its joints, the topic of the torque"
+                else "the URDF's inertials are far from this robot's, or the URDF lacks a heavy tool",
+                advice="use the logged robot's URDF; check the order of its joints and the topic of the torque"
                 if fails
-                else "robot.payload, the URDF of the arm with its tool, or model=pest",
-                source="own choice: of noise the model explains nothing on held-out data",
+                else "use robot.payload, the URDF of the arm with its tool, or model=pest",
+                source="own choice: the model explains nothing of pure noise on held-out data",
             )
         )
         return found
@@ -93,7 +93,7 @@ class ModelMismatch(AbstractCheck):
                 threshold=0.0,
                 seen=f"the torque {'of every joint ' if every else ''}never changes",
                 meaning="there is no torque in this channel",
-                advice="the topic or field that tau is taken from",
+                advice="check the topic or field that tau is taken from",
                 source="a torque without any noise is no measurement",
             )
             for name in ([None] if every else [log.joints[j] for j in dead])
@@ -117,8 +117,8 @@ class ModelMismatch(AbstractCheck):
                     value=float(past[joint]),
                     threshold=self.beyond,
                     seen=f"q goes {past[joint]:.3g} {units(robot.prismatic[joint]).position} past the URDF's limits",
-                    meaning="another zero, another sign of the axis, or another robot",
-                    advice="the joint's zero and direction in the URDF",
+                    meaning="the joint's zero or the sign of its axis differs, or it is another robot",
+                    advice="check the joint's zero and direction in the URDF",
                     source="own choice: more than a homing error",
                 )
             )

@@ -167,8 +167,8 @@ class TimeOffset(AbstractCheck):
             threshold={"channel": "tau", "seconds": self._limit(x)},
             seen=seen,
             meaning="the torque may come late or early, or the URDF's inertials are wrong; nothing is changed",
-            advice="a recording with faster motion, or the clocks of both channels",
-            source="own choice: the scatter of the joints",
+            advice="record faster motion, or check the clocks of both channels",
+            source="own choice: the scatter of the joints' offsets",
         )
 
     def _late(self, trajectory: str | None, value: float, limit: float, seen: str, names: tuple[str, ...]) -> Check:
@@ -179,9 +179,9 @@ class TimeOffset(AbstractCheck):
             value=value,
             threshold={"channel": "tau", "seconds": limit, "trajectories": list(names)},
             seen=seen,
-            meaning="two clocks, or one channel that was filtered or buffered",
-            advice="one clock for both channels, or data.torque_lag",
-            source="first order: a hold and the order of reading make up to 1.5 samples",
+            meaning="each channel has its own clock, or one was filtered or buffered",
+            advice="use one clock for both channels, or set data.torque_lag",
+            source="first order: a zero-order hold and the order of reading cause up to 1.5 samples of delay",
         )
 
     def _single(self, x: "_Shifts", log: Log) -> list[Check]:
@@ -195,7 +195,7 @@ class TimeOffset(AbstractCheck):
                 log.joints[joint],
                 value=float(s),
                 threshold={"channel": "tau", "seconds": limit},
-                seen=f"this joint's torque comes {_apart(s)}; that of the others {_apart(x.common)}",
+                seen=f"this joint's torque comes {_apart(s)}; the others' torque comes {_apart(x.common)}",
                 meaning="delay or lag of the drive, or gear play: an effect, not a defect of the log",
                 source="own choice",
             )

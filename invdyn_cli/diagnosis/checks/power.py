@@ -119,8 +119,8 @@ class PowerOff(AbstractCheck):
             seen=f"the torques are zero {times} while the arm rests where gravity loads it, {seconds:.3g} s in all, "
             f"first at t = {periods[0][0] + self.beside:.3f} s",
             meaning="brakes hold the arm, after an emergency stop or in a pause, and the drives have no power",
-            advice="none is needed: these rows are left out",
-            source="own choice: five standard deviations of what the torque and the URDF's differ by in motion",
+            advice="nothing: these rows are left out",
+            source="own choice: five standard deviations of measured less nominal torque in motion",
         )
 
 

@@ -165,7 +165,7 @@ class Saturation(AbstractCheck):
             threshold={"channel": "tau", "share": self.share, "within": limit.within, "both": limit.both},
             seen=f"the torque is at {what}, {value}, in {percent} of the samples",
             meaning="the drive, the sensor or the message is limited to this value: the true torque is not in the log",
-            advice="slower or less loaded motion; these rows are left out where enough others stay",
+            advice="record slower motion or smaller loads; these rows are left out if enough others remain",
             source="own choice: noise does not repeat a maximum",
         )
 

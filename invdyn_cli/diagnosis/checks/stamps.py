@@ -79,7 +79,7 @@ class AbstractLateStamps(AbstractCheck):
                     meaning="samples were taken regularly and stamped late: with these stamps, speeds and "
                     "accelerations are noise",
                     advice="time stamps from the controller, not from the program that writes the log",
-                    source="least squares on differences of positions; halfway between both",
+                    source="least squares on differences of positions; limit: halfway between regular times and stamps",
                 )
             )
         return found
@@ -116,7 +116,7 @@ class IrregularStamps(AbstractLateStamps):
         for rows in uninterrupted(raw):
             if len(rows) > ORDER:
                 t[rows] = regular(t[rows])
-        return t, "time stamps put on the regular clock about which they vary"
+        return t, "time stamps moved to the regular clock about which they vary"
 
 
 def regular(t: np.ndarray) -> np.ndarray:

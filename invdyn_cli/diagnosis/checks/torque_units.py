@@ -191,7 +191,7 @@ class TorqueUnits(AbstractCheck):
             seen=seen,
             meaning=f"{what}: gains, payloads and friction would all be wrong by this factor",
             advice="torques in N m, or torque_unit=A with data.drive_gain=[…] in N m/A",
-            source="likelihood of exact ratios of units, gains and payloads 25 % off (own choice)",
+            source="likelihood of exact unit ratios with gains and payloads wrong by 25 % (own choice)",
         )
 
 

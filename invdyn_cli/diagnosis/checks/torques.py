@@ -145,7 +145,7 @@ class GravityRemoved(AbstractCheck):
             threshold=self.slope,
             seen=seen,
             meaning=meaning,
-            advice="attribute compensated=gravity in the log, or the whole torque from the driver",
+            advice="set the attribute compensated=gravity in the log, or log the driver's whole torque",
             source="own choice: with gravity, payloads and gains change the slope by a factor of 2 at most",
         )
 

@@ -54,7 +54,7 @@ class WrappedAngles(AbstractCheck):
             value=len(rows),
             threshold={"channel": channel, "share": self.share},
             seen=f"{channel} jumps by one turn {times} from one sample to the next, first at t = {at:.3f} s",
-            meaning="the angle was logged within one turn, and the joint goes on",
+            meaning="the angle was logged modulo one turn, but the joint turned further",
             advice="a logger that counts turns",
             source="own choice: a tenth of a turn from sample to sample is faster than any arm",
         )

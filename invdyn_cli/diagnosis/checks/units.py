@@ -310,7 +310,7 @@ class MotionUnits(AbstractCheck):
             value=float(value),
             threshold={"channel": channel, "factor": factor, "within": self.within},
             seen=seen,
-            meaning=f"{channel} is in {unit}: every derived torque would be off",
+            meaning=f"{channel} is in {unit}: every derived torque would be wrong",
             advice=f"{channel} in SI units, rad and s",
             source="exact ratio of two units",
         )

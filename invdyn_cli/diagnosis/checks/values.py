@@ -190,7 +190,7 @@ class Outliers(AbstractCheck):
     def _outlying(self, raw: RawTrajectory, channel: str, joint: int, name: str, rows: np.ndarray) -> Check:
         noise = len(rows) > max(3, self.most * len(raw.t))
         at, value = raw.t[rows[0]], getattr(raw, channel)[rows[0], joint]
-        count = "1 sample is" if len(rows) == 1 else f"{len(rows)} samples are"
+        count = f"1 sample of {channel} is" if len(rows) == 1 else f"{len(rows)} samples of {channel} are"
         return Check(
             self.name,
             "note" if noise else "warn",
@@ -198,9 +198,9 @@ class Outliers(AbstractCheck):
             name,
             value=len(rows),
             threshold={"channel": channel, "deviations": self.deviations},
-            seen=f"{count} of {channel} more than {self.deviations:g} robust standard deviations from their "
-            f"neighbours, first at t = {at:.3f} s: {value:.4g}",
-            meaning="so many that they are noise of this channel; they are kept"
+            seen=f"{count} more than {self.deviations:g} robust standard deviations from the neighbours, "
+            f"first at t = {at:.3f} s: {value:.4g}",
+            meaning="so many outliers are noise of this channel; they are kept"
             if noise
             else "likely transmission errors; a single one can distort a least-squares fit",
             advice="check the bus or the driver of this channel",

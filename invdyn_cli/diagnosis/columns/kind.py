@@ -38,8 +38,8 @@ class AbstractKind(abc.ABC, Generic[E]):
     def basis(self, evidence: Evidence, effect: E, joint: Any, piece: int, place: Parameters) -> np.ndarray:
         """Columns (k, n, T) of a piece, for an effect that may act in a time window, where `place` has it; UsageError
         for one that cannot."""
-        got = f"{effect.name} acts on {effect.point}, and such an effect cannot act for a time only (passing = True)"
-        raise UsageError(f"{got}; allowed with it: effects on bodies, forces, and channels that have a factor")
+        got = f"{effect.name} acts on {effect.point}, and such an effect cannot act in a time window (passing = True)"
+        raise UsageError(f"{got}; allowed in a window: effects on bodies, forces, and channels that have a factor")
 
     def slope(
         self, evidence: Evidence, effect: E, joint: Any, before: Parameters, after: Parameters, beside: Beside

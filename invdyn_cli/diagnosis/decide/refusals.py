@@ -89,7 +89,7 @@ def _why_unknown(claim: Claim) -> str:
 
 
 USUAL_LINKS = Refusal(
-    "evidence beside links as they usually are",
+    "evidence beside link errors of the usual size",
     lambda x: x.evidence_beside_usual_links if x.inquiry.wear else np.inf,
     0.0,
     lambda _: "errors of the links' inertials, of the size that URDFs usually have, explain the data as well",
@@ -105,13 +105,13 @@ REFUSALS = (
         lambda _: "the 95 % interval of its gain, the decrease of the held-out error, contains zero",
     ),
     Refusal(
-        "share of what it makes where the arm moves",
+        "share of its torque confirmed at motion frequencies",
         lambda x: x.slow_gain,
         ONE_SIZE,
         lambda _: "its size at the frequencies of the motion differs from that at those of encoder noise",
     ),
     Refusal(
-        "evidence beside the standard model, where the arm moves",
+        "evidence beside the standard model, at motion frequencies",
         lambda x: x.slow_evidence if x.inquiry.wear else np.inf,
         EVIDENCE,
     ),
@@ -150,7 +150,7 @@ REFUSALS = (
         ),
     ),
     Refusal(
-        "loss with an impossible effect in its place",
+        "excess loss of the best impossible effect in its place",
         lambda x: x.beaten,
         -naming.LEAST_DIFFERENCE,
         lambda _: "another effect explains the data better, although only with a physically impossible size",

@@ -275,7 +275,7 @@ class HypothesisScorer:
         if why:
             return f"{candidate.effect.title}: {why}"
         if candidate.effect.stays_near and np.any(own**2 * candidate.precision > FARTHEST**2):
-            return f"{candidate.effect.title}: it fits only with parameters far from all that were tried"
+            return f"{candidate.effect.title}: it fits only with parameters far from all values that were tried"
         return ""
 
     def _worth(self, candidate: Candidate, own: np.ndarray) -> float:
