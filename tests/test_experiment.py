@@ -251,7 +251,9 @@ def test_what_diverged_is_told_and_has_no_score(nonsense):
     """Torques of joint a that are no numbers from the second trajectory's eleventh sample on: one warning with that
     time and name, no score of that joint, and no mean as if the other joint were all; what was learned is scored."""
     record = experiment.run(Data(), Constant(), Diverging(nonsense=nonsense), None)
-    assert record.fit.warnings == ("the adaptation diverged at 0.10 s of move_1: its torques are not finite from there on",)
+    assert record.fit.warnings == (
+        "the adaptation diverged at 0.10 s of move_1: its torques are not finite from there on",
+    )
     for kind in ("nmse", "rmse"):
         adapted = record.scores["test_adapted"]
         assert np.isnan([adapted.mean(kind), getattr(adapted, kind)[0]]).all()
