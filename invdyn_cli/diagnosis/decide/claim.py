@@ -124,9 +124,10 @@ class Claim:
 
     @cached_property
     def unknown(self) -> float:
-        """What stays unexplained on the joints that feel it, in noise variances."""
-        valid, weights = self.inquiry.evidence.valid & self.rows[:, None], self.inquiry.noise.weights
-        unknown, gains = naming.structure(self.inquiry.evidence, self.after, valid), weights * np.abs(self.saved)
+        """What stays unexplained by the exact formulas on the joints that feel it, in noise variances."""
+        evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
+        valid, gains = evidence.valid & self.rows[:, None], weights * np.abs(self.saved)
+        unknown = naming.structure(evidence, self.whole.residual, valid)
         return float(np.sum(weights * unknown * valid.sum(0) * (gains > FELT * gains.max())))
 
     @cached_property

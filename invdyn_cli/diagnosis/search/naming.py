@@ -45,6 +45,9 @@ MEMORY, LAGS = 0.8, 6
 returns within it, perhaps with the opposite sign."""
 
 
+SMALLER = 0.5
+"""Share of what a general effect saves beyond its special case, below which no other effect speaks against it."""
+
 LEAST_SHARE = 0.7
 """Share of what an effect explains beyond noise that a rival must explain, too, however much blocks differ: play may
 show in a single one."""
@@ -85,11 +88,9 @@ def _simplified(
 ) -> Hypothesis:
     for i, general in enumerate(hypothesis):
         for c in pool:
-            if clash(general, c) and not any(c.key == e.key for e in hypothesis):
-                simpler = (*hypothesis[:i], c, *hypothesis[i + 1 :])
-                step, extra = _lost(judge, always, simpler, hypothesis)
-                if not asked_for(step, extra) or chance(step, extra) > DOUBT:
-                    return _simplified(judge, always, simpler, pool)
+            possible = clash(general, c) and not any(c.key == e.key for e in hypothesis)
+            if possible and not _needs(judge, always, hypothesis, i, c):
+                return _simplified(judge, always, (*hypothesis[:i], c, *hypothesis[i + 1 :]), pool)
         if general.effect.changes_inertials and general.effect.of_joint:
             # ten coefficients do what fewer of another effect do as well, or no more of terms that every arm has
             for simpler in _split(hypothesis, i, pool):
@@ -104,6 +105,29 @@ def _simplified(
                 if _is_usual(one) and one.joint == general.joint:
                     return _simplified(judge, always, (*hypothesis[:i], one, *hypothesis[i + 1 :]), pool)
     return hypothesis
+
+
+def _needs(judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, special: Candidate) -> bool:
+    """Whether the data ask for a general effect of a hypothesis instead of its special case: beside all others, or
+    beside those alone that are worth at least SMALLER of it. What is worth less may do a part of what it does."""
+
+    def lost(k: int, *instead: Candidate, of: Hypothesis = hypothesis) -> tuple[np.ndarray, float]:
+        return _lost(judge, always, (*of[:k], *instead, *of[k + 1 :]), of)
+
+    step, extra = lost(place, special)
+    if _asked(step, extra):
+        return True
+    least = SMALLER * (float(step.sum()) + extra)
+    costs = (lost(k) for k in range(len(hypothesis)))
+    large = [k for k, (step, extra) in enumerate(costs) if k == place or float(step.sum()) + extra >= least]
+    if least < LEAST_DIFFERENCE or len(large) == len(hypothesis):
+        return False
+    return _asked(*lost(large.index(place), special, of=tuple(hypothesis[k] for k in large)))
+
+
+def _asked(step: np.ndarray, extra: float) -> bool:
+    """`asked_for`, and hardly by the draw of the blocks."""
+    return asked_for(step, extra) and chance(step, extra) <= DOUBT
 
 
 def _split(hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> Iterator[Hypothesis]:

@@ -285,3 +285,20 @@ def test_evidence_is_what_is_saved_where_the_arm_moves(slow, fast):
     one.__dict__.update(before=before, evidence=1000.0)  # cached: made up here
     expected = 1000.0 * slow**2 / (slow**2 + fast**2)
     assert one.slow_evidence == pytest.approx(expected, abs=50.0)  # rests cut the waves, which mixes them a little
+
+
+@pytest.mark.parametrize("wave", ["columns", "formula"])
+def test_what_stays_unknown_is_left_by_the_exact_formula(wave):
+    """A wave that the linear columns leave and the exact formula does not is no unknown cause, as at the edges of a
+    window between two trials. What the formula leaves is one: at most half of the wave's square, as far as noise
+    cannot have so much by chance."""
+    one = of_coulomb(rubbed(40.0))
+    evidence, (joint,) = one.inquiry.evidence, one.candidate.columns
+    noise = 0.01 * np.random.default_rng(0).normal(size=evidence.valid.shape)
+    with_wave = noise.copy()
+    with_wave[:, joint] += np.sin(2 * np.pi * 0.2 * evidence.on_rows("t"))
+    columns, formula = (with_wave, noise) if wave == "columns" else (noise, with_wave)
+    one = replace(one, after=columns, whole=replace(one.whole, residual=formula))
+    rows = np.sum(evidence.valid[:, joint] & one.rows)
+    variances = one.unknown / (one.inquiry.noise.weights[joint] * rows)
+    assert variances < 1e-3 if wave == "columns" else 0.25 < variances < 0.55
