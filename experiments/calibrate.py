@@ -158,11 +158,11 @@ def _found(inquiry: Inquiry, anomaly: Hidden | None) -> tuple[list[Claim], list[
     """The anomalies that the search found, before any is refused: the right one, and the others."""
     hypothesis = inquiry.hypothesis
     every, after = np.ones_like(inquiry.judge.rows), left(inquiry, hypothesis)
-    exact = exactly(inquiry, hypothesis, inquiry.whole, every)
+    exact = exactly(inquiry, hypothesis, inquiry.whole, every), inquiry.chosen
     right, others = [], []
     for k, c in enumerate(hypothesis):
         if c.effect.group != "standard":
-            (right if _is_it(inquiry, c, anomaly) else others).append(Claim(inquiry, hypothesis, k, exact, after))
+            (right if _is_it(inquiry, c, anomaly) else others).append(Claim(inquiry, hypothesis, k, *exact, after))
     return right, others
 
 

@@ -52,7 +52,7 @@ class Claim:
 
     Attributes:
         hypothesis: all candidates; this one is number `place`.
-        whole: their exact parameters, refined on all rows.
+        whole, chosen: their exact parameters, refined on all rows, and on the data that chose.
         after: (R, n) what the hypothesis leaves.
         beside: candidates that were refused while nothing spoke against this one: what they explain, no rival is to.
     """
@@ -61,6 +61,7 @@ class Claim:
     hypothesis: Hypothesis
     place: int
     whole: Refined
+    chosen: Refined
     after: np.ndarray
     beside: Hypothesis = ()
 
@@ -127,7 +128,7 @@ class Claim:
         """What stays unexplained by the exact formulas on the joints that feel it, in noise variances."""
         evidence, weights = self.inquiry.evidence, self.inquiry.noise.weights
         valid, gains = evidence.valid & self.rows[:, None], weights * np.abs(self.saved)
-        unknown = naming.structure(evidence, self.whole.residual, valid)
+        unknown = naming.structure(evidence, self.chosen.residual, valid)
         return float(np.sum(weights * unknown * valid.sum(0) * (gains > FELT * gains.max())))
 
     @cached_property

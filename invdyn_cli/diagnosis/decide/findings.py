@@ -14,7 +14,7 @@ import numpy as np
 from invdyn_cli.diagnosis.columns.evidence import Candidate, Evidence, held_out, judged
 from invdyn_cli.diagnosis.columns.gears import inertia_on
 from invdyn_cli.diagnosis.decide import bodies, claim, passing, sums
-from invdyn_cli.diagnosis.decide.claim import exactly, left, refitted
+from invdyn_cli.diagnosis.decide.claim import left, refitted
 from invdyn_cli.diagnosis.decide.doubt import BEYOND, UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.gain import gains_of, lowers
 from invdyn_cli.diagnosis.decide.intervals import intervals, reach, with_edges
@@ -99,10 +99,8 @@ def report(
 ) -> Made:
     """Everything that can be claimed of a log. What is `unsure` takes no part in it, but the sizes are no surer than
     beside it."""
-    rows = inquiry.judge.rows
-    inquiry, supporting, whole, refused = supported(inquiry, refusals)
-    hypothesis = tuple(x.candidate for x in supporting)
-    chosen, nothing = exactly(inquiry, hypothesis, inquiry.chosen, rows), refitted(inquiry, [], rows)
+    inquiry, supporting, (whole, chosen), refused = supported(inquiry, refusals)
+    hypothesis, nothing = tuple(x.candidate for x in supporting), refitted(inquiry, [], inquiry.judge.rows)
     after, sized = left(inquiry, hypothesis), sizes(inquiry, whole, unsure)
     terms = [_term(inquiry, sized.whole.acting, i) for i in range(len(hypothesis))]
     parts = {k: one for one in sums.standing(effects, hypothesis, sized.ends) for k in one.places}

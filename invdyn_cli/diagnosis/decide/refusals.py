@@ -161,16 +161,19 @@ REFUSALS = (
 
 def supported(
     inquiry: Inquiry, refusals: Sequence[Refusal] = REFUSALS
-) -> tuple[Inquiry, list[Claim], Refined, tuple[Refused, ...]]:
-    """The claims that no row refuses; their exact parameters on all rows, refined again after each refusal; and the
-    refused candidates, with a sentence on each for which held-out data speak. A candidate in whose place another effect
-    does equally well gets no sentence, because it is chance which of them was tried. First comes the inquiry that they
-    are of: where USUAL_LINKS refuse one, the others are judged beside such links, too."""
-    hypothesis, whole, out = inquiry.hypothesis, inquiry.whole, []
+) -> tuple[Inquiry, list[Claim], tuple[Refined, Refined], tuple[Refused, ...]]:
+    """The claims that no row refuses; their exact parameters on all rows, and on the data that chose, refined again
+    after each refusal; and the refused candidates, with a sentence on each for which held-out data speak. A candidate
+    in whose place another effect does equally well gets no sentence, because it is chance which of them was tried.
+    First comes the inquiry that they are of: where USUAL_LINKS refuse one, the others are judged beside such links,
+    too."""
+    hypothesis, exact, out = inquiry.hypothesis, (inquiry.whole, inquiry.chosen), []
     beside: dict[tuple, Hypothesis] = {}  # of a candidate that nothing spoke against, those that were refused
     while True:
-        whole, after = exactly(inquiry, hypothesis, whole, np.ones_like(inquiry.judge.rows)), left(inquiry, hypothesis)
-        claims = [Claim(inquiry, hypothesis, i, whole, after, beside.get(c.key, ())) for i, c in enumerate(hypothesis)]
+        rows, after = inquiry.judge.rows, left(inquiry, hypothesis)
+        whole, chosen = exact
+        exact = exactly(inquiry, hypothesis, whole, np.ones_like(rows)), exactly(inquiry, hypothesis, chosen, rows)
+        claims = [Claim(inquiry, hypothesis, i, *exact, after, beside.get(c.key, ())) for i, c in enumerate(hypothesis)]
         refused = [(x, why) for x in claims if (why := refusal(x, refusals))]
         if refused:
             worst, row = min(refused, key=lambda x: x[0].evidence if inquiry.wear else x[0].gain)
@@ -193,7 +196,7 @@ def supported(
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
     passing = {c.effect.name for c in hypothesis if c.when is not None}
-    return inquiry, claims, whole, tuple(_quiet(x) if x.candidate.effect.name in passing else x for x in out)
+    return inquiry, claims, exact, tuple(_quiet(x) if x.candidate.effect.name in passing else x for x in out)
 
 
 def _quiet(one: Refused) -> Refused:

@@ -29,7 +29,7 @@ def test_a_delay_that_was_never_refined_is_judged():
     hypothesis = (*inquiry.hypothesis, candidate(evidence, *late.key))
     every = np.ones_like(inquiry.judge.rows)
     whole, after = claim.exactly(inquiry, hypothesis, inquiry.whole, every), claim.left(inquiry, hypothesis)
-    one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, whole, after)
+    one = claim.Claim(inquiry, hypothesis, len(hypothesis) - 1, whole, inquiry.chosen, after)
     why = refusals.refusal(one)
     assert why is not None and why.why(one) == ""
     _, kept, _, refused = refusals.supported(replace(inquiry, hypothesis=hypothesis))
@@ -48,7 +48,9 @@ def rubbed(seconds):
 def of_coulomb(inquiry):
     """The claim of Coulomb friction on the first joint."""
     (place,) = (i for i, c in enumerate(inquiry.hypothesis) if c.key == ("coulomb_friction", 0))
-    return claim.Claim(inquiry, inquiry.hypothesis, place, inquiry.whole, claim.left(inquiry, inquiry.hypothesis))
+    return claim.Claim(
+        inquiry, inquiry.hypothesis, place, inquiry.whole, inquiry.chosen, claim.left(inquiry, inquiry.hypothesis)
+    )
 
 
 @pytest.mark.parametrize(("share", "alike"), [(0.08, True), (1.0, False)])
@@ -61,7 +63,7 @@ def test_a_spring_on_a_short_way_may_be_a_ripple(share, alike):
     evidence = evidence_of(log_of(raw(t, less, spring, torque=0.2, position=1e-5)), ("joint_spring",))
     inquiry = inquire(evidence, Question({"joint_spring": EFFECTS["joint_spring"]}, 3))
     (found,) = inquiry.hypothesis
-    one = claim.Claim(inquiry, (found,), 0, inquiry.whole, claim.left(inquiry, (found,)))
+    one = claim.Claim(inquiry, (found,), 0, inquiry.whole, inquiry.chosen, claim.left(inquiry, (found,)))
     assert found.key == ("joint_spring", 1) and refusals.refusal(one) is None
     assert ("torque_ripple" in {r.candidate.effect.name for r in one.rivals if r.equal}) is alike
     robot = replace(evidence.robot, prismatic=np.array([False, True, False]))
@@ -84,7 +86,7 @@ def test_what_was_refused_beside_a_claim_is_no_rival_of_it():
     inquiry = inquire(evidence, Question({name: EFFECTS[name] for name in names}, 3))
     body, friction = sorted(inquiry.hypothesis, key=lambda c: c.effect.name, reverse=True)
     assert (body.key, friction.key) == (("payload", None), ("coulomb_friction", 0))
-    one = claim.Claim(inquiry, (body,), 0, inquiry.whole, claim.left(inquiry, (body,)))
+    one = claim.Claim(inquiry, (body,), 0, inquiry.whole, inquiry.chosen, claim.left(inquiry, (body,)))
     assert friction.key in {r.candidate.key for r in one.rivals if r.equal}
     assert not any(r.equal for r in replace(one, beside=(friction,)).rivals)
 
@@ -298,7 +300,7 @@ def test_what_stays_unknown_is_left_by_the_exact_formula(wave):
     with_wave = noise.copy()
     with_wave[:, joint] += np.sin(2 * np.pi * 0.2 * evidence.on_rows("t"))
     columns, formula = (with_wave, noise) if wave == "columns" else (noise, with_wave)
-    one = replace(one, after=columns, whole=replace(one.whole, residual=formula))
+    one = replace(one, after=columns, chosen=replace(one.chosen, residual=formula))
     rows = np.sum(evidence.valid[:, joint] & one.rows)
     variances = one.unknown / (one.inquiry.noise.weights[joint] * rows)
     assert variances < 1e-3 if wave == "columns" else 0.25 < variances < 0.55

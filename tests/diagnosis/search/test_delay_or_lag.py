@@ -51,7 +51,7 @@ def test_a_log_that_is_late_is_a_negative_delay():
         claim.exactly(inquiry, inquiry.hypothesis, inquiry.whole, every),
         claim.left(inquiry, inquiry.hypothesis),
     )
-    told = claim.Claim(inquiry, inquiry.hypothesis, 0, whole, after)
+    told = claim.Claim(inquiry, inquiry.hypothesis, 0, whole, inquiry.chosen, after)
     assert 0 < told.delay <= late  # the least that it may be, of either sign
     assert refusals.refusal(told) is None
 
