@@ -40,6 +40,9 @@ call it very strong)."""
 MIN_CLEAR_DIFFERENCE, MAX_OPPOSED_SHARE = 100.0, 0.03
 """Noise variances of a difference that needs no draws, where what speaks against it makes less than this share."""
 
+MOST_RIVALS = 12
+"""Number of rivals that are compared block by block; the search has scored all."""
+
 MEMORY, LAGS = 0.8, 6
 """Memory of a low-pass filter's noise in units of 1 / cut-off; and how many times this lag is searched: structure
 returns within it, perhaps with the opposite sign."""
@@ -183,16 +186,8 @@ def rivals(
     without = judge.verdict(always + others)
     believed = strain(always, now.theta)
     whole = float(np.sum(without.blocks - now.blocks)) + strain(always, without.theta) - believed
-    best: dict[tuple, tuple[float, Candidate]] = {}
-    # what another joint alone feels is no rival
-    free = [c for c in free_beside(others, pool) if c.key[:2] != own.key[:2]]
-    near = [c for c in free if not c.columns.keys().isdisjoint(own.columns)]
-    for value, c in zip(judge.extended((*always, *others), near)[0], near, strict=True):
-        value = float(value) - judge.price((c,)) + PRICE_OF_COEFFICIENT * judge.freedom(c)
-        if c.key not in best or value < best[c.key][0]:
-            best[c.key] = value, c
     made = []
-    for _, c in sorted(best.values(), key=lambda x: x[0])[:12]:
+    for c in _strongest(judge, (*always, *others), free_beside(others, pool), own):
         other = judge.verdict((*always, *others, c))
         # what a rival gains on joints that the effect does not touch is not to its credit
         rows = other.rows - now.rows
@@ -207,21 +202,41 @@ def rivals(
         share = 1 - (float(step.sum()) + dearer) / whole if whole > 0 else 0.0
         equal &= share > LEAST_SHARE or excess < MIN_CLEAR_DIFFERENCE
         why = f"explains {100 * max(share, 0):.3g} % of what {own.effect.title} explains on held-out data"
+        enough = _why_enough(own, c, compares and excess < -max(error, LEAST_DIFFERENCE)) if equal else ""
         if refused:
-            why, equal = f"{refused} (it {why})", False
-        elif equal and clash(c, own) and not (compares and excess < -max(error, LEAST_DIFFERENCE)):
-            why, equal = f"is the more general effect, but {own.effect.title} is enough for these data", False
-        elif equal and own.effect.group == "standard" and c.effect.coupled:
-            why, equal = (
-                f"is for a gear that two joints share, but {own.effect.title} is enough for these data",
-                False,
-            )
+            why = f"{refused} (it {why})"
+        elif enough:
+            why = enough
         elif not equal:
             why += f"; worse by {excess / max(error, 1e-9):.1f} standard errors"
+        equal = equal and not (refused or enough)
         parameters = parameters_of(judge.evidence, c, other.theta[len(other.theta) - len(c.precision) :])
         impossible = bool(c.effect.refuse(parameters)) and not clash(c, own)
         made.append(Rival(c, excess, error, equal, why, parameters, impossible, 0.0 if refused else share))
     return made
+
+
+def _strongest(
+    judge: HypothesisScorer, others: Hypothesis, pool: Sequence[Candidate], own: Candidate
+) -> list[Candidate]:
+    """The best trial of every other effect of a pool beside all `others`, by effect and joint, the strongest of them.
+    What another joint alone feels is no rival."""
+    best: dict[tuple, tuple[float, Candidate]] = {}
+    near = [c for c in pool if c.key[:2] != own.key[:2] and not c.columns.keys().isdisjoint(own.columns)]
+    for value, c in zip(judge.extended(others, near)[0], near, strict=True):
+        value = float(value) - judge.price((c,)) + PRICE_OF_COEFFICIENT * judge.freedom(c)
+        if c.key not in best or value < best[c.key][0]:
+            best[c.key] = value, c
+    return [c for _, c in sorted(best.values(), key=lambda x: x[0])[:MOST_RIVALS]]
+
+
+def _why_enough(own: Candidate, rival: Candidate, surely_better: bool) -> str:
+    """Why an effect is enough although a rival does as well; "" if it may not be."""
+    if clash(rival, own) and not surely_better:
+        return f"is the more general effect, but {own.effect.title} is enough for these data"
+    if own.effect.group == "standard" and rival.effect.coupled:
+        return f"is for a gear that two joints share, but {own.effect.title} is enough for these data"
+    return ""
 
 
 def _timed(candidate: Candidate) -> float:
