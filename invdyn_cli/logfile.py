@@ -79,7 +79,7 @@ def write_log(log: Log, path: str | Path) -> None:
     names = [one.name for one in log.trajectories]
     for name in names:
         if not name or "/" in name or name in (".", "..") or names.count(name) > 1:
-            raise LogError(f"cannot write {path}: name {name!r} of a trajectory; allowed: unique names without /")
+            raise LogError(f"cannot write {path}: a trajectory is named {name!r}; allowed: unique names without /")
     groups = {
         one.name: Group(
             {"payload_mass": one.payload_mass, "notes": one.notes},
@@ -193,7 +193,7 @@ def _opened(path: Path) -> tuple[Group, dict[str, Group]]:
     for name in groups:
         if name != shortened(name, LONGEST_NAME):
             got = f"{path}: a trajectory is called {shortened(name)!r}"
-            raise LogError(f"{got}; allowed: names of at most {LONGEST_NAME} characters that can be printed")
+            raise LogError(f"{got}; allowed: names of at most {LONGEST_NAME} printable characters")
     return root, groups
 
 

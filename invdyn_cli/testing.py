@@ -176,7 +176,7 @@ def _frozen(value: Any) -> str:
         hash(value)
     except TypeError as error:
         raise AssertionError(
-            f"{who} cannot be hashed ({error}): lists and dicts among its fields must be tuples"
+            f"{who} cannot be hashed ({error}): give its fields tuples in the place of lists and dicts"
         ) from None
     _claim(value == replace(value), f"{who} is not equal to its own copy: jit would compile it anew each time")
     return who

@@ -60,7 +60,7 @@ def _refuse_names(kind: str, names: Sequence[str], path: str | Path | None) -> N
     for name in names:
         if not name or name != shortened(name, LONGEST_NAME):
             got = f"{path} has a {kind} called {shortened(name)!r}"
-            raise RobotError(f"{got}; allowed: 1 to {LONGEST_NAME} characters that can be printed")
+            raise RobotError(f"{got}; allowed: 1 to {LONGEST_NAME} printable characters")
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise RobotError(f"{path} has several {kind}s called {listed(sorted(twice), most=3)}; allowed: each name once")

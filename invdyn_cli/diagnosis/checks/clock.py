@@ -182,7 +182,7 @@ class ClockJitter(AbstractCheck):
                         seen=f"the nominal rate is {log.rate:g} Hz, the median step corresponds to {1 / step:.4g} Hz",
                         meaning="the rate attribute or the time stamps are wrong; the time stamps are used",
                         advice="set the log's rate attribute to the rate of its clock",
-                        source="own choice: if they differ by over 20 %, data=real_log uses the median step",
+                        source="own choice: if both rates differ by over 20 %, data=real_log uses the median step",
                     )
                 )
         return found

@@ -233,9 +233,9 @@ def _strongest(
 def _why_enough(own: Candidate, rival: Candidate, surely_better: bool) -> str:
     """Why an effect is enough although a rival does as well; "" if it may not be."""
     if clash(rival, own) and not surely_better:
-        return f"is the more general effect, but {own.effect.title} is enough for these data"
+        return f"is the more general effect, but {own.effect.title} explains these data as well"
     if own.effect.group == "standard" and rival.effect.coupled:
-        return f"is for a gear that two joints share, but {own.effect.title} is enough for these data"
+        return f"is for a gear that two joints share, and {own.effect.title} alone explains these data"
     return ""
 
 
