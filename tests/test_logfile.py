@@ -111,7 +111,7 @@ def test_a_log_that_cannot_be_written_leaves_the_old_one(tmp_path):
     log = read_log(make_log(tmp_path / "a.h5"))
     before = (tmp_path / "a.h5").read_bytes()
     broken = dataclasses.replace(log, trajectories=(*log.trajectories, *log.trajectories))
-    words = "name 'run' of a trajectory; allowed: unique names"
+    words = "a trajectory is named 'run'; allowed: unique names"
     refused(lambda: write_log(broken, tmp_path / "a.h5"), "cannot write .*a.h5", words)
     assert (tmp_path / "a.h5").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
     refused(lambda: write_log(log, tmp_path / "a.h5" / "b.h5"), "cannot write", "b.h5: ")

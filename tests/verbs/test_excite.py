@@ -77,7 +77,7 @@ def test_takes_rivals_from_a_diagnosis(command):
         ((RIVALS, "duration=long"), "from 5"),
         ((RIVALS, "rate=.nan"), "from 20"),
         ((RIVALS, "noise=loud"), "or null"),
-        ((RIVALS, "noise=[1,2,3]"), "2 of them"),
+        ((RIVALS, "noise=[1,2,3]"), "a list of 2 such numbers"),
         ((RIVALS, "finding=1"), "without a diagnosis"),
         ((RIVALS, "seed=-1"), "from 0"),
     ],
