@@ -207,14 +207,20 @@ def confused(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
     """The confusion matrix off its diagonal: what was said that is not the hidden effect alone, on its joint."""
     logs: dict[tuple[str, str], list[bool]] = {}
     for o in (*loud, *clean):
-        name, place = (*o.hidden, "nothing@")[0].split("@")
-        for said in o.named or ("nothing@",):
-            effects, at = said.split("@")
-            other = effects.replace("|", " or ") + (" on another joint" if at not in (place, "") else "")
+        name, place = (*o.hidden, "nothing@None")[0].split("@")
+        others = dict.fromkeys(_place_of(said, place) for said in o.named or ("nothing@None",))
+        for other in others:
             logs.setdefault((name, other), []).append(o.result in ("named", "ambiguous"))
     lines = ["| hidden | said instead | logs | of these rightly |", "|---|---|---:|---:|"]
     told = ((*key, right) for key, right in logs.items() if key[0] != key[1])
     return lines + [f"| {name} | {other} | {len(right)} | {sum(right)} |" for name, other, right in told]
+
+
+def _place_of(said: str, hidden: str) -> str:
+    """ "payload or base tilt" in words, and whether it is on another joint than what is hidden."""
+    effects, joint = said.split("@")
+    elsewhere = joint != hidden and "None" not in (joint, hidden)
+    return effects.replace("|", " or ") + " on another joint" * elsewhere
 
 
 @dataclass(frozen=True)

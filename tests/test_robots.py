@@ -331,7 +331,7 @@ REFUSED = {
     ),
     "no such link": (urdf(BASE, joint("j1", "revolute", "base", "a")), {}, "has the child 'a'"),
     "no name": (urdf(BASE, link(""), joint("j1", "revolute", "base", "")), {}, "1 to 200 printable characters"),
-    "an escape sequence": (urdf(BASE, link("a\u009b2J"), joint("j1", "revolute", "base", "a")), {}, "printable characters"),
+    "an escape sequence": (urdf(BASE, link("a\u009b2J"), joint("j1", "revolute", "base", "a")), {}, "printable"),
     "101 joints": (
         urdf(
             BASE,

@@ -49,12 +49,12 @@ def caption(diagnosis: Diagnosis) -> str:
     are left."""
     assert diagnosis.signals is not None
     anomalies = causes(diagnosis)
-    most = f"{cause(anomalies[0][1])} is largest" if anomalies else "the nominal model misses most"
+    why = f"of the largest cause: {cause(anomalies[0][1])}" if anomalies else "that the nominal model misses most"
     signals = as_numpy(diagnosis.signals)
     left = ((signals.tau - signals.extended) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)) ** 2
     left = np.nan_to_num(left) * signals.held_out[:, None]
     at_rest = bool(np.sum(left[~signals.valid]) > np.sum(left) / 2)
-    return f"{CAPTION} Shown is the joint on which {most}.{RESTING * at_rest}"
+    return f"{CAPTION} Shown is the joint {why}.{RESTING * at_rest}"
 
 
 def overlay(diagnosis: Diagnosis) -> Figure:

@@ -67,7 +67,7 @@ def test_trajectories_differ(apollo):
         ({"decimate": 0}, "data.decimate=0"),
         ({"control_frequency": 0.0}, "control.frequency=0.0"),
         ({"train": ["trajectory_9"]}, "no trajectory 'trajectory_9'"),
-        ({"position_noise": [1e-5, 1e-5]}, "noise.position=.*7 of them"),
+        ({"position_noise": [1e-5, 1e-5]}, "noise.position=.*a list of 7"),
     ],
     ids=lambda x: next(iter(x)) + str(len(str(x))) if isinstance(x, dict) else "said",
 )

@@ -179,7 +179,7 @@ def test_the_source_keeps_its_contract(apollo4, noise):
         ({"amplitude": 0.0}, "data.amplitude=0.0; allowed: a number above 0"),
         ({"filter": "spline"}, "data.filter='spline'; allowed: backward, central, savgol"),
         ({"validation_share": 1.0}, "data.validation_share=1.0; allowed: from 0 to below 1"),
-        ({"duration": 1.0}, "data.duration=1.0 s at data.rate=500.0 Hz .* fewer than 100"),
+        ({"duration": 1.0}, "data.duration=1.0 s at data.rate=500.0 Hz, .* fewer than 100"),
         ({"trim": -1}, "data.trim=-1"),
     ],
 )

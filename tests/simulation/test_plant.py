@@ -146,7 +146,7 @@ def test_out_of_control(apollo, tmp_path, monkeypatch):
         ({"duration": 0.0}, "duration=0.0 s"),
         ({"substeps": 0}, "substeps=0; allowed: a whole number from 1"),
         ({"torque_side": "gear"}, "torque_side='gear'; allowed: command, motor, link"),
-        ({"noise": Noise(position=[1.0, 2.0])}, "noise.position=.*7 of them"),
+        ({"noise": Noise(position=[1.0, 2.0])}, "noise.position=.*a list of 7"),
         ({"noise": Noise(torque=-1.0)}, "noise.torque=-1.0"),
     ],
     ids=["duration", "substeps", "torque_side", "noise_shape", "noise_sign"],

@@ -159,7 +159,7 @@ def test_bad_inputs_are_refused(arm):
     with pytest.raises(LogError, match="allowed: \\(T,\\)"):
         replace(stretch, tau=stretch.tau[:-1])
     two = replace(stretch, q=stretch.q[:, :2], qd=stretch.qd[:, :2], tau=stretch.tau[:, :2])
-    with pytest.raises(UsageError, match="3 motors, the log 2 joints"):
+    with pytest.raises(UsageError, match="3 motors, the log has 2 joints"):
         free(text, two, [200])
     with pytest.raises(UsageError, match="from row 900"):
         free(text, stretch, [900])

@@ -112,25 +112,26 @@ def _simplified(
 
 def _needs(judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, place: int, special: Candidate) -> bool:
     """Whether the data ask for a general effect of a hypothesis instead of its special case: beside all others, or
-    beside those alone that are worth at least SMALLER of it. What is worth less may do a part of what it does."""
+    without those that are worth less than SMALLER of what it saves, each and together, if that is more than noise
+    saves. Smaller effects may do a part of what it does."""
+    general = hypothesis[place]
 
-    def lost(k: int, *instead: Candidate, of: Hypothesis = hypothesis) -> tuple[np.ndarray, float]:
-        return _lost(judge, always, (*of[:k], *instead, *of[k + 1 :]), of)
+    def asked(of: Hypothesis) -> bool:
+        step, extra = _lost(judge, always, tuple(special if c is general else c for c in of), of)
+        return asked_for(step, extra) and chance(step, extra) <= DOUBT
 
-    step, extra = lost(place, special)
-    if _asked(step, extra):
+    def lost(*without: Candidate) -> float:
+        step, extra = _lost(judge, always, tuple(c for c in hypothesis if c not in without), hypothesis)
+        return float(step.sum()) + extra
+
+    if asked(hypothesis):
         return True
+    step, extra = _lost(judge, always, (*hypothesis[:place], special, *hypothesis[place + 1 :]), hypothesis)
     least = SMALLER * (float(step.sum()) + extra)
-    costs = (lost(k) for k in range(len(hypothesis)))
-    large = [k for k, (step, extra) in enumerate(costs) if k == place or float(step.sum()) + extra >= least]
-    if least < LEAST_DIFFERENCE or len(large) == len(hypothesis):
+    if least < LEAST_DIFFERENCE:
         return False
-    return _asked(*lost(large.index(place), special, of=tuple(hypothesis[k] for k in large)))
-
-
-def _asked(step: np.ndarray, extra: float) -> bool:
-    """`asked_for`, and hardly by the draw of the blocks."""
-    return asked_for(step, extra) and chance(step, extra) <= DOUBT
+    small = [c for c in hypothesis if c is not general and lost(c) < least]
+    return bool(small) and lost(*small) < least and asked(tuple(c for c in hypothesis if c not in small))
 
 
 def _split(hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> Iterator[Hypothesis]:
@@ -233,7 +234,7 @@ def _strongest(
 def _why_enough(own: Candidate, rival: Candidate, surely_better: bool) -> str:
     """Why an effect is enough although a rival does as well; "" if it may not be."""
     if clash(rival, own) and not surely_better:
-        return f"is the more general effect, but {own.effect.title} explains these data as well"
+        return f"is the more general effect, but not clearly better than {own.effect.title}"
     if own.effect.group == "standard" and rival.effect.coupled:
         return f"is for a gear that two joints share, and {own.effect.title} alone explains these data"
     return ""

@@ -79,24 +79,28 @@ def test_a_general_effect_is_asked_for():
     assert not naming.asked_for(np.append(draw.normal(0, 50, 16), [1600.0, -80.0]), -8.0)
 
 
-@pytest.mark.parametrize(("worth", "stays"), [(300.0, True), (700.0, False)])
-def test_a_smaller_effect_does_not_replace_a_general_one(worth, stays, monkeypatch):
-    """A spring saves 1,000 noise variances beyond a constant offset, but in eight blocks not evenly, because another
-    effect does a part of the same. Beside none but those that are worth half as much it is asked for evenly: it stays
-    if the other is worth less than that."""
+@pytest.mark.parametrize(
+    ("each", "together", "stays"), [(200.0, 450.0, True), (600.0, 1200.0, False), (20.0, 900.0, False)]
+)
+def test_smaller_effects_do_not_replace_a_general_one(each, together, stays, monkeypatch):
+    """A spring saves 1,000 noise variances beyond a constant offset, but in eight blocks not evenly, because two others
+    do a part of the same. Without them it does so evenly: it stays if they are worth less than half of that, each and
+    together. Two that do the same may each look like little."""
     evidence = evidence_of(log_of(raw(*moved(), torque=0.1)), ["joint_spring", "torque_offset", "encoder_offset"])
-    spring, other = (candidate(evidence, name, 1) for name in ("joint_spring", "encoder_offset"))
+    spring, *others = (
+        candidate(evidence, *x) for x in (("joint_spring", 1), ("encoder_offset", 1), ("encoder_offset", 2))
+    )
     offset = candidate(evidence, "torque_offset", 1)
     uneven = np.array([2000.0, 900.0, -600.0, -500.0, -400.0, -300.0, -100.0, 0.0])
 
     def lost(judge, always, simpler, hypothesis):
-        if offset not in simpler:  # without one of them
-            return np.full(8, worth / 8 if spring in simpler else 500.0), 0.0
-        return (uneven if other in hypothesis else np.full(8, 125.0)), 0.0
+        if offset in simpler:
+            return (uneven if len(hypothesis) == 3 else np.full(8, 125.0)), 0.0
+        return np.full(8, (each if len(simpler) == 2 else together) / 8), 0.0
 
     monkeypatch.setattr(naming, "_lost", lost)
-    kept = naming.simplified(cast(HypothesisScorer, None), (), (spring, other), [offset])
-    assert kept == ((spring, other) if stays else (offset, other))
+    kept = naming.simplified(cast(HypothesisScorer, None), (), (spring, *others), [offset])
+    assert kept == ((spring, *others) if stays else (offset, *others))
 
 
 def test_rivals_of_what_is_there_are_rejected(dry):
