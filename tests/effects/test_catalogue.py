@@ -149,5 +149,5 @@ def test_ambiguity_holds_both_ways():
 def test_the_docs_list_every_effect():
     """docs/effects.md names every effect, and how many there are; `invdyn effects NAME` tells the rest."""
     page = (ROOT / "docs" / "effects.md").read_text()
-    assert f"For {len(EFFECTS)} physical effects" in page
+    assert f"for {len(EFFECTS)} physical effects" in page
     assert [name for name in EFFECTS if f"`{name}`" not in page] == []
