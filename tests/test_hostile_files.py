@@ -282,7 +282,10 @@ REPRODUCERS = {
     "rate has no numbers": (lambda f, g: f.attrs.__setitem__("rate", np.zeros(0)), "rate is nan Hz"),
     "an odd float type": (odd_float, "qdd"),
     "joint names are numbers": (lambda f, g: f.attrs.__setitem__("joint_names", [1.0, 2.0]), ""),
-    "a name with control characters": (lambda f, g: f.move("trajectories/run", "trajectories/\x1b[31mrun"), "printable"),
+    "a name with control characters": (
+        lambda f, g: f.move("trajectories/run", "trajectories/\x1b[31mrun"),
+        "printable",
+    ),
 }
 
 
