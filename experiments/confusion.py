@@ -208,7 +208,7 @@ def confused(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
     logs: dict[tuple[str, str], list[bool]] = {}
     for o in (*loud, *clean):
         name, place = (*o.hidden, "nothing@None")[0].split("@")
-        others = dict.fromkeys(_place_of(said, place) for said in o.named or ("nothing@None",))
+        others = dict.fromkeys(_in_words(said, place) for said in o.named or ("nothing@None",))
         for other in others:
             logs.setdefault((name, other), []).append(o.result in ("named", "ambiguous"))
     lines = ["| hidden | said instead | logs | of these rightly |", "|---|---|---:|---:|"]
@@ -216,8 +216,8 @@ def confused(loud: Sequence[Outcome], clean: Sequence[Outcome]) -> list[str]:
     return lines + [f"| {name} | {other} | {len(right)} | {sum(right)} |" for name, other, right in told]
 
 
-def _place_of(said: str, hidden: str) -> str:
-    """ "payload or base tilt" in words, and whether it is on another joint than what is hidden."""
+def _in_words(said: str, hidden: str) -> str:
+    """The effects of a claim in words, and whether it is on another joint than `hidden`."""
     effects, joint = said.split("@")
     elsewhere = joint != hidden and "None" not in (joint, hidden)
     return effects.replace("|", " or ") + " on another joint" * elsewhere

@@ -240,7 +240,7 @@ class AbstractCheck(abc.ABC):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if hasattr(cls, "mend"):
-            raise TypeError(f"{cls.__name__}.mend would never be called: rename the method to `correct`")
+            raise TypeError(f"invdyn does not call {cls.__name__}.mend: rename the method to `correct`")
 
     @abc.abstractmethod
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:

@@ -49,7 +49,8 @@ def caption(diagnosis: Diagnosis) -> str:
     are left."""
     assert diagnosis.signals is not None
     anomalies = causes(diagnosis)
-    why = f"of the largest cause: {cause(anomalies[0][1])}" if anomalies else "that the nominal model misses most"
+    largest = "with the largest error of the nominal model in relation to its torque"
+    why = f"of the largest cause: {cause(anomalies[0][1])}" if anomalies else largest
     signals = as_numpy(diagnosis.signals)
     left = ((signals.tau - signals.extended) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)) ** 2
     left = np.nan_to_num(left) * signals.held_out[:, None]

@@ -116,22 +116,27 @@ def _needs(judge: HypothesisScorer, always: Hypothesis, hypothesis: Hypothesis, 
     saves. Smaller effects may do a part of what it does."""
     general = hypothesis[place]
 
-    def asked(of: Hypothesis) -> bool:
-        step, extra = _lost(judge, always, tuple(special if c is general else c for c in of), of)
-        return asked_for(step, extra) and chance(step, extra) <= DOUBT
+    def simpler(of: Hypothesis) -> tuple[np.ndarray, float]:
+        return _lost(judge, always, tuple(special if c is general else c for c in of), of)
 
     def lost(*without: Candidate) -> float:
         step, extra = _lost(judge, always, tuple(c for c in hypothesis if c not in without), hypothesis)
         return float(step.sum()) + extra
 
-    if asked(hypothesis):
+    step, extra = simpler(hypothesis)
+    if _clearly_asked_for(step, extra):
         return True
-    step, extra = _lost(judge, always, (*hypothesis[:place], special, *hypothesis[place + 1 :]), hypothesis)
     least = SMALLER * (float(step.sum()) + extra)
     if least < LEAST_DIFFERENCE:
         return False
     small = [c for c in hypothesis if c is not general and lost(c) < least]
-    return bool(small) and lost(*small) < least and asked(tuple(c for c in hypothesis if c not in small))
+    large = tuple(c for c in hypothesis if c not in small)
+    return bool(small) and lost(*small) < least and _clearly_asked_for(*simpler(large))
+
+
+def _clearly_asked_for(step: np.ndarray, extra: float) -> bool:
+    """`asked_for`, and on nearly every draw of the blocks."""
+    return asked_for(step, extra) and chance(step, extra) <= DOUBT
 
 
 def _split(hypothesis: Hypothesis, place: int, pool: Sequence[Candidate]) -> Iterator[Hypothesis]:
