@@ -79,4 +79,5 @@ def test_the_strength_predicts_each_group_best(solver, noise):
             left[s] += np.mean((x[own] @ theta - y[own]) ** 2) / 3
     found = solve(groups, 1, solver)
     np.testing.assert_allclose(found.left_out[:, 0], left, rtol=1e-6)
-    assert found.strength[0] == STRENGTHS[solver][np.argmin(left)]
+    chosen = left[STRENGTHS[solver] == found.strength[0]]  # the weakest ones leave the same, but for rounding
+    assert chosen <= left.min() * (1 + 1e-6)
