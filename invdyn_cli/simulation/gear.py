@@ -126,7 +126,8 @@ class Stops:
         every = enumerate(zip(arm.motor[arm.geared], arm.gear, gears, strict=True))
         self._rubbing = [(k, *one) for k, one in every if one[-1].link_coulomb or one[-1].link_damping]
         self.drag = np.zeros(len(gears))
-        self._model, self._data, self._gears = arm.model, data, arm.gear
+        self._model, self._gears = arm.model, arm.gear
+        self._q, self._qd, self._applied = data.qpos, data.qvel, data.qfrc_applied  # views: MuJoCo makes one at each use
         self._step = float(arm.model.opt.timestep)
         for _, gear in self._teeth:
             most = gear.rotor * (RESOLVED / self._step) ** 2
@@ -139,20 +140,21 @@ class Stops:
 
     def look_ahead(self) -> None:
         """Set the limits, and the forces of teeth and of the links' friction, for the next step."""
-        model, h = self._model, self._step
-        self._data.qfrc_applied[self._gears] = 0.0
+        model, h, applied = self._model, self._step, self._applied
+        applied[self._gears] = 0.0
         for dof, gear in self._teeth:
-            q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
-            deep = q - np.clip(q, -gear.gap / 2, gear.gap / 2)
+            q, qd = float(self._q[dof]), float(self._qd[dof])
+            deep = q - min(max(q, -gear.gap / 2), gear.gap / 2)
             push = gear.stiffness * deep + gear.damping * qd
-            self._data.qfrc_applied[dof] = -push if deep * push > 0 else 0.0
+            applied[dof] = -push if deep * push > 0 else 0.0
         for k, motor, dof, gear in self._rubbing:
-            speed = float(self._data.qvel[motor] + self._data.qvel[dof])
+            speed = float(self._qd[motor]) + float(self._qd[dof])
             drag = -gear.link_coulomb * np.tanh(speed / SLIDING) - gear.link_damping * speed
-            self._data.qfrc_applied[[motor, dof]] += drag
+            applied[motor] += drag
+            applied[dof] += drag
             self.drag[k] = drag
         for dof, half in self._plays:
-            q, qd = float(self._data.qpos[dof]), float(self._data.qvel[dof])
+            q, qd = float(self._q[dof]), float(self._qd[dof])
             model.jnt_margin[dof], model.jnt_solref[dof] = 0.0, (2 * h, 1.0)
             for left, way in ((half - q, qd * h), (half + q, -qd * h)):
                 if 0 < left < max(way, NEAR * half):
