@@ -13,10 +13,11 @@ from invdyn_cli.chunks import CHUNK, padded
 from invdyn_cli.errors import UsageError
 from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths import chains, least_squares, regression, rigid_body
+from invdyn_cli.maths import chains, least_squares, regression
 from invdyn_cli.maths.bezier import BASES, REACH, Basis
 from invdyn_cli.maths.dynamic_map import FORMS, Arc, DynamicMap
 from invdyn_cli.maths.least_squares import SOLVERS, Solver
+from invdyn_cli.models import rigid_model
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 COPIES = 4
@@ -109,12 +110,8 @@ class Dbm(AbstractModel):
         """Torque (n,) of one sample."""
         if "turns" in params:
             arm = chains.robot(params["turns"], params["shifts"])
-            tau = rigid_body.inverse_dynamics(arm, params["inertial"], motion.q, motion.qd, motion.qdd)
-            for value, column in zip(
-                params["extras"], regression.extra_columns(self._beside_chain, motion), strict=True
-            ):
-                tau = tau + value * column
-            return tau
+            columns = regression.extra_columns(self._beside_chain, motion)
+            return rigid_model.torque(arm, params["inertial"], motion, params["extras"], columns)
         systems = self._columns(Arc(**params["arc"]), motion)
         return jnp.concatenate([jnp.ravel(x @ params["theta"][f"system{i}"]) for i, x in enumerate(systems)])
 

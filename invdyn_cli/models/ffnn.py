@@ -10,9 +10,10 @@ import numpy as np
 
 from invdyn_cli import training
 from invdyn_cli.errors import UsageError, listed
-from invdyn_cli.fields import counts
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths.scaling import standardisation, standardised, standardised_state
+from invdyn_cli.models import network
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 MOST_WEIGHTS = 10_000_000
@@ -34,8 +35,7 @@ class JointNet:
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
         if any(w < 1 for w in self.hidden):
             raise UsageError(f"hidden widths {list(self.hidden)}; allowed: a list of whole numbers >= 1")
-        if not self.learning_rate > 0:
-            raise UsageError(f"learning_rate={self.learning_rate}; allowed: a number > 0")
+        positive(self, "", "learning_rate")
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,7 @@ class Ffnn(AbstractModel):
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample: the mean over the members."""
         n = motion.q.shape[-1]
-        x = standardised_state(params, motion)
-        x = x.astype(jnp.float32)
+        x = standardised_state(params, motion).astype(jnp.float32)
         outputs = jnp.zeros(n)
         for i, group in enumerate(self.groups(n)):
             nets = params["nets"][f"group{i}"]
@@ -164,18 +163,7 @@ class Ffnn(AbstractModel):
             history[name] = np.full((self.epochs, self.seeds, n), np.nan)
             for group, result in zip(self.groups(n), trained, strict=True):
                 history[name][..., list(group.columns)] = getattr(result, name)
-        nets = [x.params for x in trained]
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(nets))
-        return Fit(
-            params={**scales, "nets": _named(nets)},
-            robot=dataset.robot,
-            joints=dataset.joints,
-            parameters=sum(leaf.size for leaf in jax.tree.leaves(nets)),
-            history=history,
-            warnings=()
-            if finite
-            else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
-        )
+        return network.trained(dataset, scales, _named([x.params for x in trained]), history)
 
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n) of a motion (T, n); one compiled program for all learning rates."""

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli.maths.regression import REST_SPEED
 from invdyn_cli.models.kernel_model import AbstractKernelModel
 from invdyn_cli.types import Array, Motion, PyTree, Robot
-
-REST = 0.02
-"""[rad/s; m/s] Speed below which the sign of a measured velocity is noise."""
 
 
 def kernel(hyper: PyTree, a: Array, b: Array) -> Array:
@@ -81,5 +79,5 @@ class Gip(AbstractKernelModel):
         place, speed, push = jnp.split(jnp.asarray(scales["input_scale"]), 3)
         cosine = jnp.where(slides, motion.q / place, jnp.cos(motion.q))
         sine = jnp.where(slides, 0.0, jnp.sin(motion.q))
-        sign = jnp.clip(motion.qd / REST, -1, 1)
+        sign = jnp.clip(motion.qd / REST_SPEED, -1, 1)
         return jnp.concatenate([cosine, sine, motion.qd / speed, motion.qdd / push, sign], axis=-1)

@@ -16,6 +16,7 @@ from invdyn_cli.chunks import padded
 from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths.scaling import standardisation, standardised
+from invdyn_cli.models import network
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 
@@ -99,17 +100,7 @@ class Gru(AbstractModel):
             watched if watched is not None and len(watched[0]) else None,
             training.Schedule(self.epochs, self.batch_size), self.learning_rate, shuffles, progress,
         )  # fmt: skip
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(nets))
-        return Fit(
-            params={**scales, "nets": nets},
-            robot=dataset.robot,
-            joints=dataset.joints,
-            parameters=sum(leaf.size for leaf in jax.tree.leaves(nets)),
-            history=history,
-            warnings=()
-            if finite
-            else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
-        )
+        return network.trained(dataset, scales, nets, history)
 
     def _along(self, params: PyTree, motion: Motion) -> Array:
         x = jnp.concatenate([motion.q, motion.qd, motion.qdd], axis=1)

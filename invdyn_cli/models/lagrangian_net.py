@@ -19,11 +19,10 @@ from invdyn_cli import training
 from invdyn_cli.errors import UsageError
 from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
+from invdyn_cli.maths.regression import REST_SPEED
 from invdyn_cli.maths.scaling import standardisation
+from invdyn_cli.models import network
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
-
-REST = 0.02
-"""[rad/s; m/s] Speed below which the sign of a measured velocity is noise."""
 
 LEAST = 1e-3
 """Added to the diagonal of L, in units of torque over acceleration: H stays invertible."""
@@ -97,23 +96,12 @@ class LagrangianNet(AbstractModel):
             self._loss, params["nets"], known, _rows(dataset), _rows(validation) if validation else None,
             training.Schedule(self.epochs, self.batch_size), self.learning_rate, shuffles, progress,
         )  # fmt: skip
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(nets))
         units = {"viscous": scales["target_scale"] / np.split(scales["input_scale"], 3)[1]}
         told = {
             name: np.asarray(_strength(name, value)) * units.get(name, scales["target_scale"])
             for name, value in nets.get("friction", {}).items()
         }
-        return Fit(
-            params={**scales, "nets": nets},
-            robot=dataset.robot,
-            joints=dataset.joints,
-            parameters=sum(leaf.size for leaf in jax.tree.leaves(nets)),
-            history=history,
-            details=told,
-            warnings=()
-            if finite
-            else ("Training diverged: some weights are not finite. A smaller learning rate helps.",),
-        )
+        return network.trained(dataset, scales, nets, history, told)
 
     def weights(self, params: PyTree) -> PyTree:
         """The net and the friction."""
@@ -158,7 +146,7 @@ class LagrangianNet(AbstractModel):
         if self.friction:
             strength = {name: _strength(name, value) for name, value in nets["friction"].items()}
             speed = qd / jnp.split(_single(scales["input_scale"]), 3)[1]
-            rubbing = strength["viscous"] * speed + strength["coulomb"] * jnp.clip(qd / REST, -1, 1)
+            rubbing = strength["viscous"] * speed + strength["coulomb"] * jnp.clip(qd / REST_SPEED, -1, 1)
             tau = tau + _single(scales["target_scale"]) * (rubbing + strength["offset"])
         return tau
 

@@ -25,8 +25,8 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import gaussian_process as gp
+from invdyn_cli.maths.regression import REST_SPEED
 from invdyn_cli.maths.scaling import spread_rows
-from invdyn_cli.models.gip import REST
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 CHUNK = 128
@@ -190,7 +190,7 @@ def _state(scales: PyTree, rows: Array, robot: Robot | None) -> State:
         jnp.where(slides, 1 / length, -jnp.sin(q)),
         jnp.where(slides, 0.0, jnp.cos(q)),
     )
-    return State(place, qd * scales["time"], qdd * scales["time"] ** 2, jnp.clip(qd / REST, -1, 1))
+    return State(place, qd * scales["time"], qdd * scales["time"] ** 2, jnp.clip(qd / REST_SPEED, -1, 1))
 
 
 @jax.jit

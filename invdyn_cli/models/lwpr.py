@@ -109,14 +109,15 @@ class Lwpr(AbstractModel):
             fields = _one_turn(self, fields, x[order], y[order].T)
             progress((turn + 1) / self.passes, f"{int((fields['count'] > 0).sum())} fields")
         fields = jax.tree.map(np.asarray, fields)
-        used = np.where(fields["count"] > 0, fields["used"], 0)
-        lost = (fields["count"] > 0).sum(1) == self.fields
+        there = fields["count"] > 0
+        used = np.where(there, fields["used"], 0)
+        lost = there.sum(1) == self.fields
         return Fit(
             params={**params, "fields": fields},
             robot=dataset.robot,
             joints=dataset.joints,
-            parameters=int((fields["count"] > 0).sum() * (3 * x.shape[1] + 1) + used.sum() * (2 * x.shape[1] + 1)),
-            details={"fields": (fields["count"] > 0).sum(1), "directions": used.sum(1)},
+            parameters=int(there.sum() * (3 * x.shape[1] + 1) + used.sum() * (2 * x.shape[1] + 1)),
+            details={"fields": there.sum(1), "directions": used.sum(1)},
             warnings=(f"All {self.fields} fields are taken (model.fields): some regions have none.",)
             if lost.any()
             else (),

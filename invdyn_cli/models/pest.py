@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.chunks import in_chunks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.fields import positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
-from invdyn_cli.maths import links, regression, rigid_body, ripple
+from invdyn_cli.maths import links, regression, ripple
 from invdyn_cli.maths.regression import Design, Solution
+from invdyn_cli.models import rigid_model
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 SCANNED = 20_000
@@ -20,7 +20,6 @@ SCANNED = 20_000
 
 LINE = 0.1
 """Share of a joint's residual torque from which on a line over the angle counts as ripple."""
-
 
 MOST_RIPPLES = 50
 """Largest number of ripple lines that are searched: a wave generator and a motor have a dozen."""
@@ -96,19 +95,16 @@ class Pest(AbstractModel):
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample, equation 5."""
         assert robot is not None
-        tau = rigid_body.inverse_dynamics(robot, params["psi"], motion.q, motion.qd, motion.qdd)
         columns = regression.extra_columns(self.extras, motion, self.rest_speed, params["cycles"])
-        for value, column in zip(params["extras"], columns, strict=True):
-            tau = tau + jnp.reshape(value, (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
-        return tau
+        return rigid_model.torque(robot, params["psi"], motion, params["extras"], columns)
 
     def linear(self, params: PyTree) -> PyTree:
         """psi and the extra columns' coefficients."""
         return {name: params[name] for name in ("psi", "extras")}
 
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
-        """Torques (T, n); the rigid body works on whole rows of samples, which is faster than vmap over samples."""
-        return in_chunks(lambda part: _apply_rows(self, fit.params, part, fit.robot), motion)
+        """Torques (T, n)."""
+        return rigid_model.torques(self, fit.params, motion, fit.robot)
 
     def fit(
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
@@ -174,7 +170,7 @@ class Pest(AbstractModel):
     def _line(self, robot: Robot, dataset: Dataset, params: PyTree) -> np.ndarray:
         """Cycles (n,) of the dominant line in the residual of each joint while it moves; 0: there is none."""
         rows = slice(None, None, -(-dataset.samples // SCANNED))
-        said = [in_chunks(lambda m: _apply_rows(self, params, m, robot), x.motion) for x in dataset.trajectories]
+        said = [rigid_model.torques(self, params, x.motion, robot) for x in dataset.trajectories]
         left, motion = (dataset.tau - np.concatenate(said))[rows], dataset.motion[rows]
         moves = np.abs(motion.qd) >= max(self.least_speed, self.rest_speed)
         found = [ripple.strongest(x[m], q[m]) for x, q, m in zip(left.T, motion.q.T, moves.T, strict=True)]
@@ -193,10 +189,5 @@ def _params(psi: np.ndarray, design: Design) -> dict[str, np.ndarray]:
 
 def _rms(model: Pest, params: PyTree, dataset: Dataset) -> np.ndarray:
     """RMS torque (n,) [N m; N] of parameters on all trajectories."""
-    parts = (in_chunks(lambda m: _apply_rows(model, params, m, dataset.robot), x.motion) for x in dataset.trajectories)
+    parts = (rigid_model.torques(model, params, x.motion, dataset.robot) for x in dataset.trajectories)
     return np.sqrt(sum((part**2).sum(0) for part in parts) / dataset.samples)
-
-
-@jax.jit(static_argnums=0)
-def _apply_rows(model: Pest, params: PyTree, motion: Motion, robot: Robot) -> Array:
-    return model.apply(params, jax.tree.map(jnp.transpose, motion), robot).T

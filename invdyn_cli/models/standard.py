@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from invdyn_cli.chunks import in_chunks
 from invdyn_cli.errors import UsageError
 from invdyn_cli.fields import positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
@@ -15,6 +14,7 @@ from invdyn_cli.maths import regression, rigid_body, standard, statistics
 from invdyn_cli.maths.regression import Design
 from invdyn_cli.maths.standard import Standard as Fitted
 from invdyn_cli.maths.standard import Sums
+from invdyn_cli.models import rigid_model
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
 
 TERMS = ("offset", "coulomb", "viscous", "armature")
@@ -59,11 +59,8 @@ class Standard(AbstractModel):
     def apply(self, params: PyTree, motion: Motion, robot: Robot | None) -> Array:
         """Torque (n,) of one sample."""
         assert robot is not None
-        tau = rigid_body.inverse_dynamics(robot, params["psi"], motion.q, motion.qd, motion.qdd)
         columns = regression.extra_columns(self.terms, motion, self.rest_speed)
-        for name, column in zip(self.terms, columns, strict=True):
-            tau = tau + jnp.reshape(params[name], (-1, *(1,) * (jnp.ndim(motion.q) - 1))) * column
-        return tau
+        return rigid_model.torque(robot, params["psi"], motion, [params[name] for name in self.terms], columns)
 
     def linear(self, params: PyTree) -> PyTree:
         """All of them."""
@@ -71,7 +68,7 @@ class Standard(AbstractModel):
 
     def predict(self, fit: Fit, motion: Motion) -> np.ndarray:
         """Torques (T, n)."""
-        return in_chunks(lambda part: _rows(self, fit.params, part, fit.robot), motion)
+        return rigid_model.torques(self, fit.params, motion, fit.robot)
 
     def fit(
         self, dataset: Dataset, key: jax.Array, *, validation: Dataset | None = None, progress: Progress = silent
@@ -127,8 +124,8 @@ class Standard(AbstractModel):
         times = np.ones(len(dataset.joints))
         for one in dataset.trajectories:
             rows = slice(0, regression.RESIDUALS)
-            said = in_chunks(lambda part: _rows(self, params, part, dataset.robot), one.motion[rows])
-            times = np.maximum(times, [statistics.autocorrelation_time(x) for x in (one.tau[rows] - said).T])
+            left = one.tau[rows] - rigid_model.torques(self, params, one.motion[rows], dataset.robot)
+            times = np.maximum(times, [statistics.autocorrelation_time(x) for x in left.T])
         return times
 
 
@@ -153,8 +150,3 @@ def _added(design: Design, motion: Motion, tau: Array, valid: Array, grams: Arra
         return grams + jnp.einsum("pnb,qnb->npq", rows, rows), None
 
     return jax.lax.scan(add, grams, regression.blocks(motion, tau, valid))[0]
-
-
-@jax.jit(static_argnums=0)
-def _rows(model: Standard, params: PyTree, motion: Motion, robot: Robot) -> Array:
-    return model.apply(params, jax.tree.map(jnp.transpose, motion), robot).T

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.fields import counts
+from invdyn_cli.fields import counts, positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths.scaling import spread_rows, standardisation, standardised, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
@@ -41,10 +41,7 @@ class Svr(AbstractModel):
     def __post_init__(self) -> None:
         if not 0 < self.nu <= 1:
             raise UsageError(f"model.nu={self.nu}; allowed: above 0, at most 1")
-        for name in ("cost", "gamma", "tolerance"):
-            value = getattr(self, name)
-            if not (name == "gamma" and value is None) and not value > 0:
-                raise UsageError(f"model.{name}={value}; allowed: a number > 0")
+        positive(self, "model", "cost", *["gamma"] * (self.gamma is not None), "tolerance")
         counts(self, "model", "samples")
 
     def init(self, dataset: Dataset, key: jax.Array) -> PyTree:
