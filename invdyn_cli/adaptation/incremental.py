@@ -1,13 +1,15 @@
 """adaptation=incremental: networks continue to learn while the robot works, from the last samples (paper, IV-A)."""
 
 import abc
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from invdyn_cli.adaptation.own_fit import AbstractOwnFit
 from invdyn_cli.fields import counts, positive
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
@@ -15,7 +17,7 @@ SCALE = "torque_scale"
 """Name of the torques' standard deviation (n,) among a fit's details."""
 
 
-class AbstractDescent(AbstractAdapter):
+class AbstractDescent(AbstractOwnFit):
     """Gradient descent on the squared error in the model's weights, on blocks of new samples only.
 
     Attributes:
@@ -47,27 +49,20 @@ class AbstractDescent(AbstractAdapter):
         """The rate."""
         return self.rate
 
-    def fit(
-        self,
-        model: AbstractModel,
-        dataset: Dataset,
-        key: jax.Array,
-        *,
-        validation: Dataset | None = None,
-        progress: Progress = silent,
-    ) -> Fit:
-        """The model's own fit; UsageError for a model without weights."""
+    def refuse(self, model: AbstractModel, dataset: Dataset, key: jax.Array) -> None:
+        """Raise a UsageError for a model without weights."""
         model.weights(model.init(dataset, key))
-        fit = model.fit(dataset, key, validation=validation, progress=progress)
-        return replace(fit, details={**fit.details, SCALE: torque_spread(dataset)})
+
+    def details(self, model: AbstractModel, fit: Fit, dataset: Dataset) -> dict[str, Any]:
+        """The torques' standard deviation (n,)."""
+        return {SCALE: torque_spread(dataset)}
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
         """Parameters, robot, torque scale, learning rate, the memory of the steps, the samples (rate, n) that wait to
         be learned from, their number, and the number of updates so far."""
         empty = jnp.zeros((self.rate, len(fit.joints)))
         return {
-            "params": jax.tree.map(jnp.asarray, fit.params),
-            "robot": fit.robot,
+            **super().init(model, fit),
             "scale": jnp.asarray(fit.details[SCALE]),
             "learning_rate": jnp.asarray(self.learning_rate),
             "memory": self.memory(model.weights(fit.params)),
@@ -76,10 +71,6 @@ class AbstractDescent(AbstractAdapter):
             "waiting": jnp.array(0),
             "learned": jnp.array(0),
         }
-
-    def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of one sample, with the weights of the last update."""
-        return model.apply(state["params"], motion, state["robot"])
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """Store the sample; learn as soon as `rate` samples are stored."""

@@ -6,21 +6,23 @@ replaces it. The regression is a Gaussian process on a moving window of samples 
 Gaussian processes with varying neighborhood sizes for online model learning").
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
+from invdyn_cli.adaptation.own_fit import AbstractOwnFit
 from invdyn_cli.errors import UsageError
 from invdyn_cli.fields import counts, positive
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
-from invdyn_cli.maths.scaling import standardisation
+from invdyn_cli.interfaces import AbstractModel
+from invdyn_cli.maths.scaling import standardisation, standardised_state
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 
 @dataclass(frozen=True)
-class LocalErrorModel(AbstractAdapter):
+class LocalErrorModel(AbstractOwnFit):
     """tau = model + k(x, window) coefficients + offset; the model stays as it was fitted.
 
     k is a squared exponential over the standardised state. Far from the states of the window the regression is zero,
@@ -48,20 +50,10 @@ class LocalErrorModel(AbstractAdapter):
         if not 0 <= self.offset_rate <= 1:
             raise UsageError(f"adaptation.offset_rate={self.offset_rate}; allowed: a number from 0 to 1")
 
-    def fit(
-        self,
-        model: AbstractModel,
-        dataset: Dataset,
-        key: jax.Array,
-        *,
-        validation: Dataset | None = None,
-        progress: Progress = silent,
-    ) -> Fit:
-        """The model's own fit. details: local_mean and local_scale (3 n,), of the training data's states."""
-        fit = model.fit(dataset, key, validation=validation, progress=progress)
+    def details(self, model: AbstractModel, fit: Fit, dataset: Dataset) -> dict[str, Any]:
+        """local_mean and local_scale (3 n,), of the training data's states."""
         scales = standardisation(dataset.motion, dataset.tau)
-        known = {"local_mean": scales["input_mean"], "local_scale": scales["input_scale"]}
-        return replace(fit, details={**fit.details, **known})
+        return {"local_mean": scales["input_mean"], "local_scale": scales["input_scale"]}
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
         """Parameters, robot, standardisation, an empty window, its coefficients, the offset, the number of samples so
@@ -69,10 +61,9 @@ class LocalErrorModel(AbstractAdapter):
         n = len(fit.joints)
         scale = jnp.asarray(fit.details["local_scale"]) * self.width * jnp.sqrt(3 * n)
         return {
-            "params": jax.tree.map(jnp.asarray, fit.params),
-            "robot": fit.robot,
-            "mean": jnp.asarray(fit.details["local_mean"]),
-            "scale": scale,
+            **super().init(model, fit),
+            "input_mean": jnp.asarray(fit.details["local_mean"]),
+            "input_scale": scale,
             "inputs": jnp.zeros((self.window, 3 * n)),
             "errors": jnp.zeros((self.window, n)),
             "coefficients": jnp.zeros((self.window, n)),
@@ -82,15 +73,14 @@ class LocalErrorModel(AbstractAdapter):
 
     def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
         """Torque (n,) of one sample."""
-        local = _kernel(self._input(state, motion)[None], state["inputs"])[0] @ state["coefficients"]
-        return model.apply(state["params"], motion, state["robot"]) + local + state["offset"]
+        local = _local(state, standardised_state(state, motion))
+        return super().predict(model, state, motion) + local + state["offset"]
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """Update the offset; every `interval`-th sample also enters the window."""
-        x = self._input(state, motion)
-        error = tau - model.apply(state["params"], motion, state["robot"])
-        local = _kernel(x[None], state["inputs"])[0] @ state["coefficients"]
-        offset = state["offset"] + self.offset_rate * (error - local - state["offset"])
+        x = standardised_state(state, motion)
+        error = tau - super().predict(model, state, motion)
+        offset = state["offset"] + self.offset_rate * (error - _local(state, x) - state["offset"])
         enters = state["samples"] % self.interval == 0
         learned = jax.lax.cond(enters, lambda: self._entered(state, x, error), lambda: _window(state))
         return {**state, **learned, "offset": offset, "samples": state["samples"] + 1}
@@ -98,9 +88,6 @@ class LocalErrorModel(AbstractAdapter):
     def trace(self, state: PyTree) -> dict[str, Array]:
         """offset: RMS over the joints [N m]."""
         return {"offset": jnp.sqrt(jnp.mean(state["offset"] ** 2))}
-
-    def _input(self, state: PyTree, motion: Motion) -> Array:
-        return (jnp.concatenate([motion.q, motion.qd, motion.qdd]) - state["mean"]) / state["scale"]
 
     def _entered(self, state: PyTree, x: Array, error: Array) -> PyTree:
         """The window in which a sample replaces the oldest one, and its coefficients."""
@@ -118,6 +105,11 @@ class LocalErrorModel(AbstractAdapter):
 
 def _window(state: PyTree) -> PyTree:
     return {name: state[name] for name in ("inputs", "errors", "coefficients")}
+
+
+def _local(state: PyTree, x: Array) -> Array:
+    """The regression's torque (n,) at an input (3 n,)."""
+    return _kernel(x[None], state["inputs"])[0] @ state["coefficients"]
 
 
 def _kernel(a: Array, b: Array) -> Array:

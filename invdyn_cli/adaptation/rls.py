@@ -6,16 +6,18 @@ prediction errors). Forgetting stops while the covariance's trace is that of the
 excitation do not grow without bound (Goodwin and Sin 1984, section 3.3).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from invdyn_cli.adaptation.own_fit import AbstractOwnFit
 from invdyn_cli.chunks import CHUNK
 from invdyn_cli.errors import UsageError
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
@@ -27,7 +29,7 @@ UNSEEN = 1e-9
 
 
 @dataclass(frozen=True)
-class Rls(AbstractAdapter):
+class Rls(AbstractOwnFit):
     """theta <- theta + K (tau - prediction), for model=pest, standard, extended and rff.
 
     Attributes:
@@ -47,22 +49,13 @@ class Rls(AbstractAdapter):
         if not self.memory >= 0:
             raise UsageError(f"adaptation.memory={self.memory}; allowed: a number of samples >= 0")
 
-    def fit(
-        self,
-        model: AbstractModel,
-        dataset: Dataset,
-        key: jax.Array,
-        *,
-        validation: Dataset | None = None,
-        progress: Progress = silent,
-    ) -> Fit:
-        """Fit the model, then compute what the training data tell about its parameters; UsageError for a model without
-        linear parameters.
-
-        details: rls_information (blocks, q, q), rls_noise (n,) [N m; N] and rls_samples.
-        """
+    def refuse(self, model: AbstractModel, dataset: Dataset, key: jax.Array) -> None:
+        """Raise a UsageError for a model without linear parameters."""
         model.linear(model.init(dataset, key))
-        fit = model.fit(dataset, key, validation=validation, progress=progress)
+
+    def details(self, model: AbstractModel, fit: Fit, dataset: Dataset) -> dict[str, Any]:
+        """What the training data tell about the parameters: rls_information (blocks, q, q), rls_noise and rls_spread
+        (n,) [N m; N], and rls_samples."""
         spread = torque_spread(dataset)
         left = np.concatenate([x.tau - model.predict(fit, x.motion) for x in dataset.trajectories])
         noise = np.maximum(np.sqrt((left**2).mean(0)), LEAST_NOISE * spread)
@@ -72,7 +65,7 @@ class Rls(AbstractAdapter):
             part = motion[slice(start, start + CHUNK)]
             information = information + _information(model, fit.params, fit.robot, noise, part)
         known = {"rls_information": np.asarray(information), "rls_noise": noise, "rls_samples": len(motion)}
-        return replace(fit, details={**fit.details, **known, "rls_spread": spread})
+        return {**known, "rls_spread": spread}
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
         """Parameters, robot, noise (n,), the covariance of the parameters (blocks, q, q) and the prior's scales
@@ -84,16 +77,11 @@ class Rls(AbstractAdapter):
         within = share * information * scale[:, :, None] * scale[:, None, :] + jnp.eye(scale.shape[1])
         covariance = scale[:, :, None] * jnp.linalg.inv(within) * scale[:, None, :]
         return {
-            "params": jax.tree.map(lambda leaf: jnp.asarray(leaf), fit.params),
-            "robot": fit.robot,
+            **super().init(model, fit),
             "noise": noise,
             "covariance": covariance,
             "scale": scale,
         }
-
-    def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of one sample, with the current parameters."""
-        return model.apply(state["params"], motion, state["robot"])
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The parameters after one more sample."""
@@ -141,10 +129,9 @@ def _columns(model: AbstractModel, params: PyTree, motion: Motion, robot: PyTree
         return model.apply(model.with_linear(params, linear), motion, robot)
 
     linear = model.linear(params)
-    if model.by_joint:
-        said, back = jax.vjp(torque, linear)
-        return said, _together(back(jnp.ones_like(said))[0], len(said))[:, None]
     said, back = jax.vjp(torque, linear)
+    if model.by_joint:
+        return said, _together(back(jnp.ones_like(said))[0], len(said))[:, None]
     rows = jax.vmap(lambda one: _together(back(one)[0], 1)[0])(jnp.eye(len(said), dtype=said.dtype))
     return said, rows[None]
 
