@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from invdyn_cli.simulation.references import room
+from invdyn_cli.simulation.references import faded, minimum_jerk, room, times
 from invdyn_cli.types import Motion, Robot
 
 KINDS = ("multisine", "sweep", "swing", "reversal", "chirp")
@@ -172,19 +172,11 @@ def motion_of(gesture: Gesture, allowed: Room, rate: float) -> Motion:
     count = max(8, round(gesture.seconds * rate))
     t = np.arange(count + 1) / rate
     takes = count / rate
-    shape = {"multisine": _multisine, "sweep": _sweep, "swing": _swing, "reversal": _reversal, "chirp": _chirp}[
-        gesture.kind
-    ]
-    x, x1, x2 = shape(gesture, allowed, t, takes)
+    shapes = {"multisine": _multisine, "sweep": _sweep, "swing": _swing, "reversal": _reversal, "chirp": _chirp}
+    x, x1, x2 = shapes[gesture.kind](gesture, allowed, t, takes)
     with np.errstate(divide="ignore", invalid="ignore"):
-        scale = np.minimum.reduce(
-            [
-                np.ones(len(x)),
-                _share(gesture.size, x),
-                _share(allowed.speed, x1),
-                _share(allowed.acceleration, x2),
-            ]
-        )
+        shares = _share(gesture.size, x), _share(allowed.speed, x1), _share(allowed.acceleration, x2)
+        scale = np.minimum(1.0, np.min(shares, axis=0))
     scale = np.where(gesture.size > 0, scale, 0.0)[:, None]
     return Motion(gesture.centre[:, None] + scale * x, scale * x1, scale * x2)
 
@@ -211,7 +203,7 @@ def moved(here: np.ndarray, there: np.ndarray, allowed: Room, rate: float) -> Mo
     count = round(seconds_between(here, there, allowed) * rate)
     s = np.arange(count + 1) / count
     takes = count / rate
-    x, x1, x2 = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
+    x, x1, x2 = minimum_jerk(s)
     way = (there - here)[:, None]
     return Motion(here[:, None] + way * x, way * x1 / takes, way * x2 / takes**2)
 
@@ -229,22 +221,6 @@ def _share(limit: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.where(largest > 0, limit / np.where(largest > 0, largest, 1.0), np.inf)
 
 
-def _faded(t: np.ndarray, takes: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A window (T,) that rises and falls over `ramp` [s], with its derivatives."""
-
-    def smooth(s):
-        s = np.clip(s, 0.0, 1.0)
-        return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
-
-    (a, a1, a2), (b, b1, b2) = smooth(t / ramp), smooth((takes - t) / ramp)
-    return a * b, (a1 * b - a * b1) / ramp, (a2 * b - 2 * a1 * b1 + a * b2) / ramp**2
-
-
-def _windowed(s: np.ndarray, s1: np.ndarray, s2: np.ndarray, window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    w, w1, w2 = window
-    return w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
-
-
 def _multisine(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
     """Harmonics one to four of 1 / seconds; numbers: four weights, four phases."""
     s, s1, s2 = (np.zeros((len(g.size), len(t))) for _ in range(3))
@@ -255,7 +231,7 @@ def _multisine(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
         s += weight * np.sin(angle)
         s1 += weight * omega * np.cos(angle)
         s2 -= weight * omega**2 * np.sin(angle)
-    x, x1, x2 = _windowed(s, s1, s2, _faded(t, takes, 0.3 * takes))
+    x, x1, x2 = times(faded(t, takes, 0.3 * takes), (s, s1, s2))
     grown = g.size / np.maximum(np.abs(x).max(axis=1), 1e-12)
     return tuple(grown[:, None] * y for y in (x, x1, x2))
 
@@ -280,9 +256,9 @@ def _back_and_forth(t: np.ndarray, takes: float, v: float, times: int, sign: flo
     x1, x2 = np.zeros_like(t), np.zeros_like(t)
 
     def step(at: float, change: float, long: float) -> None:
-        s = np.clip((t - at) / long, 0.0, 1.0)
-        x1[:] += change * s**3 * (10 - 15 * s + 6 * s**2)
-        x2[:] += change * 30 * s**2 * (1 - s) ** 2 / long
+        s, slope, _ = minimum_jerk((t - at) / long)
+        x1[:] += change * s
+        x2[:] += change * slope / long
 
     step(0.0, v, blend)
     for k in range(1, 2 * times):
@@ -302,7 +278,7 @@ def _swing(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
     s = ramp * np.sin(angle)
     s1 = slope * np.sin(angle) + ramp * omega * np.cos(angle)
     s2 = 2 * slope * omega * np.cos(angle) - ramp * omega**2 * np.sin(angle)
-    return tuple(size * y for y in _windowed(s, s1, s2, _faded(t, takes, 0.15 * takes)))
+    return tuple(size * y for y in times(faded(t, takes, 0.15 * takes), (s, s1, s2)))
 
 
 def _reversal(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
@@ -328,6 +304,6 @@ def _chirp(g: Gesture, allowed: Room, t: np.ndarray, takes: float):
     omega = 2 * np.pi * (low + rise * t)
     limits = [np.maximum(x, 1e-9)[:, None] for x in (g.size, 0.9 * allowed.speed, 0.8 * allowed.acceleration)]
     size = np.sum([(omega**k / x) ** 4 for k, x in enumerate(limits)], axis=0) ** -0.25  # nearly the least of the three
-    fade, *_ = _faded(t, takes, 0.2 * takes)
+    fade, *_ = faded(t, takes, 0.2 * takes)
     spline = scipy.interpolate.make_interp_spline(t, size * fade * np.sin(angle), k=5, axis=1)
     return tuple(spline(t, k) for k in range(3))

@@ -1,6 +1,7 @@
 """References of the simulated arm: motions from rest to rest, inside its joint and velocity limits."""
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -56,7 +57,7 @@ class Multisine(AbstractReference):
         middle, half, fastest = room(robot)
         centre = middle + draw.uniform(-1, 1, robot.dofs) * (0.95 - min(self.amplitude, 0.95)) * half
         t = np.arange(round(duration * rate)) / rate
-        w, w1, w2 = _faded(t, duration, min(self.ramp, duration / 2))
+        window = faded(t, duration, min(self.ramp, duration / 2))
         s, s1, s2 = (np.zeros((len(t), robot.dofs)) for _ in range(3))
         for k in range(1, self.harmonics + 1):
             omega = 2 * np.pi * self.base * k
@@ -66,7 +67,7 @@ class Multisine(AbstractReference):
             s += sine
             s1 += omega * cosine
             s2 -= omega**2 * sine
-        x, x1, x2 = w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
+        x, x1, x2 = times([w[:, None] for w in window], (s, s1, s2))
         scale = np.minimum(self.amplitude * half / np.abs(x).max(0), self.speed * fastest / np.abs(x1).max(0))
         return Motion(centre + scale * x, scale * x1, scale * x2)
 
@@ -158,8 +159,7 @@ class Manipulation(AbstractReference):
             for shares in POSTURES.values()
         )
         rest, approach, lift, carry, retract = self._durations(seed)
-        if self.times(seed)["retract"][1] > duration:
-            takes = self.times(seed)["retract"][1]
+        if (takes := self.times(seed)["retract"][1]) > duration:
             got = f"duration={duration:g} s, but the manipulation takes {takes:.2f} s"
             raise UsageError(f"{got}; allowed: {takes:.2f} s or more")
         t = np.arange(round(duration * rate)) / rate
@@ -214,8 +214,7 @@ class ConstantSpeed(AbstractReference):
         middle, half, fastest = room(robot)
         n, slots = robot.dofs, len(self.speeds) * (1 if self.together else robot.dofs)
         t = np.arange(round(duration * rate)) / rate
-        qd = np.zeros((len(t), n))
-        qdd = np.zeros((len(t), n))
+        qd, qdd = np.zeros((2, len(t), n))
         each = duration / slots
         for slot in range(slots):
             turn, joint = divmod(slot, n) if not self.by_joint else divmod(slot, len(self.speeds))[::-1]
@@ -244,7 +243,7 @@ class ConstantSpeed(AbstractReference):
             (3 * first + b, -v, v, 2 * b),
             (takes - b, v, 0.0, b),
         ):
-            s, s1, _ = _smooth((t - at) / long)
+            s, s1, _ = minimum_jerk((t - at) / long)
             x += s * (after - before)
             a += s1 / long * (after - before)
         return x, a
@@ -265,7 +264,7 @@ def room(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return middle, np.where(wide, free, half), speed
 
 
-def _smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimum jerk from 0 to 1 over s in [0, 1], constant outside; its first and second derivative by s."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
@@ -276,20 +275,23 @@ def _move(
 ) -> None:
     """Move q, qd, qdd (T, n) from `here` to `there` from `start` on; they stay there."""
     q, qd, qdd = motion
-    x, x1, x2 = _smooth((t - start) / takes)
+    x, x1, x2 = minimum_jerk((t - start) / takes)
     rows = t >= start
     q[rows] = here + x[rows, None] * (there - here)
     qd[rows] = x1[rows, None] / takes * (there - here)
     qdd[rows] = x2[rows, None] / takes**2 * (there - here)
 
 
-def _faded(t: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A window (T, 1) that rises and falls over `ramp` [s], and its first and second derivative by time."""
-    up, down = _smooth(t / ramp), _smooth((duration - t) / ramp)
-    w = up[0] * down[0]
-    w1 = (up[1] * down[0] - up[0] * down[1]) / ramp
-    w2 = (up[2] * down[0] - 2 * up[1] * down[1] + up[0] * down[2]) / ramp**2
-    return w[:, None], w1[:, None], w2[:, None]
+def faded(t: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A window (T,) that rises and falls over `ramp` [s], and its first and second derivative by time."""
+    (a, a1, a2), (b, b1, b2) = minimum_jerk(t / ramp), minimum_jerk((duration - t) / ramp)
+    return a * b, (a1 * b - a * b1) / ramp, (a2 * b - 2 * a1 * b1 + a * b2) / ramp**2
+
+
+def times(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A product of two functions, each with its first and second derivative."""
+    (w, w1, w2), (s, s1, s2) = a, b
+    return w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
 
 
 def _refuse_shares(reference: AbstractReference) -> None:
