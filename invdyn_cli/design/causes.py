@@ -100,8 +100,7 @@ def scenes_of(robot: Robot, motions: Sequence[Motion], starts: Sequence[float] |
     """Scenes of motions (n, L) of one length, which begin at `starts` [s]."""
     stacked = Motion(*(np.stack([np.asarray(getattr(m, x)) for m in motions], axis=1) for x in ("q", "qd", "qdd")))
     n, count, length = stacked.q.shape
-    flat = Motion(*(np.asarray(getattr(stacked, x)).reshape(n, -1) for x in ("q", "qd", "qdd")))
-    torque = rigid_torque(robot, flat).reshape(n, count, length)
+    torque = rigid_torque(robot, _flat(stacked)).reshape(n, count, length)
     t = np.asarray(starts)[:, None] + np.arange(length) / rate
     return Scenes(t, stacked, torque, rate)
 
@@ -122,7 +121,7 @@ def term(robot: Robot, cause: Cause, scenes: Scenes) -> Column:
     if isinstance(effect, AbstractGearEffect):
         assert joint is not None
         return _behind_gear(effect, parameters, joint, scenes, _answers(robot, joint, scenes))
-    flat, shape = _flat(scenes), scenes.shape
+    flat, shape = _flat(scenes.motion), scenes.shape
     moved = rigid_torque(*changed(robot, (EffectInstance(effect, joint, parameters),), flat)).reshape(shape)
     return dict(enumerate(moved - scenes.torque))
 
@@ -152,7 +151,7 @@ def columns(robot: Robot, cause: Cause, scenes: Scenes, level: np.ndarray, exact
         return [([{joint: x}], np.zeros(1)) for x in made]
     if isinstance(effect, AbstractGearEffect):
         return _gear_columns(robot, cause, scenes, exact)
-    flat, shape = _flat(scenes), scenes.shape
+    flat, shape = _flat(scenes.motion), scenes.shape
     if isinstance(effect, AbstractMotionEffect):
         assert joint is not None
         (name,) = effect.parameters
@@ -184,7 +183,7 @@ def link_columns(robot: Robot, joint: int, scenes: Scenes) -> tuple[list[Column]
         move = np.zeros((robot.dofs, 10))
         move[joint, k] = 1.0
         directions.append((move, np.zeros(3), scale))
-    return body(robot, directions, _flat(scenes), scenes.shape), 1 / np.maximum(scales, 1e-9) ** 2
+    return body(robot, directions, _flat(scenes.motion), scenes.shape), 1 / np.maximum(scales, 1e-9) ** 2
 
 
 def _shapes(cause: Cause, state: JointState, exact: bool) -> Sequence[Parameters]:
@@ -228,7 +227,7 @@ def _answers(robot: Robot, joint: int, scenes: Scenes) -> tuple[np.ndarray, np.n
     """Torques (n, S, L) for unit acceleration of a joint, and the change of all torques with its angle; cached."""
     if joint in scenes.kept:
         return scenes.kept[joint]
-    flat, own = _flat(scenes), (np.arange(robot.dofs) == joint)[:, None]
+    flat, own = _flat(scenes.motion), (np.arange(robot.dofs) == joint)[:, None]
     mass = inertia_column(robot, flat.q, joint)
     mass[joint] = np.maximum(mass[joint], LEAST_INERTIA)
     turned = rigid_torque(robot, replace(flat, q=flat.q + ANGLE_STEP * own))
@@ -262,6 +261,6 @@ def _torque_columns(
     return [_felt({joint: x}, driver, effect.share_on_driver(shape)) for x in made], precision
 
 
-def _flat(scenes: Scenes) -> Motion:
-    n = scenes.shape[0]
-    return Motion(*(np.asarray(x).reshape(n, -1) for x in (scenes.motion.q, scenes.motion.qd, scenes.motion.qdd)))
+def _flat(motion: Motion) -> Motion:
+    """A motion (n, S, L) as one of all scenes, (n, S L)."""
+    return Motion(*(np.asarray(x).reshape(len(x), -1) for x in (motion.q, motion.qd, motion.qdd)))

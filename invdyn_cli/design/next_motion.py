@@ -113,7 +113,6 @@ def after(
     robot: Robot,
     *,
     duration: float = DURATION,
-    rate: float = 250.0,
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[Diagnosis, Design | None]:
@@ -135,7 +134,6 @@ def after(
             robot,
             [x.sides for x in questions],
             duration=duration,
-            rate=rate,
             noise=noise,
             cutoffs=cutoffs,
             seed=seed,

@@ -24,7 +24,7 @@ POSTURES = 64
 """Number of random postures in which the smallest inertia is searched."""
 
 GEAR = "_gear"
-"""Suffix of a joint's name: the degree of freedom of its gear."""
+"""Suffix of a joint's name: the unmotored joint of its gear, with play or a spring between motor and link."""
 
 
 @dataclass(frozen=True)

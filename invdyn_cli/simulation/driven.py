@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from invdyn_cli.errors import LogError, UsageError
-from invdyn_cli.simulation.mjcf import GEAR
+from invdyn_cli.simulation.arm import GEAR
 
 STEP = 1e-3
 """[s] Longest step of the physics."""

@@ -156,22 +156,26 @@ def assemble(robot: Robot, hidden: Sequence[Hidden] = (), trajectory: str | None
     Raises:
         UsageError: for an effect, a joint or a parameter that is not known, is missing, or out of range.
     """
+    absent = [
+        "armature",
+        "damping",
+        "friction",
+        "stiffness",
+        "pull",
+        "offset",
+        "delay",
+        "lag",
+        "encoder",
+        "behind",
+        "smoothed",
+    ]
+    none: dict[str, Any] = {name: np.zeros(robot.dofs) for name in absent}
     build = Build(
         inertial=np.array(robot.inertial, float),
         gravity=np.array(robot.gravity, float),
         gain=np.ones(robot.dofs),
         limit=np.full(robot.dofs, np.inf),
-        armature=np.zeros(robot.dofs),
-        damping=np.zeros(robot.dofs),
-        friction=np.zeros(robot.dofs),
-        stiffness=np.zeros(robot.dofs),
-        pull=np.zeros(robot.dofs),
-        offset=np.zeros(robot.dofs),
-        delay=np.zeros(robot.dofs),
-        lag=np.zeros(robot.dofs),
-        encoder=np.zeros(robot.dofs),
-        behind=np.zeros(robot.dofs),
-        smoothed=np.zeros(robot.dofs),
+        **none,
     )
     for one in hidden:
         refuse(one, robot)

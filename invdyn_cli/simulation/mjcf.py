@@ -21,7 +21,7 @@ import numpy as np
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.joints import JOINT_TERMS, SimulatorTerms
 from invdyn_cli.maths.pseudo_inertia import realisable
-from invdyn_cli.simulation.arm import build, mass_matrix, quaternion_of
+from invdyn_cli.simulation.arm import GEAR, build, mass_matrix, quaternion_of
 from invdyn_cli.simulation.references import room
 from invdyn_cli.types import Robot
 from invdyn_cli.urdf import moving_links
@@ -37,9 +37,6 @@ STICK = {"solreffriction": (2 * TIMESTEP, 1), "solimpfriction": (0.9999, 0.9999,
 
 STOP = {"solreflimit": (4 * TIMESTEP, 1), "solimplimit": (0.99, 0.999, 0.0001, 0.5, 2)}
 """Teeth in contact yield by a ten-thousandth of a radian."""
-
-GEAR = "_gear"
-"""Suffixes of the name of a joint's second, unmotored joint: gear play, or a spring between motor and link."""
 
 ROTOR = 0.03
 """[-] Rotor inertia of a compliant gear if it is unknown, as a share of what the joint carries."""

@@ -8,7 +8,7 @@ the same for every model, pull each joint to the measured motion; with a correct
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -25,6 +25,12 @@ LENGTH = 0.2
 
 MEMORY = 0.1
 """[s] of torque before the first window, because a late or lagging motor still delivers it."""
+
+LONGEST = 20.0
+"""[s] that the arm is held, in all."""
+
+PICTURES = 4
+"""Windows of which traces are kept."""
 
 LOST = np.pi
 """[rad; m] Largest error that counts: when an arm is half a turn away, the exact error has no meaning."""
@@ -128,8 +134,6 @@ def replay(
     *,
     length: float = LENGTH,
     most: int = 150,
-    longest: float = 20.0,
-    pictures: int = 4,
     not_held: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Replay:
@@ -141,31 +145,30 @@ def replay(
         joints: names of the columns.
         length: [s] of a window.
         most: windows, spread evenly over all stretches.
-        longest: [s] that the arm is held, in all.
-        pictures: windows of which traces are kept.
         not_held: handed on.
 
     Raises:
         LogError: if no stretch is long enough for a window.
     """
-    total = sum(max(0.0, _last(x, length) - x.t[0] - MEMORY) for x in stretches)
+    total = sum(max(0.0, float(x.t[-1] - length - x.t[0] - MEMORY)) for x in stretches)
     if not total > 0:
         got = f"no stretch is longer than {length + MEMORY:g} s without a gap"
         raise LogError(f"{got}; a replay needs {length:g} s, and {MEMORY:g} s before, because motors may be delayed")
     every = max(total / most, length)
-    found: dict[str, list[np.ndarray]] = {"before": [], "after": []}
+    texts = {"before": before, "after": after}
+    found: dict[str, list[np.ndarray]] = {name: [] for name in texts}
     where: list[tuple[Segment, int]] = []
     for k, stretch in enumerate(stretches):
         starts = window_starts(stretch, length, every)
         where += [(stretch, int(row)) for row in starts]
-        for name, text in (("before", before), ("after", after)):
+        for name, text in texts.items():
             found[name] += list(free(text, stretch, starts, length))
         progress(0.7 * (k + 1) / len(stretches), "unconstrained replay")
     off = {name: np.concatenate([x[1:] for x in parts]) for name, parts in found.items()}
     ends = {name: np.array([x[-1] for x in parts]) for name, parts in found.items()}
-    used = list(_shortened(stretches, longest))
+    used = list(_shortened(stretches))
     gains = feedback(before, used)
-    holds = {name: [held(text, x, *gains) for x in used] for name, text in (("before", before), ("after", after))}
+    holds = {name: [held(text, x, *gains) for x in used] for name, text in texts.items()}
     moved = {name: np.concatenate([x[0] for x in parts]) for name, parts in holds.items()}
     pulled = {name: np.concatenate([x[1] for x in parts]) for name, parts in holds.items()}
     worst = int(np.argmax(rms(off["before"]) - rms(off["after"])))
@@ -182,7 +185,7 @@ def replay(
         held_after=rms(moved["after"]),
         torque_before=rms(pulled["before"]),
         torque_after=rms(pulled["after"]),
-        traces=_traces(found, where, joints[worst], worst, pictures),
+        traces=_traces(found, where, joints[worst], worst),
         not_held=tuple(not_held),
     )
 
@@ -264,22 +267,18 @@ def held(mjcf: str, stretch: Segment, stiffness: np.ndarray, damping: np.ndarray
     return _bounded(moved), pulled
 
 
-def _last(stretch: Segment, length: float) -> float:
-    return float(stretch.t[-1] - length)
-
-
-def _shortened(stretches: Sequence[Segment], longest: float) -> Iterator[Segment]:
-    """The stretches, each cut to its share of `longest` [s]."""
+def _shortened(stretches: Sequence[Segment]) -> Iterator[Segment]:
+    """The stretches, each cut to its share of LONGEST."""
     whole = [x for x in stretches if x.t[-1] - x.t[0] > 2 * MEMORY]
-    share = min(1.0, longest / sum(float(x.t[-1] - x.t[0]) for x in whole))
+    share = min(1.0, LONGEST / sum(float(x.t[-1] - x.t[0]) for x in whole))
     for x in whole:
         rows = slice(0, max(round(2 * MEMORY / x.period), round(share * len(x.t))))
-        yield Segment(x.name, x.t[rows], x.q[rows], x.qd[rows], x.tau[rows], x.held)
+        yield replace(x, t=x.t[rows], q=x.q[rows], qd=x.qd[rows], tau=x.tau[rows])
 
 
-def _traces(found, where, joint: str, column: int, pictures: int) -> tuple[Traces, ...]:
+def _traces(found, where, joint: str, column: int) -> tuple[Traces, ...]:
     """Windows spread evenly, with the positions of one joint."""
-    chosen = np.unique(np.linspace(0, len(where) - 1, pictures + 2).round().astype(int)[1:-1])
+    chosen = np.unique(np.linspace(0, len(where) - 1, PICTURES + 2).round().astype(int)[1:-1])
     out = []
     for k in chosen:
         stretch, row = where[k]

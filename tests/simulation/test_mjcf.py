@@ -16,8 +16,9 @@ from invdyn_cli.effects.description import ExtendedModel
 from invdyn_cli.errors import UsageError
 from invdyn_cli.joints import SimulatorTerms
 from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.simulation.arm import GEAR
 from invdyn_cli.simulation.hidden import Hidden, assemble
-from invdyn_cli.simulation.mjcf import GEAR, Part, written
+from invdyn_cli.simulation.mjcf import Part, written
 from invdyn_cli.types import Robot
 from tests.simulation.test_arm import tree
 

@@ -10,9 +10,9 @@ from experiments.arms import random_arm
 from experiments.truth import mjcf_of
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.robots import load_urdf
+from invdyn_cli.simulation.arm import GEAR
 from invdyn_cli.simulation.driven import Segment
 from invdyn_cli.simulation.hidden import Hidden
-from invdyn_cli.simulation.mjcf import GEAR
 from invdyn_cli.simulation.plant import simulate
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.simulation.replay import MEMORY, feedback, free, held, replay, window_starts
