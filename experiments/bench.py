@@ -104,6 +104,16 @@ def measure(
     return {"what": what, **times, "ratio": ratio}
 
 
+def torch_net(inputs: int, hidden: Sequence[int]):
+    """Layers with ReLU between them and one output."""
+    import torch
+
+    widths, layers = [inputs, *hidden], []
+    for before, after in itertools.pairwise(widths):
+        layers += [torch.nn.Linear(before, after), torch.nn.ReLU()]
+    return torch.nn.Sequential(*layers, torch.nn.Linear(widths[-1], 1))
+
+
 def train() -> dict:
     """FFNN training against PyTorch, seconds an epoch of all four joints."""
     try:
@@ -127,18 +137,11 @@ def train() -> dict:
     torch.manual_seed(0)
     inputs, targets = torch.from_numpy(x), torch.from_numpy(y)
 
-    def stack(hidden):
-        widths = [12, *hidden]
-        layers = []
-        for i, width in enumerate(hidden):
-            layers += [torch.nn.Linear(widths[i], width), torch.nn.ReLU()]
-        return torch.nn.Sequential(*layers, torch.nn.Linear(widths[-1], 1))
-
     nets = [
         (column, net, torch.optim.Adam(net.parameters(), lr=rate))
         for group in groups
         for column, rate in zip(group.columns, group.learning_rates, strict=True)
-        for net in [stack(group.hidden)]
+        for net in [torch_net(12, group.hidden)]
     ]
 
     def epoch():
@@ -268,10 +271,7 @@ def adapt(deep: bool = False) -> dict:
     hidden = {column: group.hidden for group in model.groups(7) for column in group.columns}
     nets = []
     for column in range(7):
-        widths, layers = [21, *hidden[column]], []
-        for before, after in itertools.pairwise(widths):
-            layers += [torch.nn.Linear(before, after), torch.nn.ReLU()]
-        net = torch.nn.Sequential(*layers, torch.nn.Linear(widths[-1], 1))
+        net = torch_net(21, hidden[column])
         nets.append((column, net, torch.optim.SGD(net.parameters(), lr=adapter.learning_rate)))
     x = torch.from_numpy(np.concatenate([q, qd, qdd], axis=1).astype("f4"))
     y = torch.from_numpy(tau.astype("f4"))

@@ -22,8 +22,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, draw_case
-from experiments.confusion import LOUD, MAIN, matches, relative_error
-from experiments.told import said_of
+from experiments.confusion import LOUD, MAIN, matches, relative_error, said_of
+from experiments.told import name_of, told_by
 from experiments.worn import ANOMALIES, drawn
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.errors import UsageError, closest, listed, shortened
@@ -181,8 +181,7 @@ def score(hidden: Hidden | None, beside: Sequence[Hidden], found: Iterable[Findi
     claims = [f for f in found if f.status in ("named", "ambiguous")]
     if hidden is None:
         return Score("none", (), tuple(said_of(f) for f in claims if not _is_there(f, beside)), ())
-    how = {match: f for f in reversed(claims) if (match := matches(hidden, f))}
-    best = how.get("named", how.get("ambiguous"))
+    best = told_by(hidden, claims)
     result = "missed" if best is None else matches(hidden, best)
     parts = SPLIT.get(hidden.effect, set())
     split = [f for f in claims if f.joint == hidden.joint and f.effect in parts and f.status == "named"]
@@ -245,14 +244,13 @@ class Causes(AbstractExperiment):
         made, place = make(seed, kind, name), folder / "logs" / f"{number:03d}"
         urdf = write_file(place / "robot.urdf", made.robot.urdf)
         write_log(replace(made.log, urdf=str(urdf)), place / "log.h5")
-        hidden = f"{made.hidden.effect}@{made.hidden.joint}" if made.hidden else "none"
         answers = []
         for tool in tools:
             found, seconds = ask(command_of(tool), place / "log.h5", urdf, self.limit)
             failed = isinstance(found, str)
             scored = Score("failed", (), (), ()) if failed else score(made.hidden, made.beside, found)
             note = found if failed else ""
-            answers.append(Answered(tool, number, kind, hidden, made.times, *scored, seconds, note))
+            answers.append(Answered(tool, number, kind, name_of(made.hidden), made.times, *scored, seconds, note))
         truth = {"hidden": made.hidden and asdict(made.hidden), "beside": list(map(asdict, made.beside))}
         write_file(folder / "truth" / f"{number:03d}.json", json.dumps(plain(truth), indent=1))
         return answers

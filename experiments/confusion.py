@@ -152,8 +152,8 @@ def judge(case: Case, diagnosis: Diagnosis, seed: int, seconds: float) -> Outcom
         said=case.said,
         share=case.share,
         result=result,
-        named=tuple(_said(f) for f in found),
-        extra=tuple(_said(f) for f in left),
+        named=tuple(said_of(f) for f in found),
+        extra=tuple(said_of(f) for f in left),
         size_errors=tuple(errors),
         covered=tuple(covered),
         seconds=seconds,
@@ -168,7 +168,8 @@ def _is_rotor(finding: Finding, hidden: Hidden) -> bool:
     )
 
 
-def _said(finding: Finding) -> str:
+def said_of(finding: Finding) -> str:
+    """A finding as effect@joint, with its alternatives."""
     other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
     return f"{finding.effect}{other}@{finding.joint}"
 

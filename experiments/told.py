@@ -34,12 +34,6 @@ def told_by(hidden: Hidden, found: Sequence[Finding]) -> Finding | None:
     return how.get("named", how.get("ambiguous"))
 
 
-def said_of(finding: Finding) -> str:
-    """A finding as effect@joint, with its alternatives."""
-    other = "".join("|" + "+".join(a) for a in finding.alternatives) if finding.status == "ambiguous" else ""
-    return f"{finding.effect}{other}@{finding.joint}"
-
-
 def name_of(hidden: Hidden | None) -> str:
     """What was hidden as effect@joint, or "none"."""
     return f"{hidden.effect}@{hidden.joint}" if hidden else "none"

@@ -13,8 +13,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import ATTEMPTS, SIZES, Case, Scene, draw_effect, draw_scene, excess, felt, scene_of
-from experiments.confusion import claims
-from experiments.told import by_kind, jobs, name_of, said_of, told
+from experiments.confusion import claims, said_of
+from experiments.told import by_kind, jobs, name_of, told
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
@@ -24,7 +24,7 @@ from invdyn_cli.simulation import plant
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.gear import RESOLVED
 from invdyn_cli.simulation.hidden import Hidden
-from invdyn_cli.simulation.references import AbstractReference, room
+from invdyn_cli.simulation.references import AbstractReference, minimum_jerk, room
 from invdyn_cli.simulation.sensors import Noise
 from invdyn_cli.types import Diagnosis, Finding, Motion, Robot
 
@@ -74,8 +74,7 @@ class RandomWalk(AbstractReference):
         sections = butter(3, self.cutoff, fs=coarse, output="sos")
         walk = sosfiltfilt(sections, draw.normal(size=(count, robot.dofs)), axis=0)
         t = np.arange(count) / coarse
-        fade = np.clip(np.minimum(t, duration - t) / 2.0, 0.0, 1.0)[:, None]
-        walk *= fade**3 * (10 - 15 * fade + 6 * fade**2)
+        walk *= minimum_jerk(np.minimum(t, duration - t) / 2.0)[0][:, None]
         middle, half, fastest = room(robot)
         speeds = np.abs(np.gradient(walk, 1 / coarse, axis=0)).max(0)
         walk *= np.minimum(0.8 * half / np.abs(walk).max(0), self.speed * fastest / speeds)
