@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from beartype import BeartypeConf
 from beartype.claw import beartype_packages
@@ -40,6 +41,22 @@ def apollo4():
     from invdyn_cli.robots import load_urdf
 
     return load_urdf("apollo_arm", dofs=4)
+
+
+@pytest.fixture(scope="session")
+def apollo():
+    """All seven joints of it."""
+    from invdyn_cli.robots import load_urdf
+
+    return load_urdf("apollo_arm")
+
+
+@pytest.fixture(scope="session")
+def data():
+    """Twice a hundred samples of a chain of two joints, with its robot."""
+    from tests.records import make_dataset, make_robot
+
+    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
 
 
 @pytest.fixture(scope="session")

@@ -11,12 +11,6 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractModel, silent
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.types import Fit
-from tests.records import make_dataset, make_robot
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
 
 
 def test_part_has_so_many_rows(data):

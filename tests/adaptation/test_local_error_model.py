@@ -13,16 +13,10 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.maths.metrics import nmse
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.testing import check_adapter
-from tests.records import make_dataset, make_robot
 from tests.sine_arm import sine_tasks
 
 KEY = jax.random.key(0)
 PEST = Pest(friction="coulomb_viscous", offset=True)
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
 
 
 def test_contract(data):

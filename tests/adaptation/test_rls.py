@@ -31,11 +31,6 @@ RFF = Rff(frequencies=20, hyperparameter_samples=100, steps=5)
 PEST = Pest(friction="coulomb_viscous", offset=True)
 
 
-@pytest.fixture(scope="module")
-def data() -> Dataset:
-    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
-
-
 def diagnosed(tmp_path, robot, **found) -> Extended:
     """The extended_model.json of a robot with effects {name: (joint, parameters)}."""
     acting = tuple(EffectInstance(EFFECTS[name], joint, parameters) for name, (joint, parameters) in found.items())

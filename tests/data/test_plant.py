@@ -7,18 +7,11 @@ from invdyn_cli.data.plant import Plant
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.errors import InvdynError, UsageError
 from invdyn_cli.logfile import write_log
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.references import PickPlace
 from invdyn_cli.testing import check_source
 
 FRICTION = {"effect": "coulomb_friction", "joint": "arm_joint_2", "coulomb": 2.0}
 SHORT = {"duration": 3.0, "trajectories": 2, "effects": [FRICTION]}
-
-
-@pytest.fixture(scope="module")
-def apollo():
-    """All seven joints."""
-    return load_urdf("apollo_arm")
 
 
 def test_keeps_the_contract(apollo):

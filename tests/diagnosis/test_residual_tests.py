@@ -7,16 +7,9 @@ from scipy.signal import lfilter
 from invdyn_cli.diagnosis.residual_tests import residual_tests, structured
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
-from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 LOUD = 0.05
 """RMS of the noise, in RMS torques of each joint."""
-
-
-@pytest.fixture(scope="module")
-def evidence():
-    """A clean log of 40 s."""
-    return evidence_of(log_of(raw(*moved())), ["viscous_friction"], cutoffs=(10.0,))
 
 
 def noise(evidence, seed: int, memory: float = 0.0) -> np.ndarray:

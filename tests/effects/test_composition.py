@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import SIZES, draw_effect, draw_scene, inverse_dynamics
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -21,8 +20,9 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import simulate
 from invdyn_cli.simulation.references import Multisine
 from invdyn_cli.types import Motion, Robot
+from tests.simulation.recorded import RATE, filtered, middle, rests, rms
 
-RATE, SECONDS, JOINT = 1000.0, 7.0, 1
+SECONDS, JOINT = 7.0, 1
 SHARES = {name: 2e-3 for name in SIZES} | {
     "actuator_lag": 5e-3,
     "torque_delay": 5e-3,
@@ -51,30 +51,11 @@ def clean(scene):
     return simulate(scene.robot, scene.reference, duration=SECONDS, seed=3)
 
 
-def filtered(x: np.ndarray) -> np.ndarray:
-    """(T, n) through a zero-phase low-pass at 20 Hz, a second off either end."""
-    return sosfiltfilt(butter(4, 20.0, fs=RATE, output="sos"), x, axis=0)[1000:-1000]
-
-
-def rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
-
-
 def motion_of(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(T, n) angles -> angles, velocities, accelerations."""
     qdd = np.zeros_like(q)
     qdd[1:-1] = np.diff(q, 2, axis=0) * RATE**2
     return q, np.gradient(q, 1 / RATE, axis=0), qdd
-
-
-def middle(held: np.ndarray) -> np.ndarray:
-    """(T, n) torques held from t on -> their value at t."""
-    return np.concatenate([held[:1], (held[1:] + held[:-1]) / 2])
-
-
-def reversals(qd: np.ndarray) -> np.ndarray:
-    """(T - 2000,) whether a joint rests or turns within 0.1 s: there MuJoCo's friction sticks, sign(qd) jumps."""
-    return np.convolve((np.abs(qd) < 0.01).astype(float), np.ones(201), "same")[1000:-1000] > 0.5
 
 
 def told(hidden: Hidden, robot: Robot) -> dict:
@@ -115,7 +96,7 @@ def test_the_model_predicts_the_hidden_effect(name, scene, clean):
     speed = motion[1][:, JOINT]
     if "ratio" in hidden.parameters:  # of the drive that the joint before turns as well
         speed = speed + hidden.parameters["ratio"] * motion[1][:, JOINT - 1]
-    moving = ~reversals(speed)
+    moving = ~rests(speed)
     logged, made = filtered(middle(log.tau)), filtered(with_it) - filtered(without)
     left = rms((logged - filtered(with_it))[moving])
     assert rms(made[moving]) > 20 * rms(floor)

@@ -12,16 +12,10 @@ from invdyn_cli.maths import gaussian_process as gp
 from invdyn_cli.maths.scaling import standardised
 from invdyn_cli.models.gpr import Gpr
 from invdyn_cli.testing import check_model
-from tests.records import make_dataset, make_robot
 from tests.sine_arm import error, ridge_error, sine_tasks
 
 KEY = jax.random.key(0)
 SMALL = Gpr(hyperparameter_samples=80, steps=15)
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
 
 
 @pytest.mark.parametrize("model", [SMALL, replace(SMALL, exact=100, inducing=60)], ids=["exact", "inducing"])

@@ -16,16 +16,10 @@ from invdyn_cli.models.gpr import Gpr
 from invdyn_cli.models.local_gp import LocalGp
 from invdyn_cli.models.pest import Pest
 from invdyn_cli.testing import check_adapter, check_model
-from tests.records import make_dataset, make_robot
 from tests.sine_arm import error, ridge_error, sine_tasks
 
 KEY = jax.random.key(0)
 SMALL = LocalGp(regions=6, capacity=30, hyperparameter_samples=80, steps=15)
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
 
 
 def test_contract(data):

@@ -11,16 +11,10 @@ from invdyn_cli.maths.scaling import standardised
 from invdyn_cli.models import rff
 from invdyn_cli.models.rff import Rff
 from invdyn_cli.testing import check_model
-from tests.records import make_dataset, make_robot
 from tests.sine_arm import error, ridge_error, sine_tasks
 
 KEY = jax.random.key(0)
 SMALL = Rff(frequencies=30, hyperparameter_samples=100, steps=10)
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_dataset(make_robot(("a", "b")), np.random.default_rng(0), samples=100)
 
 
 def test_contract(data):

@@ -16,7 +16,7 @@ from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Check, Examination
 from tests.commands import usually
 from tests.diagnosis.sick import changed, sound
-from tests.report.test_diagnosis_page import Reader
+from tests.report.reader import Reader
 
 
 @pytest.fixture(scope="module")

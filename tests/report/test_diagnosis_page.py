@@ -2,7 +2,6 @@ import math
 import re
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -18,32 +17,7 @@ from invdyn_cli.report.wording import claims, joints_of, law, picture, words
 from invdyn_cli.types import Check, Gain, Quantity
 from invdyn_cli.verbs.sweep import writers
 from tests.diagnoses import EVERY_EFFECT, log_unusable, make_diagnosis, nothing_found, quantities
-
-VOID = {"meta", "img", "br"}
-
-
-class Reader(HTMLParser):
-    """Checks that tags close in order, and keeps tags, attributes and text."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open, self.tags, self.attributes, self.pieces = [], [], [], []
-        self.feed(text)
-        self.close()
-        assert not self.open
-        self.text = " ".join(" ".join(self.pieces).split())
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += attrs
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.pieces.append(data)
+from tests.report.reader import Reader
 
 
 def placeholders(diagnosis, folder):

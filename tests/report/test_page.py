@@ -1,6 +1,5 @@
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -10,31 +9,7 @@ from invdyn_cli.report.page import page, remarks, summary, write_page
 from invdyn_cli.report.tables import round_by_error, significant
 from invdyn_cli.types import Score
 from tests.records import CONFIG, make_record
-
-VOID = {"meta", "img", "br", "hr", "link"}
-
-
-class Reader(HTMLParser):
-    """Checks that tags close in order, and keeps tags, attributes and text."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open, self.tags, self.attributes, self.text = [], [], [], []
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += attrs
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text.append(data)
+from tests.report.reader import Reader
 
 
 def without_data(text: str) -> str:
@@ -80,7 +55,7 @@ def test_page_needs_nothing_else(written):
 def test_page_has_every_number(written):
     """Every joint's NMSE and RMSE in every set, every base parameter, warnings, notes, split, provenance, config."""
     record, path = written
-    text = "\n".join(Reader(path.read_text("utf-8")).text)
+    text = "\n".join(Reader(path.read_text("utf-8")).pieces)
     for score in record.scores.values():
         assert all(significant(x) in text for x in (*score.nmse, *score.rmse, score.nmse.mean()))
     base = record.fit.details["base_parameters"]
@@ -112,7 +87,7 @@ def test_everything_is_escaped(tmp_path):
     text = write_page(record, draw_all(record, tmp_path), tmp_path / "report.html").read_text("utf-8")
     reader = Reader(text)
     assert "<b>x" not in text and "<td><b></td>" not in text and "<td>&lt;b&gt;</td>" in text
-    assert any(bad in x for x in reader.text)
+    assert any(bad in x for x in reader.pieces)
 
 
 def test_page_without_extras():
@@ -121,7 +96,7 @@ def test_page_without_extras():
     bare = replace(
         record, fit=replace(record.fit, robot=None), predictions={}, config="", split={}, provenance={}, overrides=()
     )
-    assert "No robot description was used." in "".join(Reader(page(bare, [])).text)
+    assert "No robot description was used." in Reader(page(bare, [])).text
     Reader(page(replace(bare, scores={}), []))
 
 

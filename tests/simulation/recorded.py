@@ -41,7 +41,8 @@ def rms(x: np.ndarray, axis=None):
 
 
 def rests(qd: np.ndarray) -> np.ndarray:
-    """(T - 2000,) whether a joint rests within 0.1 s, where sign(qd) is not defined and the filter carries it."""
+    """(T - 2000,) whether a joint rests or turns within 0.1 s: there friction sticks, sign(qd) jumps, and the filter
+    carries it."""
     slow = (np.abs(qd) < 0.01).astype(float)
     return np.convolve(slow, np.ones(201), "same")[1000:-1000] > 0.5
 

@@ -11,7 +11,6 @@ import pinocchio as pin
 import pytest
 
 from invdyn_cli.errors import UsageError
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import KINDS, Hidden, assemble
 from invdyn_cli.simulation.plant import simulate
@@ -83,12 +82,6 @@ CASES = (
     Case("torque_offset", "arm_joint_5", {"offset": 0.8}, lambda x, i: np.full(len(x.t), 0.8)),
     Case("torque_gain_error", "arm_joint_2", {"gain": 0.8}, lambda x, i: 0.2 * x.logged[:, i]),
 )
-
-
-@pytest.fixture(scope="module")
-def apollo():
-    """All seven joints."""
-    return load_urdf("apollo_arm")
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.effect}-{c.joint}")

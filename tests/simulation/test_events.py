@@ -12,7 +12,7 @@ import pytest
 
 from invdyn_cli.data.plant import Plant
 from invdyn_cli.errors import UsageError
-from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.robots import pinocchio_model
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record, simulate
 from invdyn_cli.simulation.references import Multisine
@@ -22,12 +22,6 @@ EDGE = 0.15
 """[s] to either side of a step that a zero-phase low-pass at 20 Hz carries it."""
 
 SEEDS = range(2)
-
-
-@pytest.fixture(scope="module")
-def apollo():
-    """All seven joints."""
-    return load_urdf("apollo_arm")
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, list[float]]:

@@ -26,12 +26,6 @@ FINE = 20
 """Steps of the independent integration within a sample."""
 
 
-@pytest.fixture(scope="module")
-def apollo():
-    """All seven joints."""
-    return load_urdf("apollo_arm")
-
-
 def carried(robot) -> np.ndarray:
     """(n,) [kg m^2] that each joint carries in the middle of its range, by Pinocchio."""
     model = pinocchio_model(robot)

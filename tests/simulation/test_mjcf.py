@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.truth import mjcf_of
 from invdyn_cli.diagnosis.extension import exported
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -58,10 +58,8 @@ PARAMETERS = {
 
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory) -> Robot:
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(3), 4))
-    return load_urdf(path)
+def arm() -> Robot:
+    return random_robot(np.random.default_rng(3), 4)
 
 
 def mjcf_with(robot: Robot, *effects: tuple[str, str | None, dict]) -> tuple[str, tuple[str, ...]]:

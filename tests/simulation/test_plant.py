@@ -8,18 +8,11 @@ import pytest
 
 from invdyn_cli.errors import UsageError
 from invdyn_cli.logfile import read_log, refuse_defects, write_log
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record, simulate
 from invdyn_cli.simulation.references import ConstantSpeed, Multisine, PickPlace
 from invdyn_cli.simulation.sensors import Noise
-
-
-@pytest.fixture(scope="module")
-def apollo():
-    """All seven joints."""
-    return load_urdf("apollo_arm")
 
 
 def everywhere(robot, effect: str, **parameters) -> list[Hidden]:

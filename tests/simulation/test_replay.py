@@ -6,10 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.truth import mjcf_of
 from invdyn_cli.errors import LogError, UsageError
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.arm import GEAR
 from invdyn_cli.simulation.driven import Segment
 from invdyn_cli.simulation.hidden import Hidden
@@ -24,10 +23,8 @@ CLOSE = 5e-4
 
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory) -> Robot:
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(3), 3))
-    return load_urdf(path)
+def arm() -> Robot:
+    return random_robot(np.random.default_rng(3), 3)
 
 
 def measured(robot: Robot, *hidden: Hidden, seconds: float = 3.0) -> Segment:

@@ -13,13 +13,6 @@ from invdyn_cli.diagnosis.decide.unexplained import (
 )
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Finding, Gain
-from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
-
-
-@pytest.fixture(scope="module")
-def evidence():
-    """A clean log."""
-    return evidence_of(log_of(raw(*moved())), ["viscous_friction"], cutoffs=(10.0,))
 
 
 def angle(evidence, joint: int) -> np.ndarray:

@@ -7,12 +7,6 @@ from invdyn_cli.diagnosis.search.moments import FEWEST, moments, on_one_side
 from tests.diagnosis.analytic import evidence_of, log_of, moved, raw
 
 
-@pytest.fixture(scope="module")
-def evidence():
-    """A log of 40 s; its last 30 % are held out."""
-    return evidence_of(log_of(raw(*moved())), ["viscous_friction"], cutoffs=(10.0,))
-
-
 def noise(evidence, seed: int) -> np.ndarray:
     """(R, n) white, 1 % of each joint's torque, a third as large where it moves slowly."""
     draw = np.random.default_rng([seed, 5])
