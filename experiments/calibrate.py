@@ -9,8 +9,8 @@ import numpy as np
 
 from experiments import cases, unknown
 from experiments.changed import CHANGES, beyond_change
-from experiments.confusion import claims, judge, said_of
-from experiments.told import jobs, name_of, told
+from experiments.confusion import claims, judge, name_of, said_of
+from experiments.told import jobs, told
 from experiments.worn import SIZES, Worn, beyond_wear, drawn
 from invdyn_cli.abstract_experiment import chosen
 from invdyn_cli.diagnosis import Options

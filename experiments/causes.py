@@ -22,8 +22,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, draw_case
-from experiments.confusion import LOUD, MAIN, matches, relative_error, said_of
-from experiments.told import name_of, told_by
+from experiments.confusion import LOUD, MAIN, matches, name_of, relative_error, said_of, told_by
 from experiments.worn import ANOMALIES, drawn
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.errors import UsageError, closest, listed, shortened

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.cases import SIZES
-from experiments.confusion import claims, said_of
-from experiments.told import by_kind, jobs, name_of, told
+from experiments.confusion import claims, name_of, said_of
+from experiments.told import by_kind, jobs, told
 from experiments.worn import ANOMALIES, LOUD, drawn
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose

@@ -121,14 +121,19 @@ def _elsewhere(hidden: Hidden, finding: Finding) -> str:
     return ""
 
 
+def told_by(hidden: Hidden, found: Sequence[Finding]) -> Finding | None:
+    """The finding that is what was hidden: the first that names it, else the first that has it among others."""
+    how = {match: f for f in reversed(found) if (match := matches(hidden, f))}
+    return how.get("named", how.get("ambiguous"))
+
+
 def judge(case: Case, diagnosis: Diagnosis, seed: int, seconds: float) -> Outcome:
     """What a diagnosis of a case is worth."""
     found = claims(diagnosis)
     left = list(found)
     results, errors, covered = [], [], []
     for hidden in case.hidden:
-        best = next((f for f in left if matches(hidden, f) == "named"), None)
-        best = best or next((f for f in left if matches(hidden, f) == "ambiguous"), None)
+        best = told_by(hidden, left)
         results.append(matches(hidden, best) if best else "")
         if best:
             left.remove(best)
@@ -148,7 +153,7 @@ def judge(case: Case, diagnosis: Diagnosis, seed: int, seconds: float) -> Outcom
         result = "wrong"
     return Outcome(
         seed=seed,
-        hidden=tuple(f"{h.effect}@{h.joint}" for h in case.hidden),
+        hidden=tuple(map(name_of, case.hidden)),
         said=case.said,
         share=case.share,
         result=result,
@@ -166,6 +171,11 @@ def _is_rotor(finding: Finding, hidden: Hidden) -> bool:
     return finding.joint == hidden.joint and any(
         "rotor_inertia" in x for x in [(finding.effect,), *finding.alternatives]
     )
+
+
+def name_of(hidden: Hidden | None) -> str:
+    """What was hidden as effect@joint, or "none"."""
+    return f"{hidden.effect}@{hidden.joint}" if hidden else "none"
 
 
 def said_of(finding: Finding) -> str:

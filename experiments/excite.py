@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.cases import SIZES, Case, draw_effect, draw_scene, inverse_dynamics
-from experiments.confusion import claims, judge, matches
+from experiments.confusion import claims, judge, matches, name_of
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.design.next_motion import FILE, after
 from invdyn_cli.design.trajectory import Design
@@ -133,7 +133,7 @@ def play_designed(arm: Plant, design: Design, folder: Path, seed: int) -> Log:
 def settle(seed: int, name: str, duration: float, folder: Path) -> Settled:
     """One drawn log: how it ends."""
     arm = draw_plant(seed, name)
-    hidden = f"{arm.hidden[0].effect}@{arm.hidden[0].joint}"
+    hidden = name_of(arm.hidden[0])
     started = time.perf_counter()
     try:
         poor = diagnose(arm.play(arm.poor, SECONDS, arm.seed), arm.robot)

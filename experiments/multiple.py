@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.cases import SIZES, WHOLE_ARM, Case, draw_case
-from experiments.confusion import claims, judge, said_of
-from experiments.told import name_of, told_by
+from experiments.confusion import claims, judge, name_of, said_of, told_by
 from experiments.worn import ANOMALIES, LOUD, beyond_wear, several
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose

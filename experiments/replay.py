@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.cases import SIZES, Case, draw_case
-from experiments.confusion import WHOLE_ARM, claims
+from experiments.confusion import WHOLE_ARM, claims, name_of
 from experiments.truth import mjcf_of
 from invdyn_cli.abstract_experiment import AbstractExperiment
 from invdyn_cli.diagnosis import Options, diagnose, extension
@@ -72,7 +72,7 @@ def played(seed: int, case: Case) -> Replayed:
     best = replay(nominal, truth, kept["stretches"], case.robot.joints)
     return Replayed(
         seed=seed,
-        hidden=tuple(f"{x.effect}@{x.joint}" for x in case.hidden),
+        hidden=tuple(map(name_of, case.hidden)),
         said=tuple(f"{x.effect}@{x.joint}" for x in claims(diagnosis)),
         before=float(found.before.mean()),
         after=float(found.after.mean()),

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from experiments.confusion import matches
+from experiments.confusion import matches, told_by
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.types import Finding
 
@@ -26,17 +26,6 @@ def told(hidden: Hidden | None, found: Sequence[Finding]) -> tuple[str, list[Fin
         return "none", list(found)
     best = told_by(hidden, found)
     return "missed" if best is None else matches(hidden, best), [f for f in found if f is not best]
-
-
-def told_by(hidden: Hidden, found: Sequence[Finding]) -> Finding | None:
-    """The finding that is what was hidden: the first that names it, else the first that has it among others."""
-    how = {match: f for f in reversed(found) if (match := matches(hidden, f))}
-    return how.get("named", how.get("ambiguous"))
-
-
-def name_of(hidden: Hidden | None) -> str:
-    """What was hidden as effect@joint, or "none"."""
-    return f"{hidden.effect}@{hidden.joint}" if hidden else "none"
 
 
 def jobs(seed: int, names: Sequence[str], logs: int, clean: int) -> Iterable[tuple[int, str]]:

@@ -13,8 +13,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from experiments.cases import ATTEMPTS, SIZES, Case, Scene, draw_effect, draw_scene, excess, felt, scene_of
-from experiments.confusion import claims, said_of
-from experiments.told import by_kind, jobs, name_of, told
+from experiments.confusion import claims, name_of, said_of
+from experiments.told import by_kind, jobs, told
 from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.errors import UsageError
