@@ -111,12 +111,6 @@ class LagrangianNet(AbstractModel):
         """Another net in the same standardisation."""
         return {**params, "nets": weights}
 
-    def mass_matrix(self, fit: Fit, q: Array) -> np.ndarray:
-        """H (n, n) [kg m²; kg] at a posture q (n,)."""
-        params = fit.params
-        slides = _slides(fit.robot, len(q))
-        return np.asarray(self._energy(params["nets"], params, slides, jnp.asarray(q, jnp.float32))[0], float)
-
     def chunk(self, motion: Motion) -> int:
         """Fewer samples at a time: each one needs the derivatives of its network."""
         return 1024
