@@ -146,26 +146,24 @@ def _text(made: _Numbers) -> str:
     """The file."""
     robot = made.robot
     root = ET.Element("mujoco", model=robot.name)
-    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    option = {"timestep": TIMESTEP, "gravity": robot.gravity}
-    ET.SubElement(root, "option", {k: _said(v) for k, v in option.items()}, integrator="implicitfast")
+    _tag(root, "compiler", angle="radian", autolimits="true")
+    _tag(root, "option", timestep=TIMESTEP, gravity=robot.gravity, integrator="implicitfast")
     bodies: list[ET.Element] = []
     world = ET.SubElement(root, "worldbody")
     for i, name in enumerate(_links(robot)):
         parent = world if robot.parents[i] < 0 else bodies[robot.parents[i]]
-        frame = {"pos": robot.translation[i], "quat": quaternion_of(np.asarray(robot.rotation[i]))}
-        body = ET.SubElement(parent, "body", {"name": name, **{k: _said(v) for k, v in frame.items()}})
+        quaternion = quaternion_of(np.asarray(robot.rotation[i]))
+        body = _tag(parent, "body", name=name, pos=robot.translation[i], quat=quaternion)
         _inertial(body, made.inertial[i])
         for joint in _joints(made, i):
-            ET.SubElement(body, "joint", {k: x if isinstance(x, str) else _said(x) for k, x in joint.items()})
+            _tag(body, "joint", **joint)
         bodies.append(body)
     for i, load in enumerate(made.loads):
-        _inertial(ET.SubElement(bodies[-1], "body", name=f"payload_{i + 1}" if i else "payload"), load)
+        _inertial(_tag(bodies[-1], "body", name=f"payload_{i + 1}" if i else "payload"), load)
     _tendons(root, made)
     motors = ET.SubElement(root, "actuator")
     for i in range(robot.dofs):
-        motor = _motor(made, i)
-        ET.SubElement(motors, "general", {k: x if isinstance(x, str) else _said(x) for k, x in motor.items()})
+        _tag(motors, "general", **_motor(made, i))
     for line in made.said:
         root.insert(0, ET.Comment(f" {line.replace('--', '-')} "))
     ET.indent(root)
@@ -180,11 +178,10 @@ def _tendons(root: ET.Element, made: _Numbers) -> None:
     for i, driver, p in made.drives:
         names = made.robot.joints[i], made.robot.joints[driver]
         given = {"frictionloss": p["coulomb"], "damping": p["damping"], "armature": p.get("armature", 0.0)}
-        stick = STICK if p["coulomb"] else {}
-        numbers = {k: _said(v) for k, v in {**given, **stick}.items() if np.any(v)}
-        drive = ET.SubElement(tendons, "fixed", {"name": f"{names[0]}_drive", **numbers})
+        given = {k: v for k, v in given.items() if v} | (STICK if p["coulomb"] else {})
+        drive = _tag(tendons, "fixed", name=f"{names[0]}_drive", **given)
         for name, factor in zip(names, (1.0, p["ratio"]), strict=True):
-            ET.SubElement(drive, "joint", joint=name, coef=_said(factor))
+            _tag(drive, "joint", joint=name, coef=factor)
 
 
 def _joints(made: _Numbers, i: int) -> Iterable[dict[str, Any]]:
@@ -237,8 +234,7 @@ def _inertial(body: ET.Element, row: np.ndarray) -> None:
     x, y, z = com = row[1:4] / row[0]
     point = row[0] * np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
     xx, xy, yy, xz, yz, zz = row[4:] - point
-    given = {"pos": com, "mass": row[0], "fullinertia": [xx, yy, zz, xy, xz, yz]}
-    ET.SubElement(body, "inertial", {k: _said(v) for k, v in given.items()})
+    _tag(body, "inertial", pos=com, mass=row[0], fullinertia=[xx, yy, zz, xy, xz, yz])
 
 
 def _links(robot: Robot) -> list[str]:
@@ -247,6 +243,10 @@ def _links(robot: Robot) -> list[str]:
     return [name or f"link_{i}" for i, name in enumerate(names)]
 
 
+def _tag(parent: ET.Element, kind: str, **given: Any) -> ET.Element:
+    """A new tag with these attributes: texts, and numbers with all their digits."""
+    return ET.SubElement(parent, kind, {k: x if isinstance(x, str) else _said(x) for k, x in given.items()})
+
+
 def _said(numbers: Any) -> str:
-    """Numbers with all their digits."""
     return " ".join(repr(float(x)) for x in np.atleast_1d(np.asarray(numbers, float)))
