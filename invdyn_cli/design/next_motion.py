@@ -54,7 +54,7 @@ def all_open(findings: Sequence[Finding], robot: Robot) -> list[Open]:
 def _opened(number: int, finding: Finding, robot: Robot) -> Open:
     """The cause of a finding and its rivals, with the sizes that the log gave, or none. A rival for which no motion can
     be designed, or that is unknown here, is left out with a message."""
-    own = _told_cause(finding.effect, finding.joint, {k: q.value for k, q in finding.parameters.items()}, robot)
+    own = _found_cause(finding, robot)
     if isinstance(own, str):
         known = finding.effect in EFFECTS
         return Open(number, (), (own,) if known else (), () if known else (own,))
@@ -89,6 +89,10 @@ def _rivals(finding: Finding) -> list[tuple[str, Any, Any]]:
     return [(x["effect"], x.get("joint"), x.get("parameters")) for x in each]
 
 
+def _found_cause(finding: Finding, robot: Robot) -> Cause | str:
+    return _told_cause(finding.effect, finding.joint, {k: q.value for k, q in finding.parameters.items()}, robot)
+
+
 def _told_cause(name: str, joint: Any, parameters: Any, robot: Robot) -> Cause | str:
     """A cause from a finding, without parameters if they are incomplete; or the reason why it is not one."""
     if name not in EFFECTS:
@@ -104,8 +108,7 @@ def _told_cause(name: str, joint: Any, parameters: Any, robot: Robot) -> Cause |
 def known_beside(findings: Sequence[Finding], robot: Robot) -> list[Cause]:
     """The causes that the log shows with certainty; a new log will contain them too."""
     named = [f for f in findings if f.status == "named"]
-    told = [_told_cause(f.effect, f.joint, {k: q.value for k, q in f.parameters.items()}, robot) for f in named]
-    return [x for x in told if isinstance(x, Cause)]
+    return [x for x in (_found_cause(f, robot) for f in named) if isinstance(x, Cause)]
 
 
 def after(
