@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from invdyn_cli.simulation.references import faded, minimum_jerk, room, times
+from invdyn_cli.simulation.references import changing, faded, minimum_jerk, room, times
 from invdyn_cli.types import Motion, Robot
 
 KINDS = ("multisine", "sweep", "swing", "reversal", "chirp")
@@ -253,20 +253,9 @@ def _back_and_forth(t: np.ndarray, takes: float, v: float, times: int, sign: flo
     """Position, speed and acceleration (3, T) of so many sweeps one way and back from 0, reversals up to 0.2 s."""
     half = takes / (2 * times)
     blend = min(0.1, 0.25 * half)
-    x1, x2 = np.zeros_like(t), np.zeros_like(t)
-
-    def step(at: float, change: float, long: float) -> None:
-        s, slope, _ = minimum_jerk((t - at) / long)
-        x1[:] += change * s
-        x2[:] += change * slope / long
-
-    step(0.0, v, blend)
-    for k in range(1, 2 * times):
-        step(k * half - blend, -2 * v if k % 2 else 2 * v, 2 * blend)
-    step(takes - blend, v, blend)
-    steps = (x1[1:] + x1[:-1]) / 2 * np.diff(t)
-    x = np.concatenate([[0.0], np.cumsum(steps)])
-    return sign * np.stack([x, x1, x2])
+    turns = [(k * half - blend, -2 * v if k % 2 else 2 * v, 2 * blend) for k in range(1, 2 * times)]
+    x1, x2 = changing(t, [(0.0, v, blend), *turns, (takes - blend, v, blend)])
+    return sign * np.stack([scipy.integrate.cumulative_trapezoid(x1, t, initial=0.0), x1, x2])
 
 
 def _swing(g: Gesture, allowed: Room, t: np.ndarray, takes: float):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from invdyn_cli.errors import UsageError
 from invdyn_cli.types import Motion, Robot
@@ -225,9 +226,9 @@ class ConstantSpeed(AbstractReference):
                 x1, x2 = self._sweep(t - slot * each, each, v, self.amplitude * half[i])
                 qd[:, i] += sign * x1
                 qdd[:, i] += sign * x2
-        steps = (qd[1:] + qd[:-1]) / 2 / rate
         start = middle + draw.uniform(-1, 1, n) * (0.95 - min(self.amplitude, 0.95)) * half
-        return Motion(start + np.concatenate([np.zeros((1, n)), np.cumsum(steps, axis=0)]), qd, qdd)
+        way = scipy.integrate.cumulative_trapezoid(qd, dx=1 / rate, axis=0, initial=0.0)
+        return Motion(start + way, qd, qdd)
 
     def _sweep(self, t: np.ndarray, takes: float, v: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Speed and acceleration of +v, -v, +v over `takes` [s] from 0 on, less where it would go beyond `reach`."""
@@ -236,17 +237,7 @@ class ConstantSpeed(AbstractReference):
             b = min(self.blend, takes / 8)
             takes = min(longest, 4 * reach / v + 2.25 * b)
         first = (takes - 3 * b) / 4  # reversals take 2 b, start and end b, and it comes back to where it began
-        x, a = np.zeros_like(t), np.zeros_like(t)
-        for at, before, after, long in (
-            (0.0, 0.0, v, b),
-            (first, v, -v, 2 * b),
-            (3 * first + b, -v, v, 2 * b),
-            (takes - b, v, 0.0, b),
-        ):
-            s, s1, _ = minimum_jerk((t - at) / long)
-            x += s * (after - before)
-            a += s1 / long * (after - before)
-        return x, a
+        return changing(t, [(0.0, v, b), (first, -2 * v, 2 * b), (3 * first + b, 2 * v, 2 * b), (takes - b, -v, b)])
 
 
 def room(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -254,10 +245,10 @@ def room(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
     free = np.where(robot.prismatic, UNLIMITED_SLIDE, UNLIMITED)
-    middle = np.where(bounded, (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)) / 2, 0.0)
-    half = np.where(bounded, (np.where(bounded, upper, 0) - np.where(bounded, lower, 0)) / 2, free)
+    low, high = (np.where(bounded, x, 0.0) for x in (lower, upper))
+    half = (high - low) / 2
     wide = ~bounded | (half > np.pi)  # a joint that turns several times need not
-    middle = np.where(wide, np.clip(0.0, lower + free, upper - free), middle)
+    middle = np.where(wide, np.clip(0.0, lower + free, upper - free), (low + high) / 2)
     speed = np.asarray(robot.velocity_limit)
     usual = np.where(robot.prismatic, UNLIMITED_SLIDE_SPEED, UNLIMITED_SPEED)
     speed = np.where(np.isfinite(speed) & (speed > 0), speed, usual)
@@ -268,6 +259,16 @@ def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimum jerk from 0 to 1 over s in [0, 1], constant outside; its first and second derivative by s."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
+
+
+def changing(t: np.ndarray, changes: Sequence[tuple[float, float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """A speed (T,) and its acceleration, from rest on: each change begins at a time, by so much, and takes so long."""
+    speed, acceleration = np.zeros((2, len(t)))
+    for at, change, long in changes:
+        s, slope, _ = minimum_jerk((t - at) / long)
+        speed += change * s
+        acceleration += slope / long * change
+    return speed, acceleration
 
 
 def _move(
