@@ -18,6 +18,7 @@ from invdyn_cli.adaptation.own_fit import AbstractOwnFit
 from invdyn_cli.chunks import CHUNK
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import AbstractModel
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.regression import torque_spread
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
@@ -58,7 +59,7 @@ class Rls(AbstractOwnFit):
         (n,) [N m; N], and rls_samples."""
         spread = torque_spread(dataset)
         left = np.concatenate([x.tau - model.predict(fit, x.motion) for x in dataset.trajectories])
-        noise = np.maximum(np.sqrt((left**2).mean(0)), LEAST_NOISE * spread)
+        noise = np.maximum(rms(left), LEAST_NOISE * spread)
         information = jnp.zeros(())
         motion = dataset.motion
         for start in range(0, len(motion), CHUNK):

@@ -11,6 +11,7 @@ from invdyn_cli.errors import UsageError
 from invdyn_cli.fields import positive
 from invdyn_cli.interfaces import AbstractModel, Progress, silent
 from invdyn_cli.maths import links, regression, ripple
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.regression import Design, Solution
 from invdyn_cli.models import rigid_model
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree, Robot
@@ -136,7 +137,7 @@ class Pest(AbstractModel):
         if self.consistent:
             psi, cost, chance = links.consistent(robot, solution, covariance)
             if cost > chance:
-                change = _rms(self, _params(psi - solution.psi, design), dataset)
+                change = rms(_torques(self, _params(psi - solution.psi, design), dataset))
                 warnings += (links.sentence(cost, chance, change, robot),)
             params, details = _params(psi, design), {**details, "consistent": {"cost": cost, "chance": chance}}
         return Fit(
@@ -159,7 +160,7 @@ class Pest(AbstractModel):
         if self.ripples:
             before = replace(self, ripples=self.ripples - 1)
             design, solution = before._solved(robot, dataset, progress)
-            line = before._line(robot, dataset, _params(solution.psi, design))
+            line = before._line(dataset, _params(solution.psi, design))
             design = replace(design, extras=self.extras, cycles=np.concatenate([design.cycles, line[None]]))
         else:
             n, spread = robot.dofs, self.weighting == "torque_spread"
@@ -167,11 +168,10 @@ class Pest(AbstractModel):
             design = Design(robot, self.extras, weights, self.rest_speed, self.least_speed, np.zeros((0, n)))
         return design, regression.solve(design, dataset, self.threshold, self.relative, progress)
 
-    def _line(self, robot: Robot, dataset: Dataset, params: PyTree) -> np.ndarray:
+    def _line(self, dataset: Dataset, params: PyTree) -> np.ndarray:
         """Cycles (n,) of the dominant line in the residual of each joint while it moves; 0: there is none."""
         rows = slice(None, None, -(-dataset.samples // SCANNED))
-        said = [rigid_model.torques(self, params, x.motion, robot) for x in dataset.trajectories]
-        left, motion = (dataset.tau - np.concatenate(said))[rows], dataset.motion[rows]
+        left, motion = (dataset.tau - _torques(self, params, dataset))[rows], dataset.motion[rows]
         moves = np.abs(motion.qd) >= max(self.least_speed, self.rest_speed)
         found = [ripple.strongest(x[m], q[m]) for x, q, m in zip(left.T, motion.q.T, moves.T, strict=True)]
         return np.array([cycles if share > LINE else 0.0 for cycles, share in found])
@@ -187,7 +187,6 @@ def _params(psi: np.ndarray, design: Design) -> dict[str, np.ndarray]:
     }
 
 
-def _rms(model: Pest, params: PyTree, dataset: Dataset) -> np.ndarray:
-    """RMS torque (n,) [N m; N] of parameters on all trajectories."""
-    parts = (rigid_model.torques(model, params, x.motion, dataset.robot) for x in dataset.trajectories)
-    return np.sqrt(sum((part**2).sum(0) for part in parts) / dataset.samples)
+def _torques(model: Pest, params: PyTree, dataset: Dataset) -> np.ndarray:
+    """Torques (T, n) [N m; N] of parameters on all trajectories, one after the other."""
+    return np.concatenate([rigid_model.torques(model, params, x.motion, dataset.robot) for x in dataset.trajectories])

@@ -239,7 +239,7 @@ def feedback(mjcf: str, stretches: Sequence[Segment]) -> tuple[np.ndarray, np.nd
         posture[columns] = row
         own = 1 / np.diag(np.linalg.inv(mass_matrix(model, data, posture)))[columns]
         inertia = np.minimum(inertia, own)
-    torque = np.sqrt(np.mean(np.concatenate([x.tau for x in stretches]) ** 2, axis=0))
+    torque = rms(np.concatenate([x.tau for x in stretches]))
     omega = np.maximum(2 * np.pi * FREQUENCY, np.sqrt(torque / REACH / inertia))
     omega = np.minimum(omega, 0.5 / STEP)  # beyond, a step is too long for it
     return omega**2 * inertia, 2 * DAMPING * omega * inertia
