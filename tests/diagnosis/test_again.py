@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.confusion import claims
 from invdyn_cli.diagnosis import diagnose
 from invdyn_cli.effects.composition import Span, TimeWindow, weight
 from invdyn_cli.effects.description import as_dict, from_dict
 from invdyn_cli.report.wording import when, windows
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
@@ -26,13 +25,11 @@ def test_a_weight_has_all_windows():
 
 
 @pytest.fixture(scope="module", params=usually([[0, 4]], [[0, 2], [1, 3], [0, 4]]))
-def carried(request, tmp_path_factory):
+def carried(request):
     """An arm with friction takes up a load several times, drawn at random: load, windows, diagnosis."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
     seed, count = request.param
     draw = np.random.default_rng([seed, 77])
-    path.write_text(random_arm(np.random.default_rng(seed), 3))
-    robot = load_urdf(path)
+    robot = random_robot(np.random.default_rng(seed), 3)
     load = {"mass": float(draw.uniform(0.3, 0.8)), "com": draw.uniform(-0.05, 0.05, 3).tolist()}
     turn = 32.0 / count
     starts = turn * (np.arange(count) + draw.uniform(0.1, 0.3, count))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.checks.columns import JointOrder, SignError
 from invdyn_cli.diagnosis.checks.description import Description
@@ -23,12 +23,10 @@ COLUMNS = (JointOrder(), SignError())
 
 
 @pytest.fixture(scope="module", params=usually([0], range(2)))
-def drawn(request, tmp_path_factory):
+def drawn(request):
     """A generator, an arm of five joints, and a log of one that is up to 15 % off, with friction on every joint."""
     draw = np.random.default_rng(40 + request.param)
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(draw, 5))
-    robot = load_urdf(path)
+    robot = random_robot(draw, 5)
     truth = replace(robot, inertial=robot.inertial * draw.uniform(0.85, 1.15, robot.dofs)[:, None])
     return draw, robot, sound(robot, request.param, seconds=20, coulomb=0.2, truth=truth, channels=("qd",))
 
@@ -58,12 +56,11 @@ def test_a_sound_log_states_nothing(drawn):
 
 @pytest.mark.parametrize("down", [(0, 0, 1), (1, 0, 0)])
 @pytest.mark.parametrize("seed", usually([3], range(3, 7)))
-def test_a_base_that_is_mounted_otherwise(tmp_path, seed, down):
+def test_a_base_that_is_mounted_otherwise(seed, down):
     """A log of an arm under a ceiling, or at a wall, read with the URDF of one on the floor: no column is turned or
     exchanged, the direction of gravity is told, and with it nothing is left to tell."""
     draw = np.random.default_rng(seed)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 6))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 6)
     hung = replace(robot, gravity=9.81 * np.array(down, float))
     truth = replace(hung, inertial=robot.inertial * draw.uniform(0.95, 1.05, robot.dofs)[:, None])
     log = sound(robot, seed, seconds=20, coulomb=0.2, truth=truth, channels=("qd",))
@@ -205,12 +202,11 @@ def test_a_tool_that_the_robot_lacks(drawn):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_gravity_that_is_removed_from_three_joints(seed, tmp_path):
+def test_gravity_that_is_removed_from_three_joints(seed):
     """On an arm of three joints, 15 % off its URDF, that gravity loads more than its motion: gravity removed by the
     URDF's model is found; the same log with gravity raises nothing."""
     draw = np.random.default_rng(70 + seed)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 3)
     truth = replace(robot, inertial=robot.inertial * draw.uniform(0.85, 1.15, 3)[:, None])
     log = sound(robot, seed, seconds=20, truth=truth)
     raw = log.trajectories[0]
@@ -220,12 +216,11 @@ def test_gravity_that_is_removed_from_three_joints(seed, tmp_path):
         assert [c.severity for c in found.checks] == said
 
 
-def test_what_is_ambiguous_has_the_best_order_first(tmp_path):
+def test_what_is_ambiguous_has_the_best_order_first():
     """Joints that move in phase, two of them exchanged: orders as likely are listed, the best of them first, and the
     log is left as it is."""
     draw = np.random.default_rng(3)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 5))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 5)
     t = np.arange(4000) / 200
     size = draw.uniform(0.2, 0.5, 5)
     q, qd, qdd = (x[:, None] * size for x in (np.sin(t), np.cos(t), -np.sin(t)))

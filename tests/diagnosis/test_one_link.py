@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.cases import scene_of
 from experiments.worn import wear
 from invdyn_cli.diagnosis import Options, diagnose
 from invdyn_cli.maths import standard
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
@@ -16,13 +15,12 @@ from invdyn_cli.simulation.sensors import Noise
 
 
 @pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.benchmark), 4, 5])
-def test_a_link_that_is_off_by_half_is_named(seed, tmp_path):
+def test_a_link_that_is_off_by_half_is_named(seed):
     """Friction on all joints and links up to 8 % off; one link has 40 to 60 % more or less mass: it is named, its mass
     lies in the interval, and of the same arm without it no link is told."""
     draw = np.random.default_rng([seed, 62])
-    joints, urdf = int(draw.integers(3, 6)), tmp_path / "arm.urdf"
-    urdf.write_text(random_arm(draw, joints))
-    robot = load_urdf(urdf)
+    joints = int(draw.integers(3, 6))
+    robot = random_robot(draw, joints)
     scene = scene_of(robot, Multisine(), 25.0, seed)
     worn = wear(draw, scene)
     link, off = int(draw.integers(1, joints - 1)), float(draw.choice([-1, 1]) * draw.uniform(0.4, 0.6))

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.cases import draw_case, scene_of
 from experiments.confusion import claims
 from experiments.worn import COUNTS, STANDARD, drawn, spoken
@@ -21,7 +21,6 @@ from invdyn_cli.diagnosis.standard_columns import columns_of, least_of, std_of
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
 from invdyn_cli.maths.standard import link_scales
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
@@ -175,12 +174,11 @@ def test_intervals_of_standard_terms_have_their_true_values():
 
 @pytest.mark.benchmark  # the payload below is such an anomaly
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
+def test_a_spring_is_found_on_a_worn_arm(seed):
     """Friction on every joint, links up to 8 % off and a spring: the spring is named, and no other anomaly. Frictions
     of 3 % of their joint's torque and more are claimed, too, within 10 %, behind it; the table by joint says so."""
     draw = np.random.default_rng(seed)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 3)
     scene = scene_of(robot, Multisine(), 25.0, seed)
     stiffness = float(0.15 * scene.torque[1] / scene.q[:, 1].std())
     spring = Hidden("joint_spring", robot.joints[1], {"stiffness": stiffness, "rest": float(scene.q[:, 1].mean())})
@@ -206,13 +204,12 @@ def test_a_spring_is_found_on_a_worn_arm(seed, tmp_path):
 
 
 @pytest.mark.parametrize("seed", usually([0], [0, 1]))
-def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
+def test_a_payload_is_found_on_a_worn_arm(seed):
     """A body of 0.7 to 1.5 times the last link's mass beside friction and links up to 8 % off: the ten parameters of
     the last link make the same torques, but none is believed to be that wrong. It is told as a payload, or left open
     between the two, and nothing else is; its mass is off by no more than what it takes up of 8 % of two links."""
     draw = np.random.default_rng(seed)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 3)
     scene = scene_of(robot, Multisine(), 25.0, seed)
     mass = float(robot.inertial[-1, 0] * draw.uniform(0.7, 1.5))
     body = Hidden("payload", None, {"mass": mass, "com": [float(x) for x in draw.uniform(-0.06, 0.06, 3)]})
@@ -226,12 +223,11 @@ def test_a_payload_is_found_on_a_worn_arm(seed, tmp_path):
 
 @pytest.mark.benchmark  # two logs; what a log cannot show, tests/diagnosis/decide have
 @pytest.mark.parametrize("place", [1, 3])
-def test_a_log_says_whose_zero_links_hide(place, tmp_path):
+def test_a_log_says_whose_zero_links_hide(place):
     """A zero that is 0.03 rad off is named where the log without it did not say that it could not show it, and not
     claimed where it did: the last joint's, whose link may as well be heavier on one side."""
     draw = np.random.default_rng(1)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 4))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 4)
     scene = scene_of(robot, Multisine(), 25.0, 1)
     worn, noise = drawn_wear(draw, scene), Noise(position=1e-6, torque=tuple(0.005 * scene.torque))
 
@@ -267,13 +263,12 @@ ANOMALIES = {"torque_ripple": ripple, "presliding_hysteresis": bristles, "torque
 
 @pytest.mark.benchmark  # the payload above is such an anomaly
 @pytest.mark.parametrize(("effect", "sizes"), ANOMALIES.items())
-def test_an_anomaly_is_ranked_beside_the_standard_model(effect, sizes, tmp_path):
+def test_an_anomaly_is_ranked_beside_the_standard_model(effect, sizes):
     """On a worn arm an anomaly that a model of every column would take up (a ripple), that stands beside rigid friction
     (bristles) or that comes and goes is named on its joint, and no other is claimed that could not be wear. Beside
     bristles that still happens: a gain error of 1 % on their joint."""
     draw = np.random.default_rng(5)
-    (tmp_path / "arm.urdf").write_text(random_arm(draw, 3))
-    robot = load_urdf(tmp_path / "arm.urdf")
+    robot = random_robot(draw, 3)
     scene = scene_of(robot, Multisine(), 25.0, 5)
     anomaly = Hidden(effect, robot.joints[1], sizes(scene))
     noise = Noise(position=1e-6, torque=tuple(0.005 * scene.torque))

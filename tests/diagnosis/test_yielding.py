@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from experiments.cases import scene_of
 from experiments.worn import sized, substeps_for
 from experiments.worn import wear as drawn_wear
 from invdyn_cli.diagnosis.case import Case, Options, prepared
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import Multisine
@@ -22,14 +21,11 @@ TEETH = 2e4
 """[N m/rad] that few steps of the physics resolve."""
 
 
-def worn(
-    seed: int, folder, bits: int, gap: float = 0.0, share: float = 0.0, spring: bool = False
-) -> tuple[Case, Hidden]:
+def worn(seed: int, bits: int, gap: float = 0.0, share: float = 0.0, spring: bool = False) -> tuple[Case, Hidden]:
     """The case of a worn arm of three joints, and what was hidden last: this play in one of them, if it is above zero,
     or a `spring`, with a `share` of the joint's friction on the link."""
     draw = np.random.default_rng(seed)
-    (folder / "arm.urdf").write_text(random_arm(draw, 3))
-    robot = load_urdf(folder / "arm.urdf")
+    robot = random_robot(draw, 3)
     scene = scene_of(robot, Multisine(), 25.0, seed)
     hidden = drawn_wear(draw, scene)
     if gap or spring:
@@ -57,13 +53,13 @@ def is_sized(case: Case, gap: float) -> bool:
 
 
 @pytest.mark.benchmark  # play behind which the link rubs, below, is harder to see
-def test_play_is_seen_before_links_make_up_for_it(tmp_path):
+def test_play_is_seen_before_links_make_up_for_it():
     """Play of 3 to 22 mrad beside link errors of up to 8 %, on three arms: at least two (a load that hardly changes its
     sign shows none) with its joint and its size; no other gear."""
     seen = 0
     for seed in range(3):
         gap = float(np.exp(np.random.default_rng([seed, 1]).uniform(*np.log((0.003, 0.022)))))
-        case, play = worn(seed, tmp_path, 18, gap)
+        case, play = worn(seed, 18, gap)
         if case.gear is not None:
             number = case.robot.joints.index(str(play.joint))
             assert case.gear.key == ("backlash", number)
@@ -72,7 +68,7 @@ def test_play_is_seen_before_links_make_up_for_it(tmp_path):
     assert seen >= 2
 
 
-def test_play_is_seen_behind_which_the_link_rubs(tmp_path):
+def test_play_is_seen_behind_which_the_link_rubs():
     """A share of the friction of 15 to 70 %, drawn at random, acts on the link, and shifts the moments at which play is
     crossed. Of 4 to 15 mrad on three arms all are found on their joint, with friction of the link within a factor of
     2.5 (shares are tried a factor of three apart), and at least two with their size."""
@@ -80,7 +76,7 @@ def test_play_is_seen_behind_which_the_link_rubs(tmp_path):
     for seed in range(3):
         draw = np.random.default_rng([seed, 8])
         gap, share = float(np.exp(draw.uniform(*np.log((0.004, 0.015))))), float(draw.uniform(0.15, 0.7))
-        case, play = worn(seed, tmp_path, 18, gap, share)
+        case, play = worn(seed, 18, gap, share)
         assert case.gear is not None and case.gear.key == ("backlash", case.robot.joints.index(str(play.joint)))
         for name in ("link_coulomb", "link_damping"):
             assert play.parameters[name] / 2.5 < case.gear.parameters[name] < 2.5 * play.parameters[name]
@@ -88,13 +84,13 @@ def test_play_is_seen_behind_which_the_link_rubs(tmp_path):
     assert sized >= 2
 
 
-def test_a_spring_is_seen_behind_which_the_link_rubs(tmp_path):
+def test_a_spring_is_seen_behind_which_the_link_rubs():
     """So is a spring, with half to all of the friction on the link: on three arms, with its joint and, on at least two,
     its stiffness within 15 %."""
     sized = 0
     for seed in range(3):
         share = float(np.random.default_rng([seed, 9]).uniform(0.5, 1.0))
-        case, spring = worn(seed, tmp_path, 18, share=share, spring=True)
+        case, spring = worn(seed, 18, share=share, spring=True)
         assert case.gear is not None
         assert case.gear.key == ("joint_elasticity", case.robot.joints.index(str(spring.joint)))
         sized += abs(case.gear.parameters["stiffness"] / spring.parameters["stiffness"] - 1) < 0.15
@@ -102,6 +98,6 @@ def test_a_spring_is_seen_behind_which_the_link_rubs(tmp_path):
 
 
 @pytest.mark.parametrize(("bits", "seed"), [(13, 0), (16, 1)])
-def test_none_where_no_gear_yields(bits, seed, tmp_path):
+def test_none_where_no_gear_yields(bits, seed):
     """Coarse encoders make torque that goes with the acceleration, as a soft gear does."""
-    assert worn(seed, tmp_path, bits)[0].gear is None
+    assert worn(seed, bits)[0].gear is None

@@ -4,9 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.maths import chains, rigid_body
-from invdyn_cli.robots import load_urdf
 from invdyn_cli.types import Motion
 from tests.commands import usually
 
@@ -22,12 +21,10 @@ def torque(robot, inertial, motion: Motion) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", usually([1], [1, 2]))
-def test_a_chain_is_found_from_its_torques(seed, tmp_path):
+def test_a_chain_is_found_from_its_torques(seed):
     """From 150 states of a drawn three-joint arm, in friction that is not the chain's, and without a word on its
     geometry, torques elsewhere are predicted to 1e-10 of their size, and the friction is found."""
-    path = tmp_path / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(seed), 3))
-    robot = load_urdf(path)
+    robot = random_robot(np.random.default_rng(seed), 3)
     damping = np.array([0.5, 1.0, 0.05])
     learned, other = states(3, 150, 0), states(3, 100, 1)
     tau = torque(robot, robot.inertial, learned) + damping * learned.qd

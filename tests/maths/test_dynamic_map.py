@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from experiments.arms import random_arm
+from experiments.arms import random_robot
 from invdyn_cli.maths import bezier
 from invdyn_cli.maths.dynamic_map import Arc, DynamicMap, coriolis, inertia, pairs, products, velocities
-from invdyn_cli.robots import load_urdf, pinocchio_model
+from invdyn_cli.robots import pinocchio_model
 from invdyn_cli.types import Motion
 
 JOINTS = 4
@@ -74,12 +74,10 @@ def test_shared_columns_obey_lagrange(basis):
 
 
 @pytest.fixture(scope="module")
-def coefficients(tmp_path_factory):
+def coefficients():
     """700 postures (T, 4) of an arm that was drawn, and there: H (T, 4, 4), C (T, 4, 4, 4) of qd_j qd_k, j <= k, and g
     (T, 4), by Pinocchio."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(random_arm(np.random.default_rng(8), JOINTS))
-    robot = load_urdf(path)
+    robot = random_robot(np.random.default_rng(8), JOINTS)
     model = pinocchio_model(robot)
     data = model.createData()
     unit, still = np.eye(JOINTS), np.zeros(JOINTS)
