@@ -12,14 +12,17 @@ from invdyn_cli.simulation.arm import LEAST_INERTIA, build, mass_matrix
 from invdyn_cli.types import Robot
 
 
-def difference(robot: Robot, **options) -> float:
-    """Largest difference of MuJoCo's and Pinocchio's torques over random states, relative to the largest torque."""
-    model, reference = build(robot, **options).model, pinocchio_model(robot)
+def difference(robot: Robot, model: mujoco.MjModel | None = None, encoder: float = 0.0) -> float:
+    """Largest difference of MuJoCo's torques by a model of the robot (by default what is built) and Pinocchio's over
+    random states, relative to the largest torque; the model's second angle is more by `encoder`."""
+    model, reference = build(robot).model if model is None else model, pinocchio_model(robot)
+    model.jnt_limited[:] = False
     data, buffer, draw = mujoco.MjData(model), reference.createData(), np.random.default_rng(0)
     worst = 0.0
     for _ in range(30):
         q, qd, qdd = draw.uniform(-2, 2, (3, robot.dofs))
         data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+        data.qpos[1:2] += encoder
         mujoco.mj_inverse(model, data)
         tau = pin.rnea(reference, buffer, q, qd, qdd)
         worst = max(worst, np.abs(data.qfrc_inverse - tau).max() / np.abs(tau).max())

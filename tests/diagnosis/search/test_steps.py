@@ -13,7 +13,7 @@ from invdyn_cli.diagnosis.search.shared_part import HELD
 from invdyn_cli.diagnosis.search.steps import free_beside, search
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.effects.composition import EffectInstance
-from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw
+from tests.diagnosis.analytic import candidate, evidence_of, log_of, moved, on, raw, scorer_of
 
 NAMES = [
     "viscous_friction", "coulomb_friction", "joint_spring", "torque_offset", "payload", "base_tilt", "torque_delay",
@@ -127,10 +127,7 @@ def test_freedom_is_what_data_determine(evidence, judge):
 
 def test_the_search_finds_what_was_put_in(evidence):
     """Of all candidates just the two that were put in, on their joints, with their sizes within 5 %."""
-    rows = evidence.role == 0
-    measured = noise.measure(evidence, rows)
-    judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation)
-    judge.refresh()
+    judge = scorer_of(evidence)
     found = search(judge, evidence.candidates)
     assert {c.key for c in found} == {("viscous_friction", 0), ("torque_offset", 2)}
     theta = dict(zip((c.key for c in found), judge.verdict(found).theta, strict=True))
