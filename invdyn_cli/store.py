@@ -214,7 +214,7 @@ def load_model(path: str | Path, trust: Sequence[str] = ()) -> FittedModel | Ext
         UsageError: for a .json that is no extended model.
     """
     if Path(path).suffix == ".json":
-        return extended.load_model(path)
+        return extended.read(str(path)).model
     record = load_run(path, trust)
     return FittedModel(record.model, record.fit)
 

@@ -162,7 +162,7 @@ def test_json_nested_too_deep(canary):
         store.load_run(hostile_run(canary / "run.h5", {"model": nested}))
     (canary / "model.json").write_text(DEEP)
     with pytest.raises(UsageError, match="nested"):
-        extended.load_model(canary / "model.json")
+        extended.read(str(canary / "model.json"))
 
 
 def reaching_out(file: h5py.File, kind: str, other: Path) -> None:
@@ -347,4 +347,4 @@ def test_other_kinds_of_files(tmp_path):
         with pytest.raises(RunFileError, match="no run at"):
             store.load_run(path)
         with pytest.raises(UsageError, match="is not a file"):
-            extended.load_model(path)
+            extended.read(str(path))

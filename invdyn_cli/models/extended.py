@@ -117,11 +117,6 @@ def read(path: str, effects: Sequence[AbstractEffect] = ()) -> Extended:
     return Extended(untrusted.read_text(where, UsageError, HINT), str(where), tuple(effects))
 
 
-def load_model(path: str | Path, effects: Sequence[AbstractEffect] = ()) -> ExtendedModel:
-    """The robot with its effects, ready to `predict(q, qd, qdd, t=None)`; UsageError as `read` gives."""
-    return read(str(path), effects).model
-
-
 @lru_cache(maxsize=16)
 def _parsed(text: str, where: str, effects: tuple[AbstractEffect, ...]) -> ExtendedModel:
     known = {**EFFECTS, **{one.name: one for one in effects}}

@@ -96,7 +96,7 @@ class Controller:
         latency: float,
         wanted: Motion,
         rate: float,
-        feedback: "Feedback | None" = None,
+        feedback: "Feedback | None",
     ) -> None:
         omega = control.bandwidth(latency)
         self._stiffness, self._damping = omega**2, 2 * control.damping_ratio * omega
