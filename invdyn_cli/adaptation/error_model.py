@@ -1,17 +1,19 @@
 """adaptation=error_model: networks on the residual of a model, pretrained, then adapted or frozen (paper, IV-B)."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 
 from invdyn_cli.adaptation.incremental import AbstractDescent, Incremental
+from invdyn_cli.adaptation.own_fit import AbstractOwnFit
 from invdyn_cli.hybrid import Hybrid
-from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, Progress, silent
+from invdyn_cli.interfaces import AbstractModel
 from invdyn_cli.types import Array, Dataset, Fit, Motion, PyTree
 
 
 @dataclass(frozen=True)
-class ErrorModel(AbstractAdapter):
+class ErrorModel(AbstractOwnFit):
     """tau = model + learner, equations 9 and 10: the model is fitted once, the learner continues to learn.
 
     Attributes:
@@ -40,25 +42,17 @@ class ErrorModel(AbstractAdapter):
         """The model, and the learner on its residual."""
         return Hybrid(model, self.learner)
 
-    def fit(
-        self,
-        model: AbstractModel,
-        dataset: Dataset,
-        key: jax.Array,
-        *,
-        validation: Dataset | None = None,
-        progress: Progress = silent,
-    ) -> Fit:
-        """The model, then the learner on its residual."""
-        return self.incremental.fit(model, dataset, key, validation=validation, progress=progress)
+    def refuse(self, model: AbstractModel, dataset: Dataset, key: jax.Array) -> None:
+        """The same as that of `incremental`."""
+        self.incremental.refuse(model, dataset, key)
+
+    def details(self, model: AbstractModel, fit: Fit, dataset: Dataset) -> dict[str, Any]:
+        """The same as those of `incremental`."""
+        return self.incremental.details(model, fit, dataset)
 
     def init(self, model: AbstractModel, fit: Fit) -> PyTree:
         """The same as that of `incremental`."""
         return self.incremental.init(model, fit)
-
-    def predict(self, model: AbstractModel, state: PyTree, motion: Motion) -> Array:
-        """Torque (n,) of one sample."""
-        return self.incremental.predict(model, state, motion)
 
     def update(self, model: AbstractModel, state: PyTree, motion: Motion, tau: Array) -> PyTree:
         """The state after the learner has learned from one sample."""

@@ -25,6 +25,7 @@ from invdyn_cli.design.gestures import (
     seconds_between,
     varied,
 )
+from invdyn_cli.effects.composition import inertia_column
 from invdyn_cli.effects.rigid import rigid_torque
 from invdyn_cli.errors import UsageError
 from invdyn_cli.interfaces import Progress, silent
@@ -319,11 +320,7 @@ def _room_and_usual(robot: Robot, draw: np.random.Generator) -> tuple[Room, Usua
     q = draw.uniform((middle - half)[:, None], (middle + half)[:, None], (robot.dofs, POSTURES))
     still = np.zeros_like(q)
     weight = rigid_torque(robot, Motion(q, still, still))
-    inertia = np.zeros(robot.dofs)
-    for j in range(robot.dofs):
-        unit = np.zeros_like(q)
-        unit[j] = 1.0
-        inertia[j] = np.median((rigid_torque(robot, Motion(q, still, unit)) - weight)[j])
+    inertia = np.array([np.median(inertia_column(robot, q, j)[j]) for j in range(robot.dofs)])
     pull = inertia * gestures.ACCELERATION * speed
     strongest = np.abs(weight).max(axis=1) + pull
     allowed = room_of(robot, np.maximum(strongest, 1e-6 * strongest.max()))  # a last link may have no mass
