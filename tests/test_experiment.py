@@ -205,13 +205,13 @@ class Follower(Batch):
     adapts = True
 
     def init(self, model, fit):
-        return fit.params, fit.robot, jax.numpy.zeros(len(fit.joints))
+        return {**super().init(model, fit), "lacked": jax.numpy.zeros(len(fit.joints))}
 
     def predict(self, model, state, motion):
-        return super().predict(model, state[:2], motion) + state[2]
+        return super().predict(model, state, motion) + state["lacked"]
 
     def update(self, model, state, motion, tau):
-        return *state[:2], tau - super().predict(model, state[:2], motion)
+        return {**state, "lacked": tau - super().predict(model, state, motion)}
 
 
 def test_an_adaptation_predicts_before_it_learns():
@@ -235,15 +235,15 @@ class Diverging(Follower):
     nonsense: float = np.nan
 
     def init(self, model, fit):
-        return *super().init(model, fit), 0
+        return {**super().init(model, fit), "samples": 0}
 
     def predict(self, model, state, motion):
-        lost = (state[3] >= self.after) & (state[3] < self.after + self.lasting)
+        lost = (state["samples"] >= self.after) & (state["samples"] < self.after + self.lasting)
         nonsense = jax.numpy.array([self.nonsense, 0.0])
-        return super().predict(model, state[:3], motion) + jax.numpy.where(lost, nonsense, 0.0)
+        return super().predict(model, state, motion) + jax.numpy.where(lost, nonsense, 0.0)
 
     def update(self, model, state, motion, tau):
-        return *super().update(model, state[:3], motion, tau), state[3] + 1
+        return {**super().update(model, state, motion, tau), "samples": state["samples"] + 1}
 
 
 @pytest.mark.parametrize("nonsense", [np.nan, np.inf])
