@@ -8,13 +8,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from invdyn_cli.interfaces import (
-    AbstractChannelEffect,
-    AbstractTorqueEffect,
-    JointState,
-    Parameter,
-    Parameters,
-)
+from invdyn_cli.effects.linear import AbstractLinearEffect
+from invdyn_cli.interfaces import AbstractChannelEffect, JointState, Parameter, Parameters
 from invdyn_cli.joints import NO_TIME, SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
 
@@ -25,7 +20,7 @@ MOTOR_SIDES = ("motor", "command", "unknown")
 
 
 @dataclass(frozen=True)
-class RotorInertia(AbstractTorqueEffect):
+class RotorInertia(AbstractLinearEffect):
     """Inertia of the motor side of the gear; a sensor behind the gear does not measure it."""
 
     name = "rotor_inertia"
@@ -48,18 +43,12 @@ class RotorInertia(AbstractTorqueEffect):
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"armature": parameters["armature"]})
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["armature"] * state.qdd
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (state.qdd,)
 
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"armature": coefficients[0]}
-
 
 @dataclass(frozen=True)
-class TorqueOffset(AbstractTorqueEffect):
+class TorqueOffset(AbstractLinearEffect):
     """A constant: zero of a sensor or a drive."""
 
     name = "torque_offset"
@@ -80,20 +69,13 @@ class TorqueOffset(AbstractTorqueEffect):
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"offset": parameters["offset"]})
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        xp = state.q.__array_namespace__()
-        return parameters["offset"] * xp.ones_like(state.q)
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         xp = state.q.__array_namespace__()
         return (xp.ones_like(state.q),)
 
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"offset": coefficients[0]}
-
 
 @dataclass(frozen=True)
-class TorqueOffsetDrift(AbstractTorqueEffect):
+class TorqueOffsetDrift(AbstractLinearEffect):
     """An offset that drifts during a trajectory."""
 
     name = "torque_offset_drift"
@@ -113,18 +95,28 @@ class TorqueOffsetDrift(AbstractTorqueEffect):
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms(lost=NO_TIME)
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["rate"] * state.t
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (state.t,)
 
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"rate": coefficients[0]}
+
+class AbstractGainEffect(AbstractChannelEffect):
+    """A joint that delivers a fixed multiple of what is logged."""
+
+    parameters = {"gain": Parameter("-", 0.4, 2.5)}
+    factor = "gain"
+
+    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
+        return ({"gain": 1.0},)
+
+    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return parameters["gain"] * tau
+
+    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
+        return tau / parameters["gain"]
 
 
 @dataclass(frozen=True)
-class TorqueGainError(AbstractChannelEffect):
+class TorqueGainError(AbstractGainEffect):
     """Wrong torque constant, drive gain or sensor gain."""
 
     name = "torque_gain_error"
@@ -133,8 +125,6 @@ class TorqueGainError(AbstractChannelEffect):
     equation = "delivered = gain · logged"
     loaded = True
     reference = "Gautier and Briot, ASME JDSMC 2014"
-    parameters = {"gain": Parameter("-", 0.4, 2.5)}
-    factor = "gain"
     for_a_time = "torque_gain_change"
     confounders = (("link_inertia_error",), ("load_dependent_friction",), ("payload",), ("rotor_inertia",))
     advice = "a known payload: it distinguishes a wrong gain from wrong masses"
@@ -147,15 +137,6 @@ class TorqueGainError(AbstractChannelEffect):
 
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"gain": parameters["gain"]})
-
-    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        return ({"gain": 1.0},)
-
-    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        return parameters["gain"] * tau
-
-    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        return tau / parameters["gain"]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from invdyn_cli.effects.linear import AbstractLinearEffect
 from invdyn_cli.interfaces import AbstractTorqueEffect, JointState, Parameter, Parameters
 from invdyn_cli.joints import SimulatorTerms, UsualJoint
 from invdyn_cli.types import Array
@@ -36,7 +37,7 @@ most have 1.1 to 1.6, and what sticks for some rows beside a reversal is no leve
 
 
 @dataclass(frozen=True)
-class ViscousFriction(AbstractTorqueEffect):
+class ViscousFriction(AbstractLinearEffect):
     """Proportional to velocity."""
 
     name = "viscous_friction"
@@ -65,18 +66,12 @@ class ViscousFriction(AbstractTorqueEffect):
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"damping": parameters["damping"]})
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["damping"] * state.qd
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (state.qd,)
 
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"damping": coefficients[0]}
-
 
 @dataclass(frozen=True)
-class CoulombFriction(AbstractTorqueEffect):
+class CoulombFriction(AbstractLinearEffect):
     """Constant, against the motion."""
 
     name = "coulomb_friction"
@@ -100,18 +95,12 @@ class CoulombFriction(AbstractTorqueEffect):
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"friction": parameters["coulomb"]})
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["coulomb"] * state.sign
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (state.sign,)
 
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"coulomb": coefficients[0]}
-
 
 @dataclass(frozen=True)
-class AsymmetricCoulombFriction(AbstractTorqueEffect):
+class AsymmetricCoulombFriction(AbstractLinearEffect):
     """A different constant in each direction: Coulomb friction and an offset, which no motion distinguishes."""
 
     name = "asymmetric_coulomb_friction"
@@ -139,19 +128,12 @@ class AsymmetricCoulombFriction(AbstractTorqueEffect):
         up, down = parameters["positive"], parameters["negative"]
         return SimulatorTerms({"friction": (up + down) / 2, "offset": (up - down) / 2})  # within both nothing moves
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        up, down = self.basis(state, parameters)
-        return parameters["positive"] * up + parameters["negative"] * down
-
     def jump(self, columns: Sequence[Array]) -> Array:
         return columns[0] + columns[1]
 
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         size = abs(state.sign)
         return (size + state.sign) / 2, (state.sign - size) / 2
-
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"positive": coefficients[0], "negative": coefficients[1]}
 
 
 @dataclass(frozen=True)
@@ -244,7 +226,7 @@ class StribeckFriction(AbstractTorqueEffect):
 
 
 @dataclass(frozen=True)
-class LoadDependentFriction(AbstractTorqueEffect):
+class LoadDependentFriction(AbstractLinearEffect):
     """Grows with the torque that the gear transmits."""
 
     name = "load_dependent_friction"
@@ -266,18 +248,12 @@ class LoadDependentFriction(AbstractTorqueEffect):
     def typical(self, usual: UsualJoint) -> dict[str, Any]:
         return {"mu": 0.1}
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["mu"] * abs(state.transmitted) * state.sign
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (abs(state.transmitted) * state.sign,)
 
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"mu": coefficients[0]}
-
 
 @dataclass(frozen=True)
-class QuadraticFriction(AbstractTorqueEffect):
+class QuadraticFriction(AbstractLinearEffect):
     """Drag, with the square of velocity."""
 
     name = "quadratic_friction"
@@ -298,14 +274,8 @@ class QuadraticFriction(AbstractTorqueEffect):
     def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
         return SimulatorTerms({"drag": parameters["drag"]})
 
-    def term(self, parameters: Parameters, state: JointState) -> Array:
-        return parameters["drag"] * state.qd * abs(state.qd)
-
     def basis(self, state: JointState, shape: Parameters) -> Sequence[Array]:
         return (state.qd * abs(state.qd),)
-
-    def read(self, coefficients: Sequence[float], shape: Parameters) -> dict[str, float]:
-        return {"drag": coefficients[0]}
 
 
 @dataclass(frozen=True)

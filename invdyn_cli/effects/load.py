@@ -19,35 +19,14 @@ USUAL_TILT, LEVEL = 0.05, 1e-6
 STILL = np.zeros(3)
 
 
-@dataclass(frozen=True)
-class Payload(AbstractBodyEffect):
-    """A body on the last link that the model does not contain: tool, gripper, object.
+class AbstractLoadEffect(AbstractBodyEffect):
+    """A body on the last link. `inertia` (xx, xy, yy, xz, yz, zz) about its centre of mass is what it has beyond a
+    point mass."""
 
-    `inertia` (xx, xy, yy, xz, yz, zz) about its centre of mass is what it has beyond a point mass. A negative mass is
-    kept for the search: it is then no payload, but a link that is lighter than its model; or, as a change since an
-    earlier log, a body that was taken off.
-    """
-
-    name = "payload"
-    title = "payload"
-    meaning = "A body on the last link that the URDF does not have: a tool, a load."
-    equation = "a body of this mass at com in the frame of the last moving joint"
-    reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
     parameters = {"mass": Parameter("kg"), "com": Parameter("m"), "inertia": Parameter("kg m²")}
-    for_a_time = "payload_change"
-    confounders = (("link_inertia_error",), ("torque_gain_error",))
-    advice = "the same trajectory without the load, or the mass of the tool from a scale"
     panels = ("joints",)
     of_joint = False
     load = True
-    shows = ("load", "acceleration")
-
-    def typical(self, usual: UsualJoint) -> dict[str, Any]:
-        arm = float(np.asarray(usual.robot.inertial)[:, 0].sum())
-        return {"mass": 0.05 * arm, "com": np.array([0.02, 0.0, 0.05]), "inertia": np.zeros(6)}
-
-    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
-        return SimulatorTerms(body=np.array(_body(parameters), float))
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         return _added(robot, robot.dofs - 1, _body(parameters))
@@ -62,8 +41,33 @@ class Payload(AbstractBodyEffect):
         return {"mass": mass, "com": com, "inertia": np.asarray(coefficients[4:]) - mass * np.array(_point(*com))}
 
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
-        none = replace(robot, inertial=np.zeros((robot.dofs, 10)))
-        return list(self.changed(parameters, none, joint).inertial[-1])
+        return _body(parameters)
+
+
+@dataclass(frozen=True)
+class Payload(AbstractLoadEffect):
+    """A body on the last link that the model does not contain: tool, gripper, object.
+
+    A negative mass is kept for the search: it is then no payload, but a link that is lighter than its model; or, as a
+    change since an earlier log, a body that was taken off.
+    """
+
+    name = "payload"
+    title = "payload"
+    meaning = "A body on the last link that the URDF does not have: a tool, a load."
+    equation = "a body of this mass at com in the frame of the last moving joint"
+    reference = "Atkeson, An and Hollerbach, IJRR 1986; Khalil, Gautier and Lemoine, ICRA 2007"
+    for_a_time = "payload_change"
+    confounders = (("link_inertia_error",), ("torque_gain_error",))
+    advice = "the same trajectory without the load, or the mass of the tool from a scale"
+    shows = ("load", "acceleration")
+
+    def typical(self, usual: UsualJoint) -> dict[str, Any]:
+        arm = float(np.asarray(usual.robot.inertial)[:, 0].sum())
+        return {"mass": 0.05 * arm, "com": np.array([0.02, 0.0, 0.05]), "inertia": np.zeros(6)}
+
+    def in_simulator(self, parameters: Parameters) -> SimulatorTerms:
+        return SimulatorTerms(body=np.array(_body(parameters), float))
 
 
 @dataclass(frozen=True)
@@ -101,8 +105,7 @@ class LinkInertiaError(AbstractBodyEffect):
 
     def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
         assert joint is not None
-        change = parameters["mass"], *_each(parameters["moment"], 3), *_each(parameters["inertia"], 6)
-        return _added(robot, joint, change)
+        return _added(robot, joint, [parameters["mass"], *parameters["moment"], *parameters["inertia"]])
 
     def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
         assert joint is not None
@@ -219,7 +222,7 @@ def _unit(robot: Robot, link: int, parameter: int) -> np.ndarray:
 
 def _body(parameters: Parameters) -> list[Any]:
     """The ten inertial parameters of a payload about the frame's origin."""
-    mass, com, own = parameters["mass"], _each(parameters["com"], 3), _each(parameters["inertia"], 6)
+    mass, com, own = parameters["mass"], parameters["com"], parameters["inertia"]
     about = (mass * i + o for i, o in zip(_point(*com), own, strict=True))
     return [mass, *(mass * x for x in com), *about]
 
@@ -235,11 +238,6 @@ def _added(robot: Robot, link: int, change: Sequence[Any]) -> Robot:
     row = xp.stack([xp.asarray(x, dtype=float) for x in change])
     own = np.arange(robot.dofs) == link
     return replace(robot, inertial=xp.asarray(robot.inertial) + xp.asarray(own[:, None], dtype=float) * row)
-
-
-def _each(vector: Any, count: int) -> tuple[Any, ...]:
-    """The numbers of a vector, which may be traced by jax."""
-    return tuple(vector[i] for i in range(count))
 
 
 def _length(robot: Robot) -> float:

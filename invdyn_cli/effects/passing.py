@@ -6,23 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from invdyn_cli.effects.actuator import TorqueGainError
-from invdyn_cli.effects.load import Payload
+from invdyn_cli.effects.actuator import AbstractGainEffect
+from invdyn_cli.effects.load import AbstractLoadEffect
 from invdyn_cli.effects.rigid import force_columns
-from invdyn_cli.interfaces import (
-    AbstractBodyEffect,
-    AbstractChannelEffect,
-    AbstractForceEffect,
-    Parameter,
-    Parameters,
-)
+from invdyn_cli.interfaces import AbstractForceEffect, Parameter, Parameters
 from invdyn_cli.types import Array, Motion, Robot
-
-_LOAD, _GAIN = Payload(), TorqueGainError()
 
 
 @dataclass(frozen=True)
-class PayloadChange(AbstractBodyEffect):
+class PayloadChange(AbstractLoadEffect):
     """A body that is picked up and released."""
 
     name = "payload_change"
@@ -30,31 +22,16 @@ class PayloadChange(AbstractBodyEffect):
     meaning = "A body that the arm picked up or released."
     equation = "a body of this mass at com in the frame of the last moving joint, for a time"
     reference = "Gaz and De Luca, IROS 2017"
-    parameters = {**Payload.parameters, "mass": Parameter("kg", 0.0)}
+    parameters = {**AbstractLoadEffect.parameters, "mass": Parameter("kg", 0.0)}
     sized_by = "mass"
     passing = True
-    of_joint = False
-    load = True
     confounders = (("payload",), ("external_contact",), ("torque_gain_change",))
     advice = "several postures with the load held and turned by the wrist: weight and centre of mass move as one body"
-    panels = ("joints",)
     shows = ("time",)
-
-    def changed(self, parameters: Parameters, robot: Robot, joint: int | None) -> Robot:
-        return _LOAD.changed(parameters, robot, joint)
-
-    def directions(self, robot: Robot, joint: int | None) -> Sequence[tuple[Array, Array, float]]:
-        return _LOAD.directions(robot, joint)
-
-    def read(self, coefficients: Sequence[float], robot: Robot, joint: int | None) -> dict[str, Any]:
-        return _LOAD.read(coefficients, robot, joint)
-
-    def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
-        return _LOAD.coefficients(parameters, robot, joint)
 
 
 @dataclass(frozen=True)
-class TorqueGainChange(AbstractChannelEffect):
+class TorqueGainChange(AbstractGainEffect):
     """A drive that gives more or less torque than before: weakened, derated, at another temperature."""
 
     name = "torque_gain_change"
@@ -62,22 +39,11 @@ class TorqueGainChange(AbstractChannelEffect):
     meaning = "An actuator that becomes weaker or stronger during the recording."
     equation = "delivered = gain · logged, for a time"
     reference = "Gautier and Briot, ASME JDSMC 2014"
-    parameters = TorqueGainError.parameters
-    factor = "gain"
     passing = True
     confounders = (("torque_gain_error",), ("payload_change",), ("external_contact",))
     advice = "the same trajectory before and after the change"
     panels = ("nominal_torque",)
     shows = ("time",)
-
-    def shapes(self, tau: Array, rate: float) -> Sequence[Parameters]:
-        return _GAIN.shapes(tau, rate)
-
-    def delivered(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        return _GAIN.delivered(parameters, tau, rate)
-
-    def logged(self, parameters: Parameters, tau: Array, rate: float) -> Array:
-        return _GAIN.logged(parameters, tau, rate)
 
 
 @dataclass(frozen=True)
