@@ -169,9 +169,8 @@ def _behind(one: EffectInstance, motion: Motion, load: np.ndarray, inertia: np.n
     """The motion (n, T) of the links behind a compliant gear that transmits the load (T,) and carries the inertia
     (T,)."""
     assert isinstance(one.effect, AbstractGearEffect) and one.joint is not None
-    inertia = np.maximum(
-        inertia, max(LEAST * np.abs(inertia).max(), LEAST_INERTIA)
-    )  # on the way to other inertials there may be none
+    # on the way to other inertials there may be none
+    inertia = np.maximum(inertia, max(LEAST * np.abs(inertia).max(), LEAST_INERTIA))
     load = load + one.effect.drag(one.parameters, motion.qd[one.joint])
     b, b2 = one.effect.deflection(one.parameters, load, inertia, rate)
     b1 = np.gradient(b) * rate

@@ -54,14 +54,10 @@ class ExtendedModel:
         """Torque (n,) of one sample, without effects that a single sample cannot show: delay, lag, gears, time windows;
         hysteresis is fully developed. Pure jax."""
         body = body_torque(self.robot, self.acting, motion)
-        out, states, parents = [], [], self.robot.parents
+        motion = Motion(*(jnp.asarray(x) for x in (motion.q, motion.qd, motion.qdd)))
+        out, states = [], self._states(jnp.asarray(t), motion, body)
         for j in range(self.robot.dofs):
-            q, qd, qdd = (jnp.asarray(x[j]) for x in (motion.q, motion.qd, motion.qdd))
-            sign = sign_of(qd, SHARP, self._transitions[j])
-            states.append(JointState(jnp.asarray(t), q, qd, qdd, sign, body[j], width=SHARP))
-        states = in_chain(states, parents)
-        for j in range(self.robot.dofs):
-            tau = body[j] + sum(joint_terms(self.acting, j, states, parents))
+            tau = body[j] + sum(joint_terms(self.acting, j, states, self.robot.parents))
             for one in self.acting:
                 memoryless = one.effect.factor or not one.effect.invertible
                 if one.joint == j and memoryless and not one.when:
@@ -79,27 +75,27 @@ class ExtendedModel:
             trajectory: name of the log's own trajectory that this is: what came and went there does so again; None: it
                 does not.
         """
-        q, qd, qdd = (np.asarray(x, float).T for x in (q, qd, qdd))
-        t = period_of(q, qd) * np.arange(q.shape[1]) if t is None else np.asarray(t, float)
+        motion = Motion(*(np.asarray(x, float).T for x in (q, qd, qdd)))
+        t = period_of(motion.q, motion.qd) * np.arange(motion.q.shape[1]) if t is None else np.asarray(t, float)
         t = t - t[:1]
         rate = 1 / np.median(np.diff(t)) if len(t) > 1 else 1.0
         stretch = Span(trajectory, t, float(rate))
-        body = link_torque(self.robot, self.acting, Motion(q, qd, qdd), stretch)
-        out, parents = np.empty_like(body), self.robot.parents
-        signs = [sign_of(x, SHARP, v) for x, v in zip(qd, self._transitions, strict=True)]
-        rows = zip(q, qd, qdd, signs, body, strict=True)
-        states = in_chain([JointState(t, *row, width=SHARP) for row in rows], parents)
+        body = link_torque(self.robot, self.acting, motion, stretch)
+        out, states = np.empty_like(body), self._states(t, motion, body)
         for j in range(len(body)):
-            tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, states, parents))
+            tau = body[j] + sum(np.asarray(x) for x in joint_terms(self.acting, j, states, self.robot.parents))
             out[j] = channel(self.acting, j, tau, stretch) if len(t) > 3 else tau
         return out.T
 
-    @property
-    def _transitions(self) -> tuple[float, ...]:
-        return self.transition or (0.0,) * self.robot.dofs
+    def _states(self, t: Array, motion: Motion, body: Array) -> list[JointState]:
+        """Every joint's state in a motion (n, …) that takes the torques `body` (n, …)."""
+        speeds = zip(motion.qd, self.transition or (0.0,) * self.robot.dofs, strict=True)
+        signs = [sign_of(qd, SHARP, transition) for qd, transition in speeds]
+        rows = zip(motion.q, motion.qd, motion.qdd, signs, body, strict=True)
+        return in_chain([JointState(t, *row, width=SHARP) for row in rows], self.robot.parents)
 
 
-def period_of(q: np.ndarray, qd: np.ndarray) -> float:
+def period_of(q: Array, qd: Array) -> float:
     """The sampling period [s] of a motion (n, T) that was sampled evenly: the factor from qd to the steps of q."""
     if q.shape[1] < 3:
         return 1e-3

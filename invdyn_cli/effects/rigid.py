@@ -2,7 +2,7 @@
 parts of one length. Compiling a program takes a second, and a log's diagnosis calls them some hundred times."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -30,7 +30,7 @@ def regressor(robot: Robot, motion: Motion) -> np.ndarray:
 def body_columns(robot: Robot, moves: np.ndarray, motion: Motion) -> np.ndarray:
     """Torque (k, n, T) of unit changes (k, 10 n) of the inertials, for a motion (n, T)."""
     columns = _columns(robot)
-    return _in_parts(lambda *part: np.tensordot(moves, columns(*part), 1), motion)
+    return _in_parts(lambda *part: np.tensordot(moves, np.asarray(columns(*part)), 1), motion)
 
 
 def force_columns(robot: Robot, link: int, point: np.ndarray, motion: Motion) -> np.ndarray:
@@ -58,9 +58,8 @@ def _in_parts(function: Callable[..., Array], motion: Motion) -> np.ndarray:
     return np.concatenate(out, axis=-1)
 
 
-def _columns(robot: Robot) -> Callable[..., np.ndarray]:
-    program = partial(_regressor, _kinematics(robot), np.asarray(robot.gravity, float))
-    return lambda *part: np.asarray(program(*part))
+def _columns(robot: Robot) -> Callable[..., Array]:
+    return partial(_regressor, _kinematics(robot), np.asarray(robot.gravity, float))
 
 
 @jax.jit
@@ -80,35 +79,28 @@ def _force_columns(kinematics: tuple, link, point, q, qd, qdd):
     return rigid_body.force_columns(_robot(kinematics, jnp.zeros((n, 10)), jnp.zeros(3)), link, point, q)
 
 
+@jax.tree_util.register_static
+@dataclass(frozen=True)
 class _Static:
     """The fields of a robot that are not arrays, compared by value: robots that differ only in arrays share a compiled
     program."""
 
-    def __init__(self, robot: Robot) -> None:
-        self.key = (robot.parents, robot.prismatic)
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other) -> bool:
-        return isinstance(other, _Static) and self.key == other.key
-
-
-jax.tree_util.register_static(_Static)
+    parents: tuple[int, ...]
+    prismatic: tuple[bool, ...]
 
 
 def _kinematics(robot: Robot) -> tuple:
     """Structure and arrays of a robot's kinematics, as jitted functions take them."""
-    return _Static(robot), *(np.asarray(x, float) for x in (robot.rotation, robot.translation, robot.axis))
+    arrays = (np.asarray(x, float) for x in (robot.rotation, robot.translation, robot.axis))
+    return _Static(robot.parents, robot.prismatic), *arrays
 
 
 def _robot(kinematics: tuple, inertial: Array, gravity: Array) -> Robot:
     """The robot of `_kinematics` with these inertials and gravity."""
     static, rotation, translation, axis = kinematics
-    parents, prismatic = static.key
-    n = len(parents)
+    n = len(static.parents)
     blank = jnp.zeros(n)
     return Robot(
-        "", tuple(map(str, range(n))), parents, prismatic, rotation, translation, axis, inertial, gravity,
+        "", tuple(map(str, range(n))), static.parents, static.prismatic, rotation, translation, axis, inertial, gravity,
         blank, blank, blank, blank, blank, blank,
     )  # fmt: skip
