@@ -29,16 +29,13 @@ def nmse(target: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     )
 
 
-def nmse_in_blocks(
-    target: np.ndarray, prediction: np.ndarray, size: int, variance: np.ndarray | None = None
-) -> np.ndarray:
+def nmse_in_blocks(target: np.ndarray, prediction: np.ndarray, size: int, variance: np.ndarray) -> np.ndarray:
     """MSE(S) / Var(T) per joint (blocks, n) of every `size` samples S in turn (paper, section V-C); what fills no block
-    is left out. `variance` (n,) is Var(T), None: of all of them. NaN for a joint whose target never changes; infinite
-    where a prediction is not finite."""
+    is left out. `variance` (n,) is Var(T). NaN for a joint whose target never changes; infinite where a prediction is
+    not finite."""
     blocks = len(target) // size
     squares = ((target - prediction) ** 2)[: blocks * size].reshape(blocks, size, target.shape[1]).mean(axis=1)
-    scale = np.asarray(np.var(target, axis=0) if variance is None else variance)
-    found = np.divide(squares, scale, out=np.full(squares.shape, np.nan), where=scale > 0)
+    found = np.divide(squares, variance, out=np.full(squares.shape, np.nan), where=variance > 0)
     return np.where(np.isfinite(squares), found, np.inf)
 
 

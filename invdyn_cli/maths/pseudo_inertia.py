@@ -81,10 +81,10 @@ def ball(mass: float, centre: Array) -> np.ndarray:
     return row_of(mass * (np.outer(place, place) + np.diag([radius**2 / 5] * 3 + [0.0])))
 
 
-def is_realisable(row: Array, slack: float = 0.0) -> bool:
+def is_realisable(row: Array) -> bool:
     """Whether a body can have this row (10,): no eigenvalue of its pseudo inertia, in units of the body's mass and
-    size, is below `slack` (0: points, rods and plates are bodies, except for rounding)."""
-    return bool(np.linalg.eigvalsh(_scaled(row)[0])[0] >= slack - 1e-12)
+    size, is below zero except for rounding. Points, rods and plates are bodies."""
+    return bool(np.linalg.eigvalsh(_scaled(row)[0])[0] >= -1e-12)
 
 
 def realisable(row: Array, floor: float = FLOOR) -> np.ndarray:
@@ -102,27 +102,15 @@ def realisable(row: Array, floor: float = FLOOR) -> np.ndarray:
     return row_of(nearest * np.outer(unit, unit))
 
 
-def divergence(row: Array, reference: Array) -> float:
-    """How far a row is from a reference (10,) each, both with positive definite pseudo inertias: trace(P R^-1) -
-    log det(P R^-1) - 4, infinite where the row has none.
-
-    Twice the relative entropy of mass distributions; no unit and no frame changes it (Lee, Wensing and Park, IEEE T-RO
-    2020, eq. 21).
-    """
-    ratio = scipy.linalg.solve(pseudo_inertia(reference), pseudo_inertia(row), assume_a="pos")
-    if np.linalg.eigvals(ratio).real.min() <= 0:
-        return float("inf")
-    return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
-
-
-def consistent(reference: Array, wanted: Array, information: Array, pull: float = PULL) -> Consistent:
+def consistent(reference: Array, wanted: Array, information: Array) -> Consistent:
     """The realisable rows of n bodies that fit the data best; what the data do not show is as near to the reference as
     they let it.
 
-    Minimises (phi - wanted)' N (phi - wanted) / 2 + pull * sum of `divergence`s to the reference. That is convex in phi
-    itself, and the divergence is the cone's own barrier: Newton's method on ten numbers a body finds the one minimum,
-    from the reference with a strong pull that becomes weak. The entropic pull is taken, not a Euclidean one, because it
-    needs no scales of masses and inertias, and keeps what comes out strictly inside the cone.
+    Minimises (phi - wanted)' N (phi - wanted) / 2 + PULL * sum of trace(P R^-1) - log det(P R^-1), R being the
+    reference's pseudo inertia: twice the relative entropy of mass distributions, which no unit and no frame changes
+    (Lee, Wensing and Park, IEEE T-RO 2020, eq. 21). That is convex in phi itself, and the cone's own barrier: Newton's
+    method on ten numbers a body finds the one minimum, from the reference with a strong pull that becomes weak. A
+    Euclidean pull would need scales of masses and inertias, and would not keep what comes out strictly inside the cone.
 
     Args:
         reference: (n, 10) rows that are realisable (as `realisable(row, ROUND)` gives).
@@ -139,8 +127,8 @@ def consistent(reference: Array, wanted: Array, information: Array, pull: float 
     x = (reference / units).ravel()
     centre = np.linalg.inv(_pseudo(x))
     weight = cost = max(1.0, float(np.sum((factor @ x - goal) ** 2)))
-    while weight > max(pull, EXACT * cost):
-        weight = max(weight * SHRINK, pull)
+    while weight > max(PULL, EXACT * cost):
+        weight = max(weight * SHRINK, PULL)
         x = _centred(x, factor / np.sqrt(weight), goal / np.sqrt(weight), centre)
         cost = float(np.sum((factor @ x - goal) ** 2))
     return Consistent((x * unit).reshape(-1, 10), cost)

@@ -5,13 +5,13 @@ import numpy as np
 import scipy
 
 
-def autocorrelation_time(x: np.ndarray, *, window: float = 5.0) -> float:
+def autocorrelation_time(x: np.ndarray) -> float:
     """Integrated autocorrelation time of a series x (T,) in samples, at least 1: T / it is the effective sample size.
 
-    1 + 2 sum rho_k up to the smallest lag that is `window` times the sum so far (Sokal 1997, section 3).
+    1 + 2 sum rho_k up to the smallest lag that is five times the sum so far (Sokal 1997, section 3).
     """
     times = 2 * np.cumsum(_correlation(x)) - 1
-    enough = np.arange(len(x)) >= window * times
+    enough = np.arange(len(x)) >= 5 * times
     return float(max(1.0, times[np.argmax(enough)] if enough.any() else times.max()))
 
 

@@ -146,18 +146,6 @@ def test_any_ten_numbers_are_a_body():
         np.testing.assert_allclose(from_log_cholesky(log_cholesky(made)), made, rtol=1e-9, atol=1e-12)
 
 
-def test_the_divergence_knows_no_frame():
-    """Zero at the reference, above it elsewhere, infinite outside, and the same in any frame and unit of length."""
-    draw = np.random.default_rng(7)
-    one, other = body(draw), body(draw)
-    assert pi.divergence(one, one) == pytest.approx(0, abs=1e-9) and pi.divergence(one, other) > 0.01
-    assert pi.divergence(-one, other) == float("inf")
-    moved = np.eye(4)
-    moved[:3, :3], moved[:3, 3] = 1e3 * np.linalg.qr(draw.normal(size=(3, 3)))[0], draw.normal(size=3)
-    there = [pi.row_of(moved @ pi.pseudo_inertia(x) @ moved.T) for x in (one, other)]
-    assert pi.divergence(*there) == pytest.approx(pi.divergence(one, other), rel=1e-6)
-
-
 def objective(coordinates, reference, wanted, information, pull):
     """Misfit and pull of one body, of its log-Cholesky coordinates (10,); `reference` is a pseudo inertia."""
     row = from_log_cholesky(coordinates)

@@ -66,9 +66,9 @@ def test_loads_are_told(record):
 def test_what_fills_no_block_is_left_out():
     """Of 25 samples in blocks of ten, two blocks count, each over the variance of all 25."""
     tau = np.arange(25.0)[:, None]
-    found = nmse_in_blocks(tau, tau + np.repeat([1.0, 2.0, 9.0], [10, 10, 5])[:, None], 10)
+    found = nmse_in_blocks(tau, tau + np.repeat([1.0, 2.0, 9.0], [10, 10, 5])[:, None], 10, np.var(tau, axis=0))
     np.testing.assert_allclose(found[:, 0], np.array([1.0, 4.0]) / tau.var())
-    assert np.isnan(nmse_in_blocks(np.ones((20, 1)), np.zeros((20, 1)), 10)).all()
+    assert np.isnan(nmse_in_blocks(np.ones((20, 1)), np.zeros((20, 1)), 10, np.zeros(1))).all()
 
 
 def test_stages_are_stored(record, tmp_path):
