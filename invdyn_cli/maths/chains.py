@@ -22,6 +22,7 @@ import numpy as np
 
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.maths import regression, rigid_body
+from invdyn_cli.maths.scaling import spread_rows
 from invdyn_cli.types import Array, Motion, Robot
 
 SPAN = 0.2
@@ -255,7 +256,7 @@ def _descended(state: _State, least: float) -> _State:
 
 def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> list[Block]:
     """That many samples, evenly spread; all samples if there are fewer."""
-    rows = np.linspace(0, len(tau) - 1, min(samples or len(tau), len(tau))).astype(int)
+    rows = spread_rows(len(tau), samples or len(tau))
     blocks = []
     for start in range(0, len(rows), BLOCK):
         own = rows[start : start + BLOCK]

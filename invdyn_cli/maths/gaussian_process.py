@@ -184,20 +184,14 @@ def variance(gram: Gram, params: PyTree, x: Array) -> Array:
     return exact_variance(gram, params["hyper"], params["inputs"], x).T
 
 
+@dataclass(frozen=True)
 class SummedEvidence:
     """The summed loss of all targets for a kernel; equal for equal kernels, so that it is compiled once."""
 
-    def __init__(self, gram: Gram) -> None:
-        self.gram = gram
+    gram: Gram
 
     def __call__(self, hyper: PyTree, x: Array, y: Array) -> Array:
         return jnp.sum(jax.vmap(partial(minus_log_evidence, self.gram), (0, None, 1))(hyper, x, y))
-
-    def __hash__(self) -> int:
-        return hash(self.gram)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, SummedEvidence) and self.gram == other.gram
 
 
 @partial(jax.jit, static_argnums=0)

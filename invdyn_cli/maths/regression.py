@@ -19,6 +19,7 @@ import scipy
 from invdyn_cli.chunks import CHUNK, padded
 from invdyn_cli.interfaces import Progress, silent
 from invdyn_cli.maths import rigid_body, statistics
+from invdyn_cli.maths.scaling import spread_rows
 from invdyn_cli.types import Array, Dataset, Motion, Robot
 
 BLOCK = 256
@@ -240,7 +241,7 @@ def _svd_of_rows(design: Design, motion: Motion, basis: np.ndarray) -> tuple[np.
 
 def _subsample(dataset: Dataset, most: int) -> Motion:
     """That many samples, evenly spread: one shape (one compilation) for all datasets that have as many."""
-    rows = np.linspace(0, dataset.samples - 1, min(most, dataset.samples)).astype(int)
+    rows = spread_rows(dataset.samples, most)
     starts = np.cumsum([0, *(len(x.t) for x in dataset.trajectories)])
     owned = [rows[(rows >= a) & (rows < b)] - a for a, b in itertools.pairwise(starts)]
     parts = [
@@ -273,11 +274,8 @@ def chunks(motion: Motion, tau: Array) -> Iterator[tuple[Motion, Array, np.ndarr
     for start in range(0, len(tau), CHUNK):
         rows = slice(start, start + CHUNK)
         part, torque = motion[rows], tau[rows]
-        missing = CHUNK - len(part)
-        valid = np.arange(CHUNK) < len(part)
-        if missing:
-            part, torque = jax.tree.map(lambda a, m=missing: np.pad(a, ((0, m), (0, 0))), (part, torque))
-        yield part, torque, valid
+        torque = np.pad(torque, ((0, CHUNK - len(part)), (0, 0)))
+        yield padded(part, CHUNK), torque, np.arange(CHUNK) < len(part)
 
 
 def blocks(motion: Motion, tau: Array, valid: Array) -> tuple[Motion, Array, Array]:

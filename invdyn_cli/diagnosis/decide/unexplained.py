@@ -16,6 +16,7 @@ from invdyn_cli.diagnosis.decide import doubt
 from invdyn_cli.diagnosis.search.judge import RELEVANT
 from invdyn_cli.diagnosis.search.naming import structure
 from invdyn_cli.interfaces import AbstractEffect, AbstractModel
+from invdyn_cli.maths.scaling import spread_rows
 from invdyn_cli.types import Dataset, Finding, Motion, Trajectory
 
 ROWS = 4096
@@ -117,7 +118,7 @@ def _nets(motion, residual: np.ndarray, learn: np.ndarray, judge: np.ndarray, ke
     x = (x - x[learn].mean(0)) / np.maximum(x[learn].std(0), 1e-9)
     middle, scale = residual[learn].mean(0), np.maximum(residual[learn].std(0), 1e-300)
     rows = np.flatnonzero(learn)
-    rows = np.resize(rows, ROWS) if len(rows) <= ROWS else rows[np.linspace(0, len(rows) - 1, ROWS).astype(int)]
+    rows = np.resize(rows, ROWS) if len(rows) <= ROWS else rows[spread_rows(len(rows), ROWS)]
     y = (residual - middle) / scale
     n = residual.shape[1]
     group = training.Group((64,), tuple(range(n)), (0.003,) * n)
