@@ -153,13 +153,12 @@ def _correctable(found: Sequence[Check]) -> list[Check]:
 def _ordered(found: Sequence[Check]) -> tuple[Check, ...]:
     """The most severe findings first; "nothing seen" once per check, and only if nothing was found."""
     told = {one.check for one in found if one.severity not in ("ok", "skipped")}
-    kept = [one for one in found if one.severity != "ok" or (one.check not in told) or one.value is not None]
-    lines, quiet = [], set()
-    for one in kept:
+    lines = []
+    for one in found:
         if one.severity == "ok" and one.value is None:
-            if one.check in quiet:
+            if one.check in told:
                 continue
-            quiet.add(one.check)
+            told.add(one.check)
         lines.append(one)
     return tuple(sorted(lines, key=lambda one: -SEVERITIES.index(one.severity)))
 

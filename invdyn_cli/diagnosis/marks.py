@@ -95,11 +95,8 @@ def _marks(log: Log, one: Check) -> Iterator[Mark]:
     for channel in channels.replace(" or ", ", ").split(", ") if channels else ():
         rows = None
         if one.check in PLACES:
-            mine = [
-                raw
-                for raw in log.trajectories
-                if raw.rows is not None and (one.trajectory in (None, raw.name) or one.check == "saturation")
-            ]  # of it only the worst is told
+            everywhere = one.trajectory is None or one.check == "saturation"  # of it only the worst is told
+            mine = [x for x in log.trajectories if x.rows is not None and (everywhere or x.name == one.trajectory)]
             chosen = [np.asarray(raw.rows)[PLACES[one.check](log, raw, one, channel, joint)] for raw in mine]
             rows = np.concatenate([np.arange(0), *chosen])
         yield Mark(one.check, one.severity, channel, joint, rows, _label(one))
@@ -152,7 +149,7 @@ def _label(one: Check) -> str:
     return words.get(one.check, one.check.replace("_", " "))
 
 
-def _not_finite(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
+def _not_finite(raw: RawTrajectory, channel: str, joint: int | None) -> np.ndarray:
     x = np.asarray(getattr(raw, channel), float)
     if len(x) != len(raw.t) or not len(x):
         return np.zeros(len(raw.t), bool)
@@ -160,35 +157,19 @@ def _not_finite(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: i
     return np.asarray(bad.reshape(len(x), -1).any(axis=1))
 
 
-def _duplicates(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
-    return ~forward_rows(raw.t) if one.severity == "fail" else Duplicates().repeated(raw)
+def _gaps(raw: RawTrajectory) -> np.ndarray:
+    return np.array([row for a, b in itertools.pairwise(uninterrupted(raw)) for row in (a[-1], b[0])], int)
 
 
-def _gaps(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
-    pieces = uninterrupted(raw)
-    return np.array([row for a, b in itertools.pairwise(pieces) for row in (a[-1], b[0])], int)
-
-
-def _outliers(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
-    return Outliers().rows_of(raw, channel, joint or 0)
-
-
-def _saturation(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
-    return Saturation().rows_of(log, raw, one)
-
-
-def _power_off(log: Log, raw: RawTrajectory, one: Check, channel: str, joint: int | None) -> np.ndarray:
-    return PowerOff().rows_of(raw, one)
-
-
-Place = Callable[[Log, RawTrajectory, Check, str, int | None], np.ndarray]
-PLACES: dict[str, Place] = {
-    "not_finite": _not_finite,
-    "duplicates": _duplicates,
-    "gaps": _gaps,
-    "outliers": _outliers,
-    "saturation": _saturation,
-    "power_off": _power_off,
+PLACES: dict[str, Callable[[Log, RawTrajectory, Check, str, int | None], np.ndarray]] = {
+    "not_finite": lambda log, raw, one, channel, joint: _not_finite(raw, channel, joint),
+    "duplicates": lambda log, raw, one, *_: (
+        ~forward_rows(raw.t) if one.severity == "fail" else Duplicates().repeated(raw)
+    ),
+    "gaps": lambda log, raw, *_: _gaps(raw),
+    "outliers": lambda log, raw, one, channel, joint: Outliers().rows_of(raw, channel, joint or 0),
+    "saturation": lambda log, raw, one, *_: Saturation().rows_of(log, raw, one),
+    "power_off": lambda log, raw, one, *_: PowerOff().rows_of(raw, one),
 }
 """Checks whose findings are in some rows of a channel, and these rows: a mask or numbers."""
 
