@@ -85,7 +85,6 @@ def believed(
             if one is own and size is links:
                 return scorer
         scorer = HypothesisScorer(evidence, rows, own.weights, own.deviation, (*always, links), True)
-        scorer.refresh()
         made.append((own, links, scorer))
         return scorer
 

@@ -13,12 +13,15 @@ def _scales(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
+def _scaled(normal: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The normal matrix with the prior and LEAST_PRECISION, in units of `_scales`; and these."""
+    scale = _scales(normal, precision)
+    return normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION), scale
+
+
 def inverted(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """The inverse of the normal matrix with the prior, as `solved` uses it."""
-    if not len(normal):
-        return normal
-    scale = _scales(normal, precision)
-    scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
+    scaled, scale = _scaled(normal, precision)
     return np.linalg.inv(scaled) / np.outer(scale, scale)
 
 
@@ -31,8 +34,5 @@ def inverse_root(normal: np.ndarray, precision: np.ndarray) -> np.ndarray:
 
 def solved(normal: np.ndarray, r: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Coefficients (k,) of the normal equations with the prior."""
-    if not len(r):
-        return r
-    scale = _scales(normal, precision)
-    scaled = normal / np.outer(scale, scale) + np.diag(precision / scale**2 + LEAST_PRECISION)
+    scaled, scale = _scaled(normal, precision)
     return np.linalg.solve(scaled, r / scale) / scale

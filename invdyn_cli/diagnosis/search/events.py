@@ -135,7 +135,8 @@ def proposed(
                 break
             for one in (when, *_other_end(evidence, when)):
                 if not any(_alike(one, other) for other in (*known, *made)):
-                    made[_numbered(one, first + len(made))] = left
+                    number = first + len(made)
+                    made[together([w._replace(number=number) for w in one.each])] = left
             left = after
     windows: Windows = {}
     for when, left in made.items():  # a drive does not become as weak again and again
@@ -145,11 +146,6 @@ def proposed(
         moved = (at_best_point(evidence, c, when, lasting, used, left) for c in forces.values())
         windows[when] = [*own, *(c for c in moved if c)]
     return windows
-
-
-def _numbered(one: TimeWindow, number: int) -> TimeWindow:
-    """All windows of one effect with its number."""
-    return together([w._replace(number=number) for w in one.each])
 
 
 def _alike(one: TimeWindow, other: TimeWindow) -> bool:

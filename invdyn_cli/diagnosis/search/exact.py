@@ -153,9 +153,8 @@ def _spread(evidence, model, acting, theta, labels, extra, beside, precision, sc
     centre, replicas = solved(normal.sum(0), moment.sum(0), precision), []
     recording = evidence.trajectory[[np.argmax(evidence.block == b) for b in blocks]]
     for numbers in [blocks, recording] if len(np.unique(recording)) >= RECORDINGS else [blocks]:
-        others = [
-            numbers != k for k in np.unique(numbers)
-        ]  # summed anew: of what is in one alone a difference leaves rounding
+        # summed anew: of what is in one alone a difference leaves rounding
+        others = [numbers != k for k in np.unique(numbers)]
         moves = [solved(normal[o].sum(0), moment[o].sum(0), precision) - centre for o in others]
         replicas.append(theta + np.array(moves)[:, : len(theta)])
     return tuple(replicas), inverse_root(normal.sum(0), precision).T[:, : len(theta)]

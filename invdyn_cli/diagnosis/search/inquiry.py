@@ -77,7 +77,6 @@ class Inquiry:
         """The same inquiry with `always_usual`: where such links refuse one effect, they judge the others, too."""
         always, noise = self.always_usual, self.noise
         judge = HypothesisScorer(self.evidence, self.judge.rows, noise.weights, noise.deviation, always, True)
-        judge.refresh()
         return replace(self, always=always, judge=judge, wear=always[len(always) - len(self.wear) :])
 
     def worn(self, refined: Refined) -> np.ndarray:

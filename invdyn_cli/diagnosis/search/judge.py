@@ -75,6 +75,7 @@ class HypothesisScorer:
     ) -> None:
         self.evidence, self.rows, self.weights = evidence, rows, weights
         self.grams = Grams.of(evidence, rows)
+        self.refresh()
         self.count = len(self.grams.blocks)
         worth = weights * np.sum((RELEVANT * evidence.tau) ** 2 * self.grams.used, axis=0)
         self.least = {j: x for j, x in enumerate(worth)} | {None: float(np.mean(worth))}
@@ -231,13 +232,9 @@ class HypothesisScorer:
         for c in hypothesis:
             if c not in self._prices:
                 least = 0.0 if self._mostly_there(c) else self._least(c)
-                quiet = (
-                    c.noise_reduction * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2
-                    if c.noise_reduction
-                    else 0.0
-                )
-                value = PRICE_OF_EFFECT + PRICE_OF_COEFFICIENT * self.freedom(c) + least + float(quiet)
-                self._prices[c] = value
+                if c.noise_reduction:
+                    least += float(c.noise_reduction * self.rows_worth[c.joint] * self.deviation[c.joint] ** 2)
+                self._prices[c] = PRICE_OF_EFFECT + PRICE_OF_COEFFICIENT * self.freedom(c) + least
         return sum(self._prices[c] for c in hypothesis)
 
     def refused(self, hypothesis: Sequence[Candidate], theta: np.ndarray) -> str:

@@ -72,9 +72,7 @@ def measure(evidence: Evidence, rows: np.ndarray) -> Noise:
         # the channel may be at fault as well: the trial that leaves least counts
         trials = [c for c in evidence.candidates if c.effect.point == "channel" and j in c.columns and c.columns[j][0]]
         trials = [c for c in trials if 1 - c.noise_reduction >= HEARD]
-        targets = y[:, None] - evidence.tables[j][:, [0, *(c.columns[j][0][0] for c in trials)]] * (
-            np.arange(len(trials) + 1) > 0
-        )
+        targets = np.column_stack([y, *(y - evidence.tables[j][:, c.columns[j][0][0]] for c in trials)])
         theta, spread = _fitted(x[used], targets[used], used.sum() * evidence.recording.filter.independent(j))
         loud = np.array([1.0, *(1 - c.noise_reduction for c in trials)])
         best = int(np.argmin(np.where(np.arange(len(loud)) > 0, 1.1, 1.0) * spread / loud))

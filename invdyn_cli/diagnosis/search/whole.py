@@ -149,7 +149,6 @@ def _searched(evidence: Evidence, question: Question, starts: Sequence[Hypothesi
         pool = [c for c in pool if not c.effect.changes_inertials or c.joint != last]
     pool += [c for start in starts for c in start if c not in pool]
     judge = HypothesisScorer(evidence, choosing, measured.weights, measured.deviation, always, bool(wear))
-    judge.refresh()
     one = Search(evidence, question, choosing, measured, always, usual, judge, Model(evidence), pool)
     return one.finished(begin(judge, pool, always, starts, most), rounds)
 

@@ -24,7 +24,6 @@ def at_first(evidence: Evidence, everywhere: Sequence[events.Place], most: int) 
     """Windows to begin with: where what comes and goes explains most, or where without it too much seems to last."""
     measured = noise.measure_beside(evidence, evidence.of_role("train"))
     judge = HypothesisScorer(evidence, np.ones(len(evidence.block), bool), measured.weights, measured.deviation)
-    judge.refresh()
     nominal = evidence.residual((), np.zeros(0))
     lasting = [c for c in evidence.candidates if c.effect.invertible]  # a limit explains much of what comes and goes
     found = events.proposed(evidence, everywhere, [nominal], measured, share=events.LARGE)
@@ -70,7 +69,6 @@ def asked_for(
     pool = [c for c in pool if c.effect.group != "standard" and not known.is_allowed(c, allowed)]
     rows = evidence.of_role("train")
     judge = HypothesisScorer(evidence, rows, measured.weights, measured.deviation, (*always, wear[0]), True)
-    judge.refresh()
     loads = [[c for c in own if c.effect.load] for own in found.values()]
     every = [(*start, *own) for own in zip(*loads, strict=True)] if len(found) > 1 else []
     every.sort(key=lambda one: judge.loss((*judge.always, *one)))
