@@ -12,14 +12,13 @@ from invdyn_cli.diagnosis.columns.candidates import gather, shown_by
 from invdyn_cli.diagnosis.columns.evidence import Evidence, started
 from invdyn_cli.diagnosis.standard_columns import Columns, columns_of
 from invdyn_cli.effects.actuator import TorqueGainError
-from invdyn_cli.effects.composition import EffectInstance
-from invdyn_cli.effects.rigid import rigid_torque
+from invdyn_cli.effects.composition import EffectInstance, inertia_column
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.interfaces import AbstractCheck, AbstractEffect, Progress, silent
 from invdyn_cli.log import Log, Window
 from invdyn_cli.recording.channels import in_newton_metres
 from invdyn_cli.recording.pieces import Preparation, Recording, prepare
-from invdyn_cli.types import Diagnosis, Examination, Motion, Robot
+from invdyn_cli.types import Diagnosis, Examination, Robot
 
 AS_RECORDED = "correct=false: the log was diagnosed as recorded, nothing in it was corrected"
 
@@ -223,13 +222,7 @@ def _typical_inertia(robot: Robot) -> np.ndarray:
     low = np.where(np.isfinite(robot.lower), robot.lower, -1.0)
     high = np.where(np.isfinite(robot.upper), robot.upper, 1.0)
     q = draw.uniform(low[:, None], high[:, None], (robot.dofs, 32))
-    weightless = replace(robot, gravity=np.zeros(3))
-    inertia = np.zeros(robot.dofs)
-    for j in range(robot.dofs):
-        unit = np.zeros_like(q)
-        unit[j] = 1.0
-        inertia[j] = np.median(rigid_torque(weightless, Motion(q, 0 * q, unit))[j])
-    return inertia
+    return np.array([np.median(inertia_column(robot, q, j)[j]) for j in range(robot.dofs)])
 
 
 def _beside(log: Log, reference: Log, robot: Robot, windows, options: Options, checks: Sequence[AbstractCheck]):

@@ -38,7 +38,6 @@ class Beside:
         before: (R, n) what the nominal model leaves.
         learned, found: the standard model beside the findings, of what chose and of all rows.
         reach: (p,) half of the 95 % interval of each coefficient of `found`.
-        share: by which the URDF's links are typically off, and how that was estimated (`Standard.chosen`).
         worth: (n,) RMS torque of the links' change [N m; N].
     """
 
@@ -51,7 +50,6 @@ class Beside:
     learned: Standard
     found: Standard
     reach: np.ndarray
-    share: tuple[float, str]
     worth: np.ndarray
 
 
@@ -90,9 +88,8 @@ def told(
                 row[term]["perhaps"] = general
             row[term] |= more.get(joint, {}).get(term, {})
         out[joint] = row
-    share, chosen = made.share
     worth = dict(zip(evidence.robot.joints, made.worth.tolist(), strict=True))
-    return out | {"inertials": {"worth": worth, "share": share, "chosen": chosen}}
+    return out | {"inertials": {"worth": worth, "share": made.found.share, "chosen": made.found.chosen}}
 
 
 def _choosing(evidence: Evidence) -> np.ndarray:
@@ -138,7 +135,6 @@ def beside(columns: Columns, evidence: Evidence, made: Made) -> Beside:
         learned=learned,
         found=found,
         reach=half,
-        share=(found.share, found.chosen),
         worth=np.sqrt(np.mean(columns.of(np.where(columns.inertial, found.theta, 0.0)) ** 2, axis=0)),
     )
 
@@ -184,12 +180,6 @@ def claims(
     return tuple(x for x, _ in made), tuple(own for _, own in made)
 
 
-def place_of(acting: Sequence[EffectInstance], term: str, joint: int) -> int | None:
-    """Where a joint's term stands among effects that always act."""
-    effect = TERMS[term][0]
-    return next((k for k, a in enumerate(acting) if a.key == (effect, joint)), None)
-
-
 def _merged(
     columns: Columns,
     found: Standard,
@@ -206,7 +196,7 @@ def _merged(
         effect, name = TERMS[term]
         for j in range(columns.evidence.dofs):
             value, wide = float(values[t, j]), float(wide_of[t, j])
-            place = place_of(acting, term, j)
+            place = next((k for k, a in enumerate(acting) if a.key == (effect, j)), None)
             if place is None:
                 together.append(EffectInstance(EFFECTS[effect], j, {name: value}))
                 ends.append({name: (value, value - wide, value + wide)})

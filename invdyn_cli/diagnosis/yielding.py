@@ -60,9 +60,9 @@ def gear(columns: Columns, effects: Sequence[AbstractEffect]) -> EffectInstance 
     found, most = None, TOLD
     for trial in list(best.values())[:SHORTLIST]:
         one = _nearest_dragged(evidence, trial, lambda made: squares(nominal - made.T))
-        made = left(columns, None) - left(columns, one)
-        fitted = columns.fit(nominal - made, rows)
-        after = nominal - made - columns.of(fitted.theta)
+        rest = left(columns, one)
+        fitted = columns.fit(rest, rows)
+        after = rest - columns.of(fitted.theta)
         independent = used.sum(1) / np.minimum(columns.times(before, rows), columns.times(after, rows))
         gain = 2 * float(independent @ np.log(plain.noise / fitted.noise))
         trained, precise = rows[:, None], 1 / plain.noise**2
@@ -84,7 +84,7 @@ def _nearest_dragged(evidence: Evidence, one: EffectInstance, loss: Callable[[np
 
 def _friction(columns: Columns, theta: np.ndarray) -> list[tuple[float, float]]:
     """Coulomb and viscous friction of each joint by these coefficients (p,), no less than none."""
-    own = dict(zip(columns.terms, theta[len(columns.links) :].reshape(-1, columns.evidence.dofs), strict=True))
+    own = dict(zip(columns.terms, columns.split(theta)[1], strict=True))
     levels = (np.maximum(own.get(term, np.zeros(columns.evidence.dofs)), 0.0) for term in ("coulomb", "viscous"))
     return list(zip(*(x.tolist() for x in levels), strict=True))
 
@@ -95,13 +95,13 @@ def believable(columns: Columns, one: EffectInstance | None, fitted: Standard) -
     the load changes its sign."""
     if one is None:
         return fitted
-    evidence, links = columns.evidence, len(columns.links)
+    evidence = columns.evidence
     nominal, rows = evidence.residual((), np.zeros(0)), evidence.of_role("train")
     squares = _squares(columns, left(columns, one), rows)
     best = np.inf, fitted
     for share in SHARES:
-        moved = np.where(np.arange(len(fitted.theta)) < links, share, 1.0) * fitted.theta
-        carried = loaded_by(evidence, np.asarray(evidence.robot.inertial) + moved[:links].reshape(-1, 10))
+        moved = np.where(columns.inertial, share, 1.0) * fitted.theta
+        carried = loaded_by(evidence, np.asarray(evidence.robot.inertial) + columns.split(moved)[0])
         loss = _nearest(carried, one, lambda made: squares(nominal - made.T))[1]
         if loss < best[0]:
             best = loss, replace(fitted, theta=moved)

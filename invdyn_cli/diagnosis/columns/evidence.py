@@ -14,11 +14,7 @@ import scipy
 
 from invdyn_cli.effects.composition import EffectInstance, Span, TimeWindow, channel, channels, in_chain, sign_of
 from invdyn_cli.effects.rigid import rigid_torque
-from invdyn_cli.interfaces import (
-    AbstractEffect,
-    JointState,
-    Parameters,
-)
+from invdyn_cli.interfaces import AbstractEffect, JointState, Parameters
 from invdyn_cli.maths.signals import lowpass, settling
 from invdyn_cli.recording.pieces import ROLES, Piece, Recording
 from invdyn_cli.recording.rows import runs
@@ -214,9 +210,9 @@ def started(robot: Robot, recording: Recording) -> Evidence:
         nominal.append(torque)
         states.append(joint_states(piece, torque, recording, robot.parents))
         kept = recording.filter.rows(len(piece.t))
-        of = block + np.minimum(
-            (piece.t[kept] - piece.t[kept[0]]) // length, _last_block(piece.t[kept], length)
-        ).astype(int)
+        t = piece.t[kept] - piece.t[kept[0]]
+        last = max(0, int((t[-1] + 1e-9) // length) - 1)  # an incomplete block belongs to the one before
+        of = block + np.minimum(t // length, last).astype(int)
         block = of[-1] + 1
         rows.append((of, np.full(len(kept), ROLES.index(piece.role)), np.full(len(kept), number)))
     blocks, role, piece_of = (np.concatenate(x) for x in zip(*rows, strict=True))
@@ -326,8 +322,3 @@ def _long(evidence: Evidence, joint: int, gear: bool) -> tuple[float, float, lis
     cutoff = min(moving, filter.cutoffs[joint], 0.45 * rate)
     pieces = [evidence.piece == number for number in np.unique(evidence.piece)]
     return rate, cutoff, [at for at in pieces if at.sum() > settling(rate, cutoff)]
-
-
-def _last_block(t: np.ndarray, length: float) -> int:
-    """Number of the last block of a piece: an incomplete one belongs to the one before."""
-    return max(0, int((t[-1] - t[0] + 1e-9) // length) - 1)

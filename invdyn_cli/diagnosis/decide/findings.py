@@ -167,7 +167,7 @@ def _finding(inquiry: Inquiry, claimed: claim.Claim, sized: Sized, term: np.ndar
         effect=acting.effect.name,
         joint=None if acting.joint is None else robot.joints[acting.joint],
         status="named",
-        alternatives=_alternatives(rivals),
+        alternatives=tuple(dict.fromkeys((r.candidate.effect.name,) for r in rivals if r.equal)),
         parameters=quantities(robot, acting.effect, candidate.joint, sized.ends[i]) | tried(robot, acting),
         gain=claimed.gains,
         rejected=_rejected(robot, candidate.key, rivals),
@@ -315,10 +315,6 @@ def _timed(finding: Finding, acting: EffectInstance, ends: Mapping[str, tuple]) 
     )
 
 
-def _alternatives(rivals: Sequence[naming.Rival]) -> tuple[tuple[str, ...], ...]:
-    return tuple(dict.fromkeys((r.candidate.effect.name,) for r in rivals if r.equal))
-
-
 def _equals(robot: Robot, rivals: Sequence[naming.Rival]) -> dict[str, Any]:
     """The rivals that do as well, where and with which parameters."""
     equal = [
@@ -334,13 +330,10 @@ def _equals(robot: Robot, rivals: Sequence[naming.Rival]) -> dict[str, Any]:
 
 
 def _rejected(robot: Robot, key: tuple[str, int | None], rivals: Sequence[naming.Rival]) -> tuple[tuple[str, str], ...]:
-    out = []
-    for r in rivals:
-        joint = r.candidate.joint
-        where = "" if joint in (None, key[1]) else f"on {robot.joints[joint]}: "
-        if not r.equal:
-            out.append((r.candidate.effect.name, where + r.why))
-    return tuple(out[:6])
+    def where(joint: int | None) -> str:
+        return "" if joint in (None, key[1]) else f"on {robot.joints[joint]}: "
+
+    return tuple((r.candidate.effect.name, where(r.candidate.joint) + r.why) for r in rivals if not r.equal)[:6]
 
 
 def _summed(inquiry, hypothesis, whole: Refined, finding: Finding, one: sums.Sum, after) -> Finding:

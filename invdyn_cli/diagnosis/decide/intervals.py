@@ -27,7 +27,7 @@ HIDDEN_BY_STICKING = 0.04
 that turns back sticks."""
 
 
-def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list[dict[str, tuple]]:
+def intervals(evidence: Evidence, refined: Refined) -> list[dict[str, tuple]]:
     """Every effect's refined parameters, and the edges of its window, with the ends of their intervals, {name: (value,
     lower, upper)}: jackknife over blocks, and over recordings, each replica turned into parameters, and no less than
     what the noise alone leaves unknown; angles do not jump."""
@@ -43,7 +43,7 @@ def intervals(evidence: Evidence, refined: Refined, share: float = 0.95) -> list
             away = [np.array([np.asarray(_told(r[number])[name], float) - value for r in rows]) for rows in ways]
             if name in ("azimuth", "phase"):
                 away = [(x + np.pi) % (2 * np.pi) - np.pi for x in away]
-            error = np.hypot(reach(away[1:], away[0], share), 2 * _systematic(evidence, a, name, value))
+            error = np.hypot(reach(away[1:], away[0]), 2 * _systematic(evidence, a, name, value))
             row[name] = (value, np.asarray(value) - error, np.asarray(value) + error)
         out.append(row)
     return out
@@ -67,16 +67,15 @@ def _told(acting: EffectInstance) -> dict[str, Any]:
     return {**refined, **edges}
 
 
-def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray, share: float = 0.95) -> np.ndarray:
-    """Half of the widest interval of replicas (B, …) of some kinds: jackknife, Student's t (Tukey 1958); at least that
-    of the moves (m, …) that the noise leaves unknown."""
-    widest = scipy.stats.norm.ppf((1 + share) / 2) * np.sqrt(
-        np.sum(np.clip(unknown, -BOUNDLESS, BOUNDLESS) ** 2, axis=0)
-    )
+def reach(replicas: Sequence[np.ndarray], unknown: np.ndarray) -> np.ndarray:
+    """Half of the widest 95 % interval of replicas (B, …) of some kinds: jackknife, Student's t (Tukey 1958); at least
+    that of the moves (m, …) that the noise leaves unknown."""
+    unknown = np.clip(unknown, -BOUNDLESS, BOUNDLESS)
+    widest = scipy.stats.norm.ppf(0.975) * np.sqrt(np.sum(unknown**2, axis=0))
     for one in replicas:
         one, count = np.clip(one, -BOUNDLESS, BOUNDLESS), len(one)
         spread = np.sqrt((count - 1) / count * np.sum((one - one.mean(0)) ** 2, axis=0))
-        widest = np.maximum(widest, scipy.stats.t.ppf((1 + share) / 2, max(count - 1, 1)) * spread)
+        widest = np.maximum(widest, scipy.stats.t.ppf(0.975, max(count - 1, 1)) * spread)
     return widest
 
 

@@ -196,12 +196,9 @@ def supported(
         around = inquiry.beside(hypothesis)
         hypothesis = naming.simplified(inquiry.judge, around, hypothesis, inquiry.pool, inquiry.wear)
     passing = {c.effect.name for c in hypothesis if c.when is not None}
-    return inquiry, claims, exact, tuple(_quiet(x) if x.candidate.effect.name in passing else x for x in out)
-
-
-def _quiet(one: Refused) -> Refused:
-    """The same without a sentence: that a second event of a claimed effect is not claimed would seem to deny that."""
-    return replace(one, told="")
+    # that a second event of a claimed effect is not claimed would seem to deny that
+    out = [replace(x, told="") if x.candidate.effect.name in passing else x for x in out]
+    return inquiry, claims, exact, tuple(out)
 
 
 def refusal(claim: Claim, refusals: Sequence[Refusal] = REFUSALS) -> Refusal | None:
