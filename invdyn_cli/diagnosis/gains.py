@@ -17,7 +17,7 @@ from invdyn_cli.diagnosis import wear
 from invdyn_cli.diagnosis.columns.evidence import started
 from invdyn_cli.diagnosis.decide.wording import SINCE
 from invdyn_cli.diagnosis.since import LOGS
-from invdyn_cli.diagnosis.standard_columns import columns_of
+from invdyn_cli.diagnosis.standard_columns import columns_of, std_of
 from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
@@ -99,7 +99,7 @@ def estimated(log: Log, robot: Robot, inertia: np.ndarray, windows, options: Pre
             error, shown = np.zeros(robot.dofs), factor > 0
         else:
             fitted = columns.fit(evidence.tau, rows)
-            factor, error = fitted.theta[-robot.dofs :], np.sqrt(np.diag(fitted.covariance))[-robot.dofs :]
+            factor, error = (x[-robot.dofs :] for x in (fitted.theta, std_of(fitted)))
             left = (evidence.tau - columns.of(fitted.theta))[rows]
             shown = factor * rms(evidence.nominal[rows]) > SHOWN * rms(left)
         known = shown & (error < KNOWN * factor)

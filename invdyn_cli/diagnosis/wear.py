@@ -128,9 +128,9 @@ def beside(
     """The evidence with links as the standard model has them, `worn_links`, and the anomalies among what was found that
     last, as trials there; `weights` (n,) are the inverse of a row's noise variance, if it is known."""
     evidence, found = columns.evidence, [a for a in acting if a.when is None]
-    moved = wear.theta[: len(columns.links)]
-    worn = with_links(evidence, np.asarray(evidence.robot.inertial) + moved.reshape(-1, 10))
+    moved, _ = columns.split(wear.theta)
+    worn = with_links(evidence, np.asarray(evidence.robot.inertial) + moved)
     weights = measure(worn, worn.of_role("train")).weights if weights is None else weights
-    links = worn_links(columns, weights, min(wear.share, USUAL), moved)
+    links = worn_links(columns, weights, min(wear.share, USUAL), moved.ravel())
     start = [trial_at(worn, a, others_of(found, a)) for a in found if a.effect.group != "standard"]
     return worn, links, tuple(start)

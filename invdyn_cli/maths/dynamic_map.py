@@ -17,6 +17,7 @@ trigonometric functions, the Lagrangian), and how they counted is not known.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
+from itertools import combinations_with_replacement
 from math import prod
 from typing import Literal, NamedTuple
 
@@ -124,7 +125,7 @@ class DynamicMap:
 
 def pairs(n: int) -> Iterator[tuple[int, int]]:
     """All (i, j) with i <= j."""
-    return ((i, j) for i in range(n) for j in range(i, n))
+    return combinations_with_replacement(range(n), 2)
 
 
 def inertia(n: int, i: int, j: int) -> Degrees:

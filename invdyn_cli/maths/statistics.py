@@ -40,11 +40,7 @@ def effective_number(shares: np.ndarray) -> float:
 
 def merge_blocks(scores: np.ndarray, size: int) -> np.ndarray:
     """Sums of `size` neighbouring rows of scores (blocks, p); rows of an incomplete last group go to the one before."""
-    groups = max(1, len(scores) // size)
-    owner = np.minimum(np.arange(len(scores)) // size, groups - 1)
-    merged = np.zeros((groups, scores.shape[1]))
-    np.add.at(merged, owner, scores)
-    return merged
+    return np.add.reduceat(scores, size * np.arange(max(1, len(scores) // size)), axis=0)
 
 
 def score_covariance(scores: np.ndarray) -> np.ndarray:
