@@ -163,11 +163,7 @@ def fit(motions: Sequence[Sums], prior: Prior, times: Array, share: float | None
 
 def within(prior: Prior, theta: Array, covariance: Array) -> np.ndarray:
     """Coefficients (p,) of which no positive one is below its bound, as likely as they can be with the inertial ones as
-    they are: links that were moved to be bodies move friction, too.
-
-    Args:
-        covariance: (p, p) of the posterior.
-    """
+    they are: links that were moved to be bodies move friction, too. `covariance` (p, p) is that of the posterior."""
     theta, known = np.array(theta, float), prior.scale > 0
     if np.all(theta >= prior.lower):
         return theta

@@ -42,11 +42,8 @@ NETS = training.Schedule(epochs=60, batch_size=64)
 
 
 def shares(evidence: Evidence, residual: np.ndarray, learner: AbstractModel | None, seed: int) -> np.ndarray:
-    """Share (n,) of the residual's variance (R, n) that is still predictable; 0 where nothing is.
-
-    Args:
-        learner: any model; None: nets of one hidden layer of 64 units for each joint.
-    """
+    """Share (n,) of the residual's variance (R, n) that a learner still predicts, any model (None: nets of one hidden
+    layer of 64 units for each joint); 0 where nothing is."""
     rate = evidence.recording.filter.rate / evidence.recording.filter.keep
     order = np.arange(len(residual))
     turn = (order // max(2, round(STRETCH * rate))) % 2 == 0

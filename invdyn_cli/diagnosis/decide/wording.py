@@ -67,11 +67,7 @@ def verdict(
 
 
 def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
-    """The verdict in two or three sentences.
-
-    Args:
-        titles: of the effects, by name.
-    """
+    """The verdict in two or three sentences; `titles` are those of the effects, by name."""
     still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
     said = _summary(diagnosis, titles)
     return f"{said} Not assessed (too little motion in this log): {', '.join(still)}." if still else said

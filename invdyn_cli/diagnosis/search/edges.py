@@ -27,11 +27,7 @@ Squares = Callable[[Sequence[EffectInstance]], np.ndarray]
 
 
 def summed(evidence: Evidence, acting: Sequence[EffectInstance], squares: Squares) -> tuple[EffectInstance, ...]:
-    """Effects with the edges of their windows where the sums say, one window after the other.
-
-    Args:
-        squares: the weighted squares (R,) that effects leave of every row.
-    """
+    """Effects with the edges of their windows where the sums say, one window after the other."""
     acting, names = list(acting), evidence.trajectory
     for number, one in enumerate(acting):
         if one.when is None:
@@ -75,10 +71,7 @@ def possible(
 ) -> list[dict[str, tuple[float, float]]]:
     """For each effect {edge: (earliest, latest)} [s] of its window: an edge anywhere else contradicts the rows between
     it and the one that was found. Where the torque is near zero at an edge, its slope does not tell that.
-
-    Args:
-        weights: (n,) 1 / (noise variance x autocorrelation time) of every row.
-    """
+    `weights` (n,) are 1 / (noise variance x autocorrelation time) of every row."""
 
     def squares(there: Sequence[EffectInstance]) -> np.ndarray:
         return np.sum(weights * evidence.valid * model.without(refined, there) ** 2, axis=1)

@@ -254,11 +254,8 @@ def _window(
 
 
 def _span(windowed: Windowed, time: np.ndarray, moves: np.ndarray) -> tuple[int, int] | None:
-    """The rows from one to another in which an effect explains most; None: no window is possible.
-
-    Args:
-        moves: (R, m) whether each joint that feels it moves.
-    """
+    """The rows from one to another in which an effect explains most; None: no window is possible. `moves` (R, m) says
+    whether each joint that feels it moves."""
     step = max(CELL, (time[-1] - time[0]) / GRID)
     grid = np.unique(np.searchsorted(time, np.append(np.arange(time[0], time[-1], step), np.inf)))
     first, last = np.triu_indices(len(grid), 1)

@@ -63,10 +63,7 @@ def realisable(
 
     A body that is already consistent stays, and nothing moves if all are. Other effects change together with the bodies
     as far as the data couple them. A link that is inconsistent in the URDF may stay so by as much: the change refers to
-    the nearest consistent body.
-
-    Args:
-        names: of the links, (n,).
+    the nearest consistent body. `names` (n,) are those of the links.
     """
     bodies, notes = _bodies(evidence, refined, names)
     after, moving, said, costs = refined, [False] * len(bodies), (), {}
