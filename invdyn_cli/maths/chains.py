@@ -262,9 +262,7 @@ def _evenly(motion: Motion, tau: np.ndarray, samples: int | None) -> list[Block]
         own = rows[start : start + BLOCK]
         filled = np.pad(own, (0, BLOCK - len(own)), mode="edge")
         counts = np.arange(BLOCK) < len(own)
-        blocks.append(
-            jax.tree.map(jnp.asarray, (jax.tree.map(lambda x, f=filled: x[f].T, motion), tau[filled].T, counts))
-        )
+        blocks.append(jax.tree.map(lambda x: jnp.asarray(x.T), (motion[filled], tau[filled], counts)))
     return blocks
 
 

@@ -244,10 +244,7 @@ def _subsample(dataset: Dataset, most: int) -> Motion:
     rows = spread_rows(dataset.samples, most)
     starts = np.cumsum([0, *(len(x.t) for x in dataset.trajectories)])
     owned = [rows[(rows >= a) & (rows < b)] - a for a, b in itertools.pairwise(starts)]
-    parts = [
-        jax.tree.map(lambda array, own=own: np.asarray(array)[own], x.motion)
-        for x, own in zip(dataset.trajectories, owned, strict=True)
-    ]
+    parts = [x.motion[own] for x, own in zip(dataset.trajectories, owned, strict=True)]
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
@@ -279,13 +276,8 @@ def chunks(motion: Motion, tau: Array) -> Iterator[tuple[Motion, Array, np.ndarr
 
 
 def blocks(motion: Motion, tau: Array, valid: Array) -> tuple[Motion, Array, Array]:
-    """A chunk as what a scan over blocks of BLOCK samples takes, samples last."""
-    return jax.tree.map(_blocks, motion), _blocks(tau), _blocks(valid)
-
-
-def _blocks(x: Array) -> Array:
-    """(CHUNK, ...) as (CHUNK / BLOCK, ..., BLOCK): what a scan over blocks takes, samples last."""
-    return jnp.moveaxis(jnp.reshape(x, (-1, BLOCK, *x.shape[1:])), 1, -1)
+    """A chunk (CHUNK, ...) as what a scan over blocks takes: (CHUNK / BLOCK, ..., BLOCK), samples last."""
+    return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(-1, BLOCK, *x.shape[1:]), 1, -1), (motion, tau, valid))
 
 
 @jax.jit
