@@ -41,7 +41,7 @@ class AbstractLoadEffect(AbstractBodyEffect):
         return {"mass": mass, "com": com, "inertia": np.asarray(coefficients[4:]) - mass * np.array(_point(*com))}
 
     def coefficients(self, parameters: Parameters, robot: Robot, joint: int | None) -> list[float]:
-        return _body(parameters)
+        return [float(x) for x in _body(parameters)]
 
 
 @dataclass(frozen=True)

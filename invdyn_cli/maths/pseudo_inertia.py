@@ -102,11 +102,11 @@ def realisable(row: Array, floor: float = FLOOR) -> np.ndarray:
     return row_of(nearest * np.outer(unit, unit))
 
 
-def consistent(reference: Array, wanted: Array, information: Array) -> Consistent:
+def consistent(reference: Array, wanted: Array, information: Array, pull: float = PULL) -> Consistent:
     """The realisable rows of n bodies that fit the data best; what the data do not show is as near to the reference as
     they let it.
 
-    Minimises (phi - wanted)' N (phi - wanted) / 2 + PULL * sum of trace(P R^-1) - log det(P R^-1), R being the
+    Minimises (phi - wanted)' N (phi - wanted) / 2 + pull * sum of trace(P R^-1) - log det(P R^-1), R being the
     reference's pseudo inertia: twice the relative entropy of mass distributions, which no unit and no frame changes
     (Lee, Wensing and Park, IEEE T-RO 2020, eq. 21). That is convex in phi itself, and the cone's own barrier: Newton's
     method on ten numbers a body finds the one minimum, from the reference with a strong pull that becomes weak. A
@@ -127,8 +127,8 @@ def consistent(reference: Array, wanted: Array, information: Array) -> Consisten
     x = (reference / units).ravel()
     centre = np.linalg.inv(_pseudo(x))
     weight = cost = max(1.0, float(np.sum((factor @ x - goal) ** 2)))
-    while weight > max(PULL, EXACT * cost):
-        weight = max(weight * SHRINK, PULL)
+    while weight > max(pull, EXACT * cost):
+        weight = max(weight * SHRINK, pull)
         x = _centred(x, factor / np.sqrt(weight), goal / np.sqrt(weight), centre)
         cost = float(np.sum((factor @ x - goal) ** 2))
     return Consistent((x * unit).reshape(-1, 10), cost)
