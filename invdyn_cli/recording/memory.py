@@ -14,15 +14,10 @@ def once_for_a_log(function: F) -> F:
     kept: list[Any] = []
 
     @wraps(function)
-    def asked(*args: Any, **kwargs: Any) -> Any:
-        objects = (*args, *kwargs.values())
-        if (
-            kept
-            and len(objects) == len(kept[1]) + 1
-            and all(x is y for x, y in zip(objects, (kept[0](), *kept[1]), strict=True))
-        ):
+    def asked(*objects: Any) -> Any:
+        if kept and all(x is y for x, y in zip(objects, (kept[0](), *kept[1]), strict=True)):
             return kept[2]
-        value = function(*args, **kwargs)
+        value = function(*objects)
         kept[:] = [weakref.ref(objects[0]), objects[1:], value]
         return value
 

@@ -37,13 +37,13 @@ class Stretch:
 
 
 @once_for_a_log
-def stretches(log: Log, cutoff: float = CUTOFF) -> tuple[Stretch, ...]:
+def stretches(log: Log) -> tuple[Stretch, ...]:
     """The windows of all trajectories that are time series, and long enough for the filter."""
     series = {raw.name for raw in log.trajectories if is_series(raw)}
     made = []
     for raw, rows in windows(log.trajectories):
         rate = 1 / median_step(raw.t[rows]) if len(rows) > 1 else 0.0
-        at = min(cutoff, rate / 5)
+        at = min(CUTOFF, rate / 5)
         inset = settling(rate, at) if at > 0 else 0
         if raw.name not in series or len(rows) < 3 * inset + 8:
             continue
