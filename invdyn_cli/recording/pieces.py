@@ -4,7 +4,7 @@ Pieces are cut by their role (training, held-out, reference) before anything is 
 role to another.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -210,14 +210,14 @@ def prepare(
 def _cut(
     log: Log, windows: Mapping[str, Sequence[Window]] | None, options: Preparation
 ) -> tuple[list[tuple], float, list[str]]:
-    """Stretches (trajectory, role, t (T,), q and tau (n, T)) on a uniform clock, its period [s], and what is to be said
-    of them."""
+    """Stretches without a gap (trajectory, role, t (T,) [s] from the trajectory's start, q and tau (n, T)) on a uniform
+    clock, its period [s], and what is to be said of them."""
     notes: list[str] = []
     cut = [
-        (raw.name, role, *part)
+        (raw.name, role, raw.t[rows] - raw.t[0], raw.q[rows].T, raw.tau[rows].T)
         for raw in log.trajectories
         for role, start, end in _roles(raw, windows, options)
-        for part in _uninterrupted(raw, start, end, options.max_gap)
+        for rows in without_gaps(raw.t, np.flatnonzero((raw.t >= start) & (raw.t < end)), options.max_gap)
     ]
     periods = [np.median(np.diff(t)) for _, _, t, _, _ in cut if len(t) > 3]
     if not periods:
@@ -252,15 +252,6 @@ def _roles(
         return divided(raw, options.train_share, options.shortest)
     asked = [(role, a, b) for role in ROLES for name, a, b in windows.get(role, ()) if name == raw.name]
     return sorted(asked, key=lambda stretch: stretch[1])
-
-
-def _uninterrupted(
-    raw: RawTrajectory, start: float, end: float, max_gap: float
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """t (T,) [s] from the start of the trajectory, q and tau (n, T) of all stretches without a gap between two times of
-    the log's clock [s]."""
-    for piece in without_gaps(raw.t, np.flatnonzero((raw.t >= start) & (raw.t < end)), max_gap):
-        yield raw.t[piece] - raw.t[0], raw.q[piece].T, raw.tau[piece].T
 
 
 def _uniform(t: np.ndarray, q: np.ndarray, tau: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
