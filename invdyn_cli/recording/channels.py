@@ -8,7 +8,8 @@ import numpy as np
 from invdyn_cli.errors import LogError, RobotError, listed
 from invdyn_cli.formats.columns import numbered
 from invdyn_cli.formats.joint_names import elsewhere, matched
-from invdyn_cli.log import CHANNELS, Log, RawTrajectory
+from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.recording.rows import each, present
 from invdyn_cli.types import Robot
 
 
@@ -28,14 +29,11 @@ def ordered(log: Log, robot: Robot | None, notes: list[str]) -> Log:
     order = _order(log.joints, robot, notes)
     gain = None if log.drive_gain is None else log.drive_gain[order]
     try:
-        trajectories = tuple(
-            replace(raw, **{c: getattr(raw, c)[:, order] for c in CHANNELS if getattr(raw, c) is not None})
-            for raw in log.trajectories
-        )
+        log = each(log, lambda raw: replace(raw, **{c: x[:, order] for c, x in present(raw).items()}))
     except IndexError as error:
         got = f"a channel has fewer columns than joint_names: {error}"
         raise LogError(got, advice="a column for each joint") from error
-    return replace(log, joints=robot.joints, drive_gain=gain, trajectories=trajectories)
+    return replace(log, joints=robot.joints, drive_gain=gain)
 
 
 def _order(joints: Sequence[str], robot: Robot, notes: list[str]) -> list[int]:
@@ -74,8 +72,8 @@ def in_newton_metres(log: Log) -> Log:
     """The log with torques in N m; unchanged where its drive gains are unknown."""
     if log.torque_unit != "A" or log.drive_gain is None:
         return log
-    trajectories = tuple(replace(raw, tau=newton_metres(log, raw)) for raw in log.trajectories)
-    return replace(log, torque_unit="N m", drive_gain=None, trajectories=trajectories)
+    made = each(log, lambda raw: replace(raw, tau=newton_metres(log, raw)))
+    return replace(made, torque_unit="N m", drive_gain=None)
 
 
 def joined(logs: Sequence[Log], robot: Robot | None, notes: list[str]) -> Log:
