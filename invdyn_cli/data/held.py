@@ -34,10 +34,8 @@ class HeldLog(AbstractSource):
         refuse_defects(self.log)
         notes: list[str] = []
         log = ordered(self.log, robot, notes)
-        records = {raw.name: (log, raw) for raw in log.trajectories}
         description = {"source": log.source, "torque_side": log.torque_side}
-        how = {"keys": records, "notes": notes, "description": description, "progress": progress}
-        return self.how.splits(self.how.asked(records), records, robot, **how)
+        return self.how.splits_of_log(log, robot, notes=notes, description=description, progress=progress)
 
     def recorded(self, robot: Robot | None, progress: Progress = silent) -> Recorded:
         """The log itself."""

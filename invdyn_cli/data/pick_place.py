@@ -120,14 +120,10 @@ class PickPlace(AbstractTaskSource):
         """Read or simulate the log, then split and condition it as a real one."""
         assert robot is not None
         log = self.log(robot, lambda done, note: progress(0.9 * done, note))
-        records = {raw.name: (log, raw) for raw in log.trajectories}
-        how = self._conditioning()
         what = {"source": SOURCE, "object": {"mass": self.mass, "com": self.com, "ramp": self.ramp}}
-        return how.splits(
-            how.asked(records),
-            records,
+        return self._conditioning().splits_of_log(
+            log,
             robot,
-            keys=records,
             notes=[],
             description=what | {name: getattr(self, name) for name in ("friction", "elastic", "ripple", "seed")},
             progress=lambda done, note: progress(0.9 + 0.1 * done, note),

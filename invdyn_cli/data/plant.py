@@ -9,10 +9,11 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Any, Literal
 
 from invdyn_cli.errors import UsageError, listed
+from invdyn_cli.fields import counts
 from invdyn_cli.interfaces import AbstractHiddenEffect, AbstractSource, Progress, silent
 from invdyn_cli.log import POSITION_SIDES, Log, Recorded
 from invdyn_cli.recording.conditioning import Conditioning
-from invdyn_cli.recording.selection import SETS, asked, windows
+from invdyn_cli.recording.selection import SETS, windows
 from invdyn_cli.simulation.control import Control
 from invdyn_cli.simulation.hidden import Hidden, refuse
 from invdyn_cli.simulation.plant import MOST_SAMPLES, SOURCE, record, refuse_clock, refuse_events, refuse_link_encoder
@@ -101,8 +102,7 @@ class Plant(AbstractSource):
         if not isinstance(self.reference, str | AbstractReference):
             got = f"data.reference is a {type(self.reference).__name__}"
             raise UsageError(f"{got}; allowed: {listed(REFERENCES)}, or a _target_ in invdyn_cli.simulation.references")
-        if not (isinstance(self.trajectories, int) and self.trajectories >= 1):
-            raise UsageError(f"data.trajectories={self.trajectories}; allowed: a whole number >= 1")
+        counts(self, "data", "trajectories")
         if not (isinstance(self.seed, int) and self.seed >= 0):
             raise UsageError(f"data.seed={self.seed}; allowed: a whole number >= 0")
         for name, allowed in (("torque_side", SIDES), ("position_side", POSITION_SIDES)):
@@ -134,7 +134,7 @@ class Plant(AbstractSource):
         """The log, simulated anew; UsageError as `record`."""
         assert robot is not None
         log = self.record(robot, progress)
-        blocks = asked({name: getattr(self, name) for name in SETS}, [x.name for x in log.trajectories])
+        blocks = self._conditioning().asked([x.name for x in log.trajectories])
         notes = dict.fromkeys(x.notes for x in log.trajectories if x.notes)
         return Recorded(log, windows=windows(blocks, log, self.train_share), notes=tuple(notes))
 
@@ -171,16 +171,12 @@ class Plant(AbstractSource):
         """Simulate, then split and condition as a real log."""
         assert robot is not None
         log = self.record(robot, lambda done, note: progress(0.95 * done, note))
-        records = {raw.name: (log, raw) for raw in log.trajectories}
         notes = list(dict.fromkeys(raw.notes for raw in log.trajectories if raw.notes))
         reference = self.reference if isinstance(self.reference, str) else type(self.reference).__name__
         what = {"source": SOURCE, "effects": self.told(), "reference": reference}
-        how = self._conditioning()
-        return how.splits(
-            how.asked(records),
-            records,
+        return self._conditioning().splits_of_log(
+            log,
             robot,
-            keys=records,
             notes=notes,
             description=what | {"torque_side": self.torque_side, "position_side": self.position_side},
             progress=lambda done, note: progress(0.95 + 0.05 * done, note),

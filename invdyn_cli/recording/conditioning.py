@@ -18,7 +18,7 @@ from invdyn_cli.maths.signals import differentiate, lowpass, resample, settling
 from invdyn_cli.recording import selection
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import without_gaps
-from invdyn_cli.recording.selection import SETS, Block, complete
+from invdyn_cli.recording.selection import SETS, Block, complete, without_samples
 from invdyn_cli.types import Dataset, Motion, Robot, Splits, Trajectory
 
 DERIVATIVES = ("auto", "logged", "positions")
@@ -35,20 +35,10 @@ MOST_ORDER = 20
 class Conditioning:
     """How trajectories are split and made ready; sources have its fields among their own (`Conditioning.of`).
 
-    With logged derivatives and without filter, lag and rate the clock is not used, and samples are unchanged.
-
-    Attributes:
-        train, validation, test: selections, or None.
-        train_share, validation_share: shares of time, where nothing was selected.
-        derivatives: "logged"; "positions": central differences of filtered positions; "auto": logged where possible.
-        filter_cutoff: [Hz] of the zero-phase low-pass on all channels, None for no filter.
-        filter_order: order of that Butterworth filter, which goes forth and back.
-        causal: nothing looks ahead, as in a control loop: the filter goes forth alone, and all channels come late by as
-            much; derivatives are backward differences (`online.Online` does the same sample by sample).
-        torque_lag: pairs the state at t with the torque so many samples before (1: paper, section V-A) [uniform clock].
-        decimate: keeps every n-th sample, after the filter.
-        rate: [Hz] of the uniform clock; None: the nominal one, or the median step's where the two disagree.
-        max_gap: [s], a longer step parts a block in two; nothing is interpolated across it.
+    `data.recorded.RealLog` describes them. With logged derivatives and without filter, lag and rate the clock is not
+    used, and samples are unchanged. Where `causal`, nothing looks ahead, as in a control loop: the filter goes forth
+    alone, all channels come late by as much, and derivatives are backward differences (`online.Online` does the same
+    sample by sample).
     """
 
     train: Sequence[str] | None = None
@@ -140,6 +130,11 @@ class Conditioning:
             description=dict(description) | {x: getattr(self, x) for x in options} | described | {"notes": notes},
         )
 
+    def splits_of_log(self, log: Log, robot: Robot | None, **how: Any) -> Splits:
+        """`splits` of all trajectories of one log; `how`: its notes, description and progress."""
+        records = {raw.name: (log, raw) for raw in log.trajectories}
+        return self.splits(self.asked(records), records, robot, keys=records, **how)
+
     def _rate(self, key: str, log: Log, t: np.ndarray) -> float:
         """Rate [Hz] of the uniform clock for a trajectory logged at t (T,) [s]."""
         steps = np.diff(t)
@@ -164,7 +159,7 @@ class Conditioning:
         """The block's uninterrupted pieces ready for learning, and how they were made."""
         rows = np.flatnonzero(block.rows(raw.t))
         if block.asked and not len(rows):
-            raise LogError(f"no samples in {block}; {block.key!r} runs from {raw.t[0]:g} s to {raw.t[-1]:g} s")
+            raise without_samples(block, raw.t)
         logged = [c for c in ("qd", "qdd") if getattr(raw, c) is not None and self.derivatives != "positions"]
         if self.derivatives == "logged" and len(logged) < 2:
             lacks = " and ".join(c for c in ("qd", "qdd") if c not in logged)

@@ -76,17 +76,19 @@ def asked(options: Mapping[str, Iterable[object] | None], keys: Iterable[str]) -
     set.
 
     Raises:
-        LogError, UsageError: as `parse` and `refuse_overlap`.
+        LogError, UsageError: as `parse`, and for blocks that overlap.
     """
     keys = list(keys)
     blocks = {k: None if v is None else [parse(k, str(text), keys) for text in v] for k, v in options.items()}
-    refuse_overlap({name: found or () for name, found in blocks.items()})
+    _refuse_overlap(blocks)
     return blocks
 
 
-def refuse_overlap(sets: Mapping[str, Iterable[Block]]) -> None:
+def _refuse_overlap(sets: Mapping[str, Iterable[Block] | None]) -> None:
     """Raise a UsageError if a stretch is selected twice: test data must not have been learned from."""
-    for (one, a), (two, b) in combinations([(name, block) for name, blocks in sets.items() for block in blocks], 2):
+    for (one, a), (two, b) in combinations(
+        [(name, block) for name, blocks in sets.items() for block in blocks or ()], 2
+    ):
         start, end = max(a.start, b.start), min(a.end, b.end)
         if a.key == b.key and start < end:
             raise UsageError(
@@ -96,7 +98,7 @@ def refuse_overlap(sets: Mapping[str, Iterable[Block]]) -> None:
 
 
 def complete(
-    asked: Mapping[str, list[Block] | None],
+    asked: Mapping[str, Sequence[Block] | None],
     clocks: Mapping[str, np.ndarray],
     train_share: float,
     validation_share: float,
@@ -135,15 +137,15 @@ def windows(
     Raises:
         LogError: for a selection without samples, or a role without any.
     """
-    given = {name: None if (some := blocks[name]) is None else list(some) for name in SETS}
-    if all(given[name] is None for name in SETS):
+    given = {name: blocks[name] for name in SETS}
+    if all(some is None for some in given.values()):
         return None
     clocks = {x.name: _clock(x.t) for x in log.trajectories}
     made = complete(given | {"validation": given["validation"] or []}, clocks, train_share, 0.0)
     roles = {"train": [*made["train"], *made["validation"]], "test": made["test"]}
     for block in (x for parts in roles.values() for x in parts if x.asked):
         if not block.rows(t := clocks[block.key]).any():
-            raise _without_samples(block, t)
+            raise without_samples(block, t)
     for role in roles:
         if not roles[role]:
             got = f"data.{role} is empty: other sets name all trajectories"
@@ -184,7 +186,7 @@ def cut(log: Log, blocks: Iterable[Block]) -> Log:
         one = found[block.key]
         rows = np.flatnonzero(block.rows(np.ravel(one.t)))
         if not len(rows):
-            raise _without_samples(block, _clock(one.t))
+            raise without_samples(block, _clock(one.t))
         whole = np.isinf(block.start) and np.isinf(block.end)
         parts.append(one if whole else taken(one, rows, str(block)))
     return replace(log, trajectories=tuple(parts))
@@ -197,5 +199,6 @@ def _clock(t: np.ndarray) -> np.ndarray:
     return t if len(t) else np.zeros(1)
 
 
-def _without_samples(block: Block, t: np.ndarray) -> LogError:
+def without_samples(block: Block, t: np.ndarray) -> LogError:
+    """The failure for a block in which a clock t (T,) [s] has no samples."""
     return LogError(f"no samples in {block}; {block.key!r} runs from {t[0]:g} s to {t[-1]:g} s")
