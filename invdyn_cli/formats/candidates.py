@@ -2,7 +2,7 @@
 joint."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from invdyn_cli.formats.table import Table
 from invdyn_cli.formats.words import FORCES, Meaning, meaning
@@ -19,18 +19,24 @@ class Candidate:
     known: str
 
 
+def meant(table: Table, name: str) -> Meaning:
+    """What the format defines of a column; if nothing, what its name says."""
+    told = table.told.get(name)
+    if told is None:
+        return meaning(name)
+    commanded = told.channel == "q_ref"
+    return Meaning("q" if commanded else told.channel, joint=told.joint, commanded=commanded, unit=told.unit)
+
+
 def candidates(table: Table) -> list[Candidate]:
     """The columns in groups of one meaning."""
     groups: dict[tuple, dict[str, str]] = {}
     read: dict[tuple, Meaning] = {}
     for name in table.columns:
-        told = table.told.get(name)
-        one = Meaning(told.channel, joint=told.joint, commanded=told.channel == "q_ref") if told else meaning(name)
-        if told and told.channel == "q_ref":
-            one = replace(one, quantity="q")
+        one = meant(table, name)
         if not one.quantity:
             continue
-        key = (bool(told), one.quantity, one.word, one.commanded, one.measured, one.link, bool(one.joint))
+        key = (name in table.told, one.quantity, one.word, one.commanded, one.measured, one.link, bool(one.joint))
         while one.joint in groups.get(key, {}):  # two columns that say the same: one of two groups
             key = (*key, "another")
         groups.setdefault(key, {})[one.joint] = name

@@ -6,14 +6,15 @@ necessary one is asked for: all questions of a file are in one line.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from invdyn_cli.errors import LogError, listed
 from invdyn_cli.formats import values
-from invdyn_cli.formats.candidates import NAME, candidates, in_order, ranged
+from invdyn_cli.formats.candidates import NAME, candidates, in_order, meant, ranged
 from invdyn_cli.formats.columns import GIVEN, NONE, Channel, ColumnMap, each, expanded, numbered, seconds
-from invdyn_cli.formats.joint_names import matched, placed, unchanged
+from invdyn_cli.formats.joint_names import matched, placed
 from invdyn_cli.formats.table import ASK, Table
 from invdyn_cli.formats.units import ACCELERATION, ALLOWED, CURRENTS, SPEED, factor
 from invdyn_cli.formats.words import meaning
@@ -109,18 +110,13 @@ class _Guess:
             self.known["t.unit"] = GIVEN
             return
         column = self.table.columns[one.columns[0]]
-        said = self.said_unit(one.columns[0])
-        unit = said or values.time_unit(column)
+        written = meant(self.table, one.columns[0]).unit
+        unit = written or values.time_unit(column)
         self.channels["t"] = replace(one, unit=(unit,) if unit else ())
-        self.known["t.unit"] = (self.table.by if one.columns[0] in self.table.told else NAME) if said else VALUES
+        self.known["t.unit"] = (self.table.by if one.columns[0] in self.table.told else NAME) if written else VALUES
         if not unit:
             step = float(np.median(np.diff(column)))
             self.ask(f"the unit of {one.columns[0]} (median step {step:.4g})", "time.unit=s|ms|us|ns")
-
-    def said_unit(self, column: str) -> str:
-        """The unit that the format or the name gives; "" none, ASK where it must be asked for."""
-        told = self.table.told.get(column)
-        return told.unit if told else meaning(column).unit
 
     # Channels.
 
@@ -145,7 +141,7 @@ class _Guess:
         self.joints_by, self.columns_q = list(found), list(found.values())
         self.channels["q"] = replace(given, columns=tuple(found.values()))
         self.joints = self.names()
-        self.unit("q", self.angle, "q.unit=rad|deg")
+        self.unit("q", values.angle_unit, "q.unit=rad|deg")
 
     def names(self) -> list[str]:
         """What the joints are called."""
@@ -177,7 +173,7 @@ class _Guess:
     def reordered(self, name: str, one: Channel, order: list[int]) -> Channel:
         """A channel with its columns, and what is given for each of them, in another order; a note says so. Columns
         that have only numbers keep the order in which they are given: a robot's axes may be counted otherwise."""
-        if unchanged(order):
+        if order == list(range(len(order))):
             return one
         columns = placed(order, one.columns)
         if all(self.joint(x).isdigit() for x in columns):
@@ -188,10 +184,7 @@ class _Guess:
         return Channel(columns, placed(order, one.unit), placed(order, one.sign), placed(order, one.full_scale))
 
     def joint(self, column: str) -> str:
-        told = self.table.told.get(column)
-        if told:
-            return told.joint
-        one = meaning(column)
+        one = meant(self.table, column)
         return one.joint if one.quantity else ""
 
     def choose(self, channel: str, quantity: str = "", *, commanded: bool = False) -> dict[str, str]:
@@ -302,25 +295,25 @@ class _Guess:
             if not found:
                 return
             self.channels[name] = replace(given, columns=tuple(found.values()))
-        self.unit(name, self.by_comparison, "")
+        self.unit(name, partial(self.by_comparison, name), "")
 
     # Units.
 
-    def unit(self, name: str, guess: Callable[[str, np.ndarray], str | None], option: str) -> None:
+    def unit(self, name: str, guess: Callable[[np.ndarray], str | None], option: str) -> None:
         """Set the unit of a channel: given, said by format or name, guessed, asked for, or (where there is no option to
         ask for) the channel left out."""
         one = self.channels[name]
         if one.unit:
             self.known[f"{name}.unit"] = GIVEN
             return
-        units = tuple(self.said_unit(x) for x in one.columns)
+        units = tuple(meant(self.table, x).unit for x in one.columns)
         if set(units) <= set(ALLOWED[name]):
             told = one.columns[0] in self.table.told
             self.known[f"{name}.unit"] = self.table.by if told else NAME
         else:
             self.known[f"{name}.unit"] = VALUES
             matrix = np.column_stack([self.table.columns[x] for x in one.columns]).astype(float)
-            guessed = None if ASK in units and option else guess(name, matrix)
+            guessed = None if ASK in units and option else guess(matrix)
             units = (guessed,) if guessed else ()
         if units:
             self.channels[name] = replace(one, unit=units[:1] if len(set(units)) == 1 else units)
@@ -332,21 +325,14 @@ class _Guess:
             why = "its unit does not follow from its values and those of q"
             self.notes.append(f"{name} ({ranged(list(one.columns))}) is left out: {why}; {name}.unit=… keeps it.")
 
-    def angle(self, name: str, matrix: np.ndarray) -> str | None:
-        return values.angle_unit(matrix)
-
-    def torque(self, name: str, matrix: np.ndarray) -> str | None:
-        quantity = {self.quantity(x) for x in self.channels["tau"].columns}
+    def torque(self, matrix: np.ndarray) -> str | None:
+        quantity = {meant(self.table, x).quantity for x in self.channels["tau"].columns}
         if quantity == {"current"}:
             return values.current_unit(matrix)
         if quantity == {"tau"}:
             self.known["tau.unit"] = f"{NAME}: a torque"
             return "N m"
         return None
-
-    def quantity(self, column: str) -> str:
-        told = self.table.told.get(column)
-        return told.channel if told else meaning(column).quantity
 
     def by_comparison(self, name: str, matrix: np.ndarray) -> str | None:
         """The unit beside positions, or of accelerations beside velocities."""

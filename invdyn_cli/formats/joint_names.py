@@ -60,8 +60,3 @@ _RULES: tuple[Callable[[str, str], bool], ...] = (
 def placed(order: Sequence[int], values: Sequence) -> tuple:
     """Values, one for each joint, in another order; one or none for all joints stay as they are."""
     return tuple(values[k] for k in order) if len(values) == len(order) else tuple(values)
-
-
-def unchanged(order: Sequence[int]) -> bool:
-    """Whether an order changes nothing."""
-    return list(order) == list(range(len(order)))

@@ -1,6 +1,7 @@
 """Parquet tables, a file or a LeRobot dataset (a folder with meta/info.json): a trajectory for each episode."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +122,7 @@ def _episodes(name: str, columns: Mapping[str, np.ndarray], names: Mapping[str, 
         for k, part in enumerate(parts):
             flat[f"{column}/{part}"] = as_column(x[:, k])
             if column in CHANNELS:
-                one = CHANNELS[column]
-                told[f"{column}/{part}"] = Told(one.channel, part.removesuffix(".pos"), one.unit)
+                told[f"{column}/{part}"] = replace(CHANNELS[column], joint=part.removesuffix(".pos"))
     if lerobot and "timestamp" in flat:
         told["timestamp"] = Told("t", unit="s")
     episodes = flat.pop(EPISODE, None)

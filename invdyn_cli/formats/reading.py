@@ -112,10 +112,8 @@ def import_one(path: str | Path, columns: Columns = None, limit: float = hdf5.LI
     path = Path(path).expanduser()
     if columns is not None and not isinstance(columns, str | Path | Mapping):
         raise UsageError(f"data.columns={columns}; allowed: the path of a column map, or its entries")
-    if isinstance(columns, Mapping):
-        text, given = json.dumps(columns, sort_keys=True, default=str), None
-    else:
-        text, given = "", None if columns is None else Path(columns).expanduser()
+    text = json.dumps(columns, sort_keys=True, default=str) if isinstance(columns, Mapping) else ""
+    given = Path(columns).expanduser() if isinstance(columns, str | Path) else None
     return _kept(path, _stamp(path), text, given, _stamp(given) if given else (), limit)
 
 

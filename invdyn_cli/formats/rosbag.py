@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,5 +116,5 @@ def _table(path: Path, topic: str, rows: list[tuple[int, int, list[str], Any]]) 
         for k, joint in enumerate(joints):
             column = f"{name}/{shortened(joint, 200)}"
             columns[column] = matrix[:, k]
-            told[column] = Told(CHANNELS[name].channel, shortened(joint, 200), CHANNELS[name].unit)
+            told[column] = replace(CHANNELS[name], joint=shortened(joint, 200))
     return Table(path.stem, columns, told, tuple(notes if len(kept) < len(rows) else ()), BY)

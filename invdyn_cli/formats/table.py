@@ -42,7 +42,7 @@ class Table:
     by: str = ""
 
 
-def from_arrays(path: Path, arrays: Mapping[str, np.ndarray], notes: tuple[str, ...] = ()) -> Table:
+def from_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> Table:
     """A table from arrays (T,), (T, n) or (n, T); column k of an array x is called x/k. Other shapes are left out.
 
     Raises:
@@ -60,7 +60,7 @@ def from_arrays(path: Path, arrays: Mapping[str, np.ndarray], notes: tuple[str, 
             columns[name] = as_column(x)
         elif x.ndim == 2 and rows in x.shape:
             columns |= {f"{name}/{k}": as_column(c) for k, c in enumerate(x.T if len(x) == rows else x)}
-    return Table(path.stem, columns, notes=notes)
+    return Table(path.stem, columns)
 
 
 def as_column(values: np.ndarray) -> np.ndarray:

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from invdyn_cli.formats.units import TIME
+
 FASTEST, SLOWEST = 1e-4, 0.5
 """[s] The steps that a robot's log may have: 10 kHz to 2 Hz."""
 
@@ -30,7 +32,7 @@ def time_unit(t: np.ndarray) -> str | None:
     if not len(steps):
         return None
     step = float(np.median(steps))
-    fits = [u for u, x in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if FASTEST <= step * x <= SLOWEST]
+    fits = [u for u, x in TIME.items() if FASTEST <= step * x <= SLOWEST]
     return fits[0] if len(fits) == 1 and not (np.abs(steps - 1) < 1e-6).all() else None
 
 
