@@ -3,7 +3,7 @@ judge defects."""
 
 import bisect
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import Any
 
@@ -44,9 +44,13 @@ def parted(raw: RawTrajectory, pieces: list[np.ndarray]) -> list[RawTrajectory]:
     return [taken(raw, rows, f"{raw.name}.{i}") for i, rows in enumerate(pieces, start=1)]
 
 
-def each(log: Log, change: Callable[[RawTrajectory], RawTrajectory | list[RawTrajectory]]) -> Log:
-    """The log with every trajectory replaced by none, one or several."""
-    made = [change(raw) for raw in log.trajectories]
+def each(
+    log: Log,
+    change: Callable[[RawTrajectory], RawTrajectory | list[RawTrajectory]],
+    names: Container[str | None] | None = None,
+) -> Log:
+    """The log with every trajectory, or every one with such a name, replaced by none, one or several."""
+    made = [change(raw) if names is None or raw.name in names else raw for raw in log.trajectories]
     return replace(log, trajectories=tuple(x for one in made for x in (one if isinstance(one, list) else [one])))
 
 
@@ -114,6 +118,12 @@ def _longest_increasing(t: np.ndarray) -> np.ndarray:
 def usable_rows(raw: RawTrajectory) -> np.ndarray:
     """(T,) bool: finite in t, q and tau, and in time order."""
     return forward_rows(raw.t) & np.isfinite(raw.q).all(1) & np.isfinite(raw.tau).all(1)
+
+
+def largest_ranges(log: Log, channel: str) -> np.ndarray:
+    """(n,) what the columns of a channel range over in usable rows, in the trajectory where that is most."""
+    parts = [getattr(raw, channel)[usable_rows(raw)] for raw in log.trajectories]
+    return np.max([np.ptp(x, axis=0) if len(x) else np.zeros(len(log.joints)) for x in parts], axis=0)
 
 
 def longest_step(steps: np.ndarray) -> float:

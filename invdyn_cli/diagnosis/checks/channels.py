@@ -11,7 +11,7 @@ from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths.metrics import rms
 from invdyn_cli.maths.signals import lattice
-from invdyn_cli.recording.rows import is_series, median_step, usable_rows
+from invdyn_cli.recording.rows import is_series, largest_ranges, median_step
 from invdyn_cli.recording.stretches import stretches
 from invdyn_cli.types import Check, Robot
 
@@ -104,14 +104,7 @@ class NotMoving(AbstractCheck):
         """Per joint; the value is the largest range of q in a trajectory [rad; m]."""
         if not log.trajectories:
             return []
-        rows = {raw.name: usable_rows(raw) for raw in log.trajectories}
-        ranges = np.max(
-            [
-                np.ptp(raw.q[rows[raw.name]], axis=0) if rows[raw.name].any() else np.zeros(len(log.joints))
-                for raw in log.trajectories
-            ],
-            axis=0,
-        )
+        ranges = largest_ranges(log, "q")
         still = np.flatnonzero(ranges < self.least)
         if len(still) == len(log.joints):
             return [self._seen("fail", None, float(ranges.max()), "no joint moves")]

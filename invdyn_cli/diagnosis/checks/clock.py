@@ -21,6 +21,8 @@ from invdyn_cli.recording.rows import (
 )
 from invdyn_cli.types import Check, Robot
 
+NO_SERIES = "no time series: no clock to judge"
+
 
 @dataclass(frozen=True)
 class Duplicates(AbstractCheck):
@@ -99,11 +101,9 @@ class Duplicates(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Drop such rows; divide a trajectory where its clock starts anew."""
-        where, notes = {c.trajectory for c in found}, []
+        notes = []
 
         def change(raw: RawTrajectory) -> list[RawTrajectory]:
-            if raw.name not in where:
-                return [raw]
             drop = self.repeated(raw)
             pieces = [rows[~drop[rows]] for rows in clock_pieces(raw.t)]
             gone = len(raw.t) - sum(map(len, pieces))
@@ -113,7 +113,7 @@ class Duplicates(AbstractCheck):
             notes.append(f"{raw.name}: {'; '.join(done)}")
             return parted(raw, pieces)
 
-        return each(log, change), notes
+        return each(log, change, {c.trajectory for c in found}), notes
 
     def repeated(self, raw: RawTrajectory) -> np.ndarray:
         """(T,) bool."""
@@ -146,11 +146,12 @@ class ClockJitter(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory; trajectories of poses have no clock to speak of."""
         found = []
-        if not any(is_series(raw) for raw in log.trajectories):
-            return [self.skipped("no time series: no clock to judge")]
-        for raw in log.trajectories:
+        series = [raw for raw in log.trajectories if is_series(raw)]
+        if not series:
+            return [self.skipped(NO_SERIES)]
+        for raw in series:
             step = median_step(raw.t)
-            if not np.isfinite(step) or not is_series(raw):
+            if not np.isfinite(step):
                 continue
             steps = np.diff(raw.t[usable_rows(raw)])
             steps = steps[steps <= longest_step(steps)]
@@ -210,11 +211,12 @@ class Gaps(AbstractCheck):
     def examine(self, log: Log, robot: Robot | None) -> list[Check]:
         """Per trajectory; the value is the longest gap [s]."""
         found = []
-        if not any(is_series(raw) for raw in log.trajectories):
-            return [self.skipped("no time series: no clock to judge")]
-        for raw in log.trajectories:
+        series = [raw for raw in log.trajectories if is_series(raw)]
+        if not series:
+            return [self.skipped(NO_SERIES)]
+        for raw in series:
             pieces = uninterrupted(raw)
-            if len(pieces) < 2 or not is_series(raw):
+            if len(pieces) < 2:
                 continue
             lengths = np.array([raw.t[b[0]] - raw.t[a[-1]] for a, b in itertools.pairwise(pieces)])
             whole = raw.t[pieces[-1][-1]] - raw.t[pieces[0][0]]

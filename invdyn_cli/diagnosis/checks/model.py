@@ -10,7 +10,7 @@ from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.joints import units
 from invdyn_cli.log import Log
-from invdyn_cli.recording.rows import usable_rows
+from invdyn_cli.recording.rows import largest_ranges, usable_rows
 from invdyn_cli.types import Check, Robot
 
 
@@ -80,9 +80,7 @@ class ModelMismatch(AbstractCheck):
 
     def _dead(self, log: Log) -> list[Check]:
         """Torque channels that never change."""
-        rows = [raw.tau[usable_rows(raw)] for raw in log.trajectories]
-        ranges = np.max([np.ptp(x, axis=0) if len(x) else np.zeros(len(log.joints)) for x in rows], axis=0)
-        dead = np.flatnonzero(ranges == 0)
+        dead = np.flatnonzero(largest_ranges(log, "tau") == 0)
         every = len(dead) == len(log.joints)
         return [
             Check(

@@ -66,10 +66,10 @@ class PowerOff(AbstractCheck):
         of = {one.trajectory: one for one in found}
 
         def change(raw: RawTrajectory) -> RawTrajectory:
-            return taken(raw, ~self.rows_of(raw, of[raw.name])) if raw.name in of else raw
+            return taken(raw, ~self.rows_of(raw, of[raw.name]))
 
         words = "of the log left out, where the drives have no power"
-        return each(log, change), [f"{name}: {one.value:.3g} s {words}" for name, one in of.items()]
+        return each(log, change, of), [f"{name}: {one.value:.3g} s {words}" for name, one in of.items()]
 
     def rows_of(self, raw: RawTrajectory, one: Check) -> np.ndarray:
         """(T,) bool: rows of a trajectory in the periods that were found."""

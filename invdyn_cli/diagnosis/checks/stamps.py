@@ -86,16 +86,14 @@ class AbstractLateStamps(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Regular stamps."""
-        where, notes = {c.trajectory for c in found}, []
+        notes = []
 
         def change(raw: RawTrajectory) -> RawTrajectory:
-            if raw.name not in where:
-                return raw
             t, done = self.regular(raw)
             notes.append(f"{raw.name}: {done}")
             return replace(raw, t=t)
 
-        return each(log, change), notes
+        return each(log, change, {c.trajectory for c in found}), notes
 
 
 @dataclass(frozen=True)

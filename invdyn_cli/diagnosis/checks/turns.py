@@ -8,7 +8,7 @@ import numpy as np
 
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
-from invdyn_cli.recording.rows import each, longest_step
+from invdyn_cli.recording.rows import each, longest_step, present
 from invdyn_cli.types import Check, Robot
 
 POSITIONS = ("q", "q_ref", "q_link")
@@ -62,12 +62,10 @@ class WrappedAngles(AbstractCheck):
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Whole turns added after each jump; commands and link angles are put beside the measured angle. A joint with
         limits is moved by whole turns to where they are."""
-        where, notes = {c.trajectory for c in found}, []
+        notes = []
 
         def change(raw: RawTrajectory) -> RawTrajectory:
-            if raw.name not in where:
-                return raw
-            made = {c: np.array(getattr(raw, c), float) for c in POSITIONS if getattr(raw, c) is not None}
+            made = {c: np.array(x, float) for c, x in present(raw).items() if c in POSITIONS}
             turns: dict[int, float] = {}
             for channel, j, rows, turn in self._wrapped(log, raw, robot):
                 turns[j] = turn
@@ -82,7 +80,7 @@ class WrappedAngles(AbstractCheck):
                     made[channel][:, j] += turn * np.round((made["q"][:, j] - made[channel][:, j]) / turn)
             return replace(raw, **made)
 
-        return each(log, change), notes
+        return each(log, change, {c.trajectory for c in found}), notes
 
     def _wrapped(
         self, log: Log, raw: RawTrajectory, robot: Robot | None

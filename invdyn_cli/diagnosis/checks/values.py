@@ -53,11 +53,9 @@ class NotFinite(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Drop channels that are worth nothing and rows that lack a value; leave out what has then nothing left."""
-        where, notes = {c.trajectory for c in found}, []
+        notes = []
 
         def change(raw: RawTrajectory) -> list[RawTrajectory]:
-            if raw.name not in where:
-                return [raw]
             if not all(_fits(log, raw, c) for c in ("t", "q", "tau")):
                 notes.append(f"{raw.name}: left out, its channels do not belong together")
                 return []
@@ -82,7 +80,7 @@ class NotFinite(AbstractCheck):
             notes.append(f"{raw.name}: {', '.join(words)}")
             return parted(raw, pieces) if pieces else []
 
-        return each(log, change), notes
+        return each(log, change, {c.trajectory for c in found}), notes
 
     def _no_torque(self, trajectory: str, rows: int) -> Check:
         return replace(
