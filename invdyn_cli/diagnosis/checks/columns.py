@@ -1,7 +1,7 @@
 """Columns in another order than the robot's joints, or with the opposite sign: what the physics asks for
 (`arrangement`), stated where nothing else is as likely, and corrected only then."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -67,25 +67,23 @@ class JointOrder(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Put the columns in order."""
-        for check in found:
-            if check.severity != "fail":
-                continue
-            order, columns = check.threshold["order"], check.threshold["columns"]
+        known = next((c.threshold for c in found if c.severity == "fail"), None)
+        if known is None:
+            return log, []
+        order, columns = known["order"], known["columns"]
 
-            def change(raw: RawTrajectory, order=order, columns=columns) -> RawTrajectory:
-                moved = {c: x[:, columns if c == "tau" else order] for c, x in present(raw).items()}
-                return replace(raw, **moved)
+        def change(raw: RawTrajectory) -> RawTrajectory:
+            return replace(raw, **{c: x[:, columns if c == "tau" else order] for c, x in present(raw).items()})
 
-            log = each(log, change)
-            if log.drive_gain is not None:
-                log = replace(log, drive_gain=np.asarray(log.drive_gain)[columns])
-            both = {"all": order} if order == columns else {"position": order, "torque": columns}
-            moves = {
-                which: ", ".join(f"{log.joints[i]} -> {log.joints[j]}" for j, i in enumerate(moved) if i != j)
-                for which, moved in both.items()
-            }
-            return log, [f"{which} columns put in the robot's order: {x}" for which, x in moves.items() if x]
-        return log, []
+        log = each(log, change)
+        if log.drive_gain is not None:
+            log = replace(log, drive_gain=np.asarray(log.drive_gain)[columns])
+        both = {"all": order} if order == columns else {"position": order, "torque": columns}
+        moves = {
+            which: ", ".join(f"{log.joints[moved[j]]} -> {log.joints[j]}" for j in _moved(moved))
+            for which, moved in both.items()
+        }
+        return log, [f"{which} columns put in the robot's order: {x}" for which, x in moves.items() if x]
 
     def _seen(self, robot: Robot, best: Arrangement, words: str, gain: float) -> Check:
         return Check(
@@ -209,7 +207,7 @@ class SignError(AbstractCheck):
         signs = {"q": np.ones(len(log.joints)), "tau": np.ones(len(log.joints))}
         notes = []
         for check in found:
-            if check.severity != "fail" or not isinstance(check.threshold, Mapping):
+            if check.severity != "fail":
                 continue
             channels = check.threshold["channel"].split(", ")
             for channel in channels:

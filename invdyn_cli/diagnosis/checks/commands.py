@@ -1,6 +1,6 @@
 """The commanded positions q_ref compared with the measured ones: unit, sign and lag together, one lag per recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -58,14 +58,10 @@ class Following:
 @once_for_a_log
 def following(log: Log) -> list[Following]:
     """The result for each recording that has q_ref and in which a joint moves."""
-    if all(raw.q_ref is None for raw in log.trajectories):
-        return []
     parts = [x for x in stretches(log) if "q_ref" in x.extra]
     found = []
     for name in dict.fromkeys(x.trajectory for x in parts):
-        mine = [x for x in parts if x.trajectory == name]
-        longest = max(mine, key=lambda x: len(x.q))
-        one = _follow(longest)
+        one = _follow(max((x for x in parts if x.trajectory == name), key=lambda x: len(x.q)))
         if one is not None:
             found.append(one)
     return found
@@ -161,16 +157,16 @@ class CommandUnits(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Divide q_ref by the exact factor."""
-        mine = {c.trajectory: c.threshold["factor"] for c in found if _of_command(c) and c.severity == "warn"}
-        notes = [f"{name}: q_ref divided by {factor:.7g}, it is in {UNITS[factor]}" for name, factor in mine.items()]
+        by = {c.trajectory: c.threshold["factor"] for c in found}
+        notes = [f"{name}: q_ref divided by {factor:.7g}, it is in {UNITS[factor]}" for name, factor in by.items()]
         slides = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
 
         def change(raw: RawTrajectory) -> RawTrajectory:
-            if raw.name not in mine or raw.q_ref is None:
+            if raw.q_ref is None:
                 return raw
-            return replace(raw, q_ref=raw.q_ref / np.where(slides, 1.0, mine[raw.name]))
+            return replace(raw, q_ref=raw.q_ref / np.where(slides, 1.0, by[raw.name]))
 
-        return each(log, change), notes
+        return each(log, change, by), notes
 
     def _seen(self, one: Following, value: float, unit: float, words: str) -> Check:
         return Check(
@@ -221,17 +217,16 @@ class CommandSigns(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Turn q_ref of these joints round."""
-        mine = [(c.trajectory, c.joint) for c in found if _of_command(c) and c.severity == "warn"]
+        turned = [(c.trajectory, c.joint) for c in found]
 
         def change(raw: RawTrajectory) -> RawTrajectory:
             if raw.q_ref is None:
                 return raw
-            sign = np.array([-1.0 if (raw.name, joint) in mine else 1.0 for joint in log.joints])
+            sign = np.array([-1.0 if (raw.name, joint) in turned else 1.0 for joint in log.joints])
             return replace(raw, q_ref=raw.q_ref * sign)
 
-        if not mine:
-            return log, []
-        return each(log, change), [f"{name}: sign of q_ref turned: {joint}" for name, joint in mine]
+        changed = each(log, change, {name for name, _ in turned})
+        return changed, [f"{name}: sign of q_ref turned: {joint}" for name, joint in turned]
 
 
 @dataclass(frozen=True)
@@ -295,7 +290,3 @@ def _unlike(one: Following) -> str:
         f"at the best lag q_ref explains only {100 * one.explained:.2g} % of q (needed: {100 * EXPLAINED:g} %): unit, "
         "sign and lag of q_ref are not checked"
     )
-
-
-def _of_command(check: Check) -> bool:
-    return isinstance(check.threshold, Mapping) and check.threshold.get("channel") == "q_ref"

@@ -1,6 +1,6 @@
 """Time between channels: torque against motion, command against measurement."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -82,24 +82,17 @@ class TimeOffset(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""
-        offsets = {
-            name: float(c.value)
-            for c in found
-            if c.severity in ("warn", "fail") and c.joint is None and isinstance(c.threshold, Mapping)
-            for name in c.threshold.get("trajectories", ())
-        }
+        offsets = {name: c.value for c in found if c.severity == "warn" for name in c.threshold["trajectories"]}
         notes = []
 
         def change(raw: RawTrajectory) -> RawTrajectory:
-            if raw.name not in offsets:
-                return raw
             at = raw.t + offsets[raw.name]
             inside = (at >= raw.t[0]) & (at <= raw.t[-1])
             tau = np.stack([np.interp(at, raw.t, column) for column in raw.tau.T], axis=1)
             notes.append(f"{raw.name}: torques shifted by {-1e3 * offsets[raw.name]:+.3g} ms (negative: earlier)")
             return taken(replace(raw, tau=tau), inside)
 
-        return each(log, change), notes
+        return each(log, change, offsets), notes
 
     def _session(self, log: Log, shifts: list["_Shifts"], session: list[RawTrajectory]) -> list[Check]:
         """What the recordings of one session say together."""

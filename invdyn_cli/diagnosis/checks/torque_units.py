@@ -1,6 +1,6 @@
 """The unit of the torque columns, of all joints and of each by itself, by likelihood."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -165,13 +165,12 @@ class TorqueUnits(AbstractCheck):
         """Divide by the exact factor."""
         by, notes = np.ones(len(log.joints)), []
         for check in found:
-            if check.severity != "fail" or not isinstance(check.threshold, Mapping):
+            factor = check.threshold["factor"] if check.severity == "fail" else None
+            if factor is None:
                 continue
-            if check.threshold["channel"] != "tau" or not check.threshold["factor"]:
-                continue
-            by[slice(None) if check.joint is None else log.joints.index(check.joint)] = check.threshold["factor"]
+            by[slice(None) if check.joint is None else log.joints.index(check.joint)] = factor
             of = f" of {check.joint}" if check.joint else ""
-            notes.append(f"torques{of} divided by {check.threshold['factor']:g}: {check.meaning.split(':')[0]}")
+            notes.append(f"torques{of} divided by {factor:g}: {check.meaning.split(':')[0]}")
         return (each(log, lambda raw: replace(raw, tau=raw.tau / by)), notes) if notes else (log, [])
 
     def _without_gains(self, ratios: dict[str, float]) -> Check:

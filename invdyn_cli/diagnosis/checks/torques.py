@@ -151,7 +151,7 @@ class GravityRemoved(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Declare it, where it is certain."""
-        if "gravity" in log.compensated or all(one.severity != "fail" for one in found):
+        if all(one.severity != "fail" for one in found):
             return log, []
         note = "gravity is assumed to be compensated, because the torques do not follow it"
         return replace(log, compensated=(*log.compensated, "gravity")), [note]

@@ -1,6 +1,6 @@
 """Units: factors between what a channel says and what it should, where they are those of a dictionary."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -64,10 +64,10 @@ class MotionUnits(AbstractCheck):
 
         def change(raw: RawTrajectory) -> RawTrajectory:
             for check in found:
-                if check.check != self.name or check.severity != "fail" or not isinstance(check.threshold, Mapping):
+                if check.severity != "fail" or check.trajectory not in (None, raw.name):
                     continue
                 channel, factor = check.threshold["channel"], check.threshold["factor"]
-                if factor is None or check.trajectory not in (None, raw.name) or channel not in ("t", "q", "qd", "qdd"):
+                if factor is None:
                     continue
                 kept = np.array(robot.prismatic) if robot else np.zeros(len(log.joints), bool)
                 kept = kept | np.array([check.joint not in (None, name) for name in log.joints])
