@@ -6,7 +6,7 @@ what makes them rare beforehand; those that are as likely as the best are told, 
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -257,9 +257,7 @@ def _near(motion: tuple, rows: Rows, robot: Robot) -> Iterator[tuple]:
         able = (moves[order[a]], moves[order[b]])
         if not any(able) or (not all(able) and np.mean(moves) <= MOST):  # too little moves to tell a joint by its rest
             continue
-        changed = list(order)
-        changed[a], changed[b] = changed[b], changed[a]
-        yield tuple(changed), signs
+        yield _exchanged(order, a, b), signs
     for known in known_orders(robot).values():
         if np.mean([moves[i] for j, i in enumerate(known) if i != order[j]] or [False]) > MOST:
             yield known, signs
@@ -291,12 +289,13 @@ def _cost(order: tuple[int, ...], signs: tuple[float, ...], rows: Rows, robot: R
 
 
 def _of_order(order: tuple[int, ...], robot: Robot) -> float:
-    n, moved = len(order), sum(i != j for j, i in enumerate(order))
-    if not moved:
-        return 0.0
-    if order in known_orders(robot).values():
-        return FLAW + 1.0
-    return FLAW + (moved - 1) * np.log(n * (n - 1) / 2)
+    return FLAW + 1.0 if order in known_orders(robot).values() else _of_exchange(order, range(len(order)))
+
+
+def _of_exchange(one: Sequence[int], other: Sequence[int]) -> float:
+    """Log odds against one order beside another."""
+    n, moved = len(one), len(_differ(one, other))
+    return FLAW + (moved - 1) * np.log(n * (n - 1) / 2) if moved else 0.0
 
 
 def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[Arrangement]:
@@ -311,16 +310,12 @@ def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[A
         orders.append(tuple(int(i) for i in columns[np.argsort(joints)]))
     bases = set(orders)
     for base in tuple(bases):
-        for a, b in itertools.combinations(range(n), 2):
-            changed = list(base)
-            changed[a], changed[b] = changed[b], changed[a]
-            orders.append(tuple(changed))
+        orders += [_exchanged(base, a, b) for a, b in itertools.combinations(range(n), 2)]
     for chosen in dict.fromkeys(orders):
         both = table[every, list(chosen)]  # (n, 2)
         plain = direct[every, list(chosen)]
         alone = fit.lost[every, list(chosen)].sum()
-        moved = sum(a != b for a, b in zip(chosen, order, strict=True))
-        extra = FLAW + (moved - 1) * np.log(max(n * (n - 1) / 2, 1)) if moved else 0.0
+        extra = _of_exchange(chosen, order)
         flips = both[:, 1] - both[:, 0] > FLAW + np.log(n)
         patterns = np.array([np.zeros(n, bool), flips, np.ones(n, bool)])
         if chosen in bases:
@@ -334,5 +329,11 @@ def _on_motion(order, signs, fit: Fitness, mode: int, cost: float) -> Iterator[A
             yield Arrangement(tuple(order), tuple(signs), chosen, signs_of_torques, *row)
 
 
-def _differ(one: tuple[int, ...], other: tuple[int, ...]) -> list[int]:
+def _exchanged(order: Sequence[int], a: int, b: int) -> tuple[int, ...]:
+    changed = list(order)
+    changed[a], changed[b] = changed[b], changed[a]
+    return tuple(changed)
+
+
+def _differ(one: Sequence[int], other: Sequence[int]) -> list[int]:
     return [j for j, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]

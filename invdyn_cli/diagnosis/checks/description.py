@@ -180,11 +180,9 @@ class Description(AbstractCheck):
         """Mass and first moments at the end of the arm, beside friction and the links' own errors, by blocks."""
         rows, columns = regressor_rows(robot, samples.motion)
         end = columns[:, :, -10:-6]
-        blocks = []
-        for chosen in np.array_split(np.arange(len(rows)), 6):
-            fit = self._end(samples, rows, end, judged, np.setdiff1d(np.arange(len(rows)), chosen))
-            blocks.append(fit)
-        values = np.array(blocks)
+        every = np.arange(len(rows))
+        kept = [np.setdiff1d(every, block) for block in np.array_split(every, 6)]
+        values = np.array([self._end(samples, rows, end, judged, x) for x in kept])
         mass = float(values.mean())
         deviation = float(np.sqrt(5 / 6 * np.sum((values - mass) ** 2)))
         total = float(np.asarray(robot.inertial)[:, 0].sum())

@@ -16,6 +16,7 @@ from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.joints import units
 from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Motion, Robot
 
@@ -142,7 +143,7 @@ class Excitation:
         if fast < self.acceleration:
             yield "acceleration", f"accelerations below {fast:.2g} {unit}/s^2"
         if nominal is not None:
-            spread, size = float(np.std(nominal)), float(np.sqrt(np.mean(nominal**2)))
+            spread, size = float(np.std(nominal)), float(rms(nominal))
             varied = spread / size if size > 0 else 0.0
             loaded = float(np.std(np.abs(nominal)) / size) if size > 0 else 0.0
             if loaded < self.loads:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from invdyn_cli.diagnosis.checks.fits import span
+from invdyn_cli.diagnosis.checks.fits import left
 from invdyn_cli.diagnosis.checks.placeholders import doubtful_inertias
 from invdyn_cli.diagnosis.checks.samples import EXCITED, SLOW, Samples, regressor_rows, torque_of
 from invdyn_cli.maths.standard import link_scales
@@ -156,9 +156,7 @@ class _Joint:
         ramp = np.clip(qd / SLOW, -1, 1)
         own = np.column_stack([ramp, qd, motion.qdd[:, j], motion.q[:, j], np.ones(len(tau))])
         parts = np.column_stack([columns, model, change])
-        basis = span(own)
-        every = np.column_stack([parts, tau, model])
-        out = every - basis @ (basis.T @ every)
+        out = left(np.column_stack([parts, tau, model]), own)
         speed = np.mean(qd**2) / max(np.mean(np.abs(qd)), 1e-12)
         readings = np.array([[1.0, speed, 0, 0, 0], [0, 0, 1.0, 0, 0]]) @ np.linalg.pinv(own)
         return cls(own, tau, model, parts, out.T @ out, readings)
@@ -178,13 +176,8 @@ class _Joint:
         p = len(scale)
         product = vectors.T @ (self.gram[:p, p + column] - factor * self.gram[:p, -1])
         ratio = 100 * (factor * sizes) ** 2
-        rest = (
-            self.tau[:, column]
-            - factor * self.model
-            - self.parts @ (vectors @ (product / sizes**2 * ratio / (1 + ratio)))
-        )
-        basis = span(self.own)
-        rest = rest - basis @ (basis.T @ rest)
+        fitted = self.parts @ (vectors @ (product / sizes**2 * ratio / (1 + ratio)))
+        rest = left(self.tau[:, column] - factor * self.model - fitted, self.own)
         repeats = max(autocorrelation_time(rest), autocorrelation_time(self.tau[:, column]))
         return float(min(MOST_ROWS, len(rest) / repeats))
 
@@ -195,9 +188,9 @@ def _of_joint(joint: _Joint, spread, scales, units, effective, reach: float):
     power = np.diag(joint.gram)[p : p + n]
     cross, strength = joint.gram[p : p + n, -1], joint.gram[-1, -1]
     whole = max(float(joint.model @ joint.model), 1e-300)
+    noise = np.maximum(power / count, NOISE[0])
+    lost = -0.5 * effective * (np.log(noise) + power / count / noise)
     if np.sqrt(strength / count) < EXCITED * reach or strength < 1e-16 * whole:  # then nothing tells whose a column is
-        noise = np.maximum(power / count, NOISE[0])
-        lost = -0.5 * effective * (np.log(noise) + power / count / noise)
         same = np.broadcast_to(lost[:, None, None], (n, 2, np.shape(units)[-1] + 1))
         return same, lost, np.zeros(same.shape), np.zeros(n), np.zeros(n)
     slopes = np.abs(cross) / strength
@@ -226,8 +219,6 @@ def _of_joint(joint: _Joint, spread, scales, units, effective, reach: float):
         total = values.max(0) + _positive(joint, vectors, sizes, along, signed, factor, noise, weight)
         explained = np.maximum(explained, 1 - noise.min(axis=(1, 2)))
         best = total if best is None else np.maximum(best, total)
-    noise = np.maximum(power / count, NOISE[0])
-    lost = -0.5 * effective * (np.log(noise) + power / count / noise)
     mixed = np.logaddexp(np.log(1 - LOST) + best, np.log(LOST) + lost[:, None, None])
     mixed = np.where((spread > 0)[:, None, None], mixed, 0.0)
     # Of the URDF's torque as it stands, a factor of a column's own or one within GAINS of the unit's.

@@ -9,14 +9,14 @@ def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return y - basis @ (basis.T @ y)
 
 
-def span(columns: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:
+def span(columns: np.ndarray) -> np.ndarray:
     """Orthonormal basis (R, r) of the columns (R, k), each scaled to its norm before its rank is judged."""
     norms = np.linalg.norm(columns, axis=0)
     scaled = columns[:, norms > 0] / norms[norms > 0]
     if not scaled.size:
         return np.zeros((len(columns), 0))
     basis, values, _ = np.linalg.svd(scaled, full_matrices=False)
-    return basis[:, values > tolerance * values[0]]
+    return basis[:, values > 1e-8 * values[0]]
 
 
 def share(residual: np.ndarray, y: np.ndarray) -> float:

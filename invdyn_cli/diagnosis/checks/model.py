@@ -127,10 +127,9 @@ class ModelMismatch(AbstractCheck):
         rows, inertial = regressor_rows(robot, samples.motion)
         qdd, tau = np.asarray(samples.motion.qdd)[rows].T, samples.tau[rows].T
         n = len(tau)
-        own = np.stack([np.column_stack([samples.columns(j)[rows], qdd[j]]) for j in range(n)])
         extra = np.zeros((n, len(rows), 4 * n))
         for j in range(n):
-            extra[j, :, 4 * j : 4 * j + 4] = own[j]
+            extra[j, :, 4 * j : 4 * j + 4] = np.column_stack([samples.columns(j)[rows], qdd[j]])
         weights = 1 / np.maximum(tau.std(1), 1e-9 * max(tau.std(), 1e-300))
         columns = np.concatenate([inertial, extra], axis=2) * weights[:, None, None]
         target = tau * weights[:, None]

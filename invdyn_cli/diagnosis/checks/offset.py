@@ -12,6 +12,7 @@ from invdyn_cli.diagnosis.checks.samples import EXCITED, Samples, gather
 from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.channels import newton_metres
 from invdyn_cli.recording.rows import each, taken
 from invdyn_cli.recording.stretches import Stretch, stretches
@@ -222,7 +223,7 @@ class TimeOffset(AbstractCheck):
         offsets, gains, weights = {}, {}, {}
         for joint in np.flatnonzero(excited > EXCITED).tolist():
             speed = np.abs(samples.motion.qd[:, joint])
-            moving = speed > self.slow * np.sqrt(np.mean(speed**2))
+            moving = speed > self.slow * rms(speed)
             all_rows = np.ones_like(moving)
             kept = [all_rows, moving] if np.mean(moving) > self.often else [all_rows]
             friction = samples.columns(joint)

@@ -7,6 +7,7 @@ import numpy as np
 from invdyn_cli.effects.rigid import PART, regressor, rigid_torque
 from invdyn_cli.log import Log
 from invdyn_cli.maths import rigid_body
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.recording.stretches import Stretch, stretches
 from invdyn_cli.types import Array, Motion, Robot
 
@@ -96,10 +97,10 @@ def torque_of(robot: Robot, motion: Motion) -> np.ndarray:
     return rigid_torque(robot, _joints_first(motion)).T
 
 
-def reach(robot: Robot, states: int = 256) -> np.ndarray:
+def reach(robot: Robot) -> np.ndarray:
     """(n,) RMS of the nominal torque [N m; N] over random states: velocities and accelerations of about 1."""
-    q, qd, qdd = rigid_body.random_states(robot, states, seed=0)
-    return np.sqrt(np.mean(torque_of(robot, Motion(q.T, qd.T, qdd.T)) ** 2, axis=0))
+    q, qd, qdd = rigid_body.random_states(robot, 256, seed=0)
+    return rms(torque_of(robot, Motion(q.T, qd.T, qdd.T)))
 
 
 def regressor_rows(robot: Robot, motion: Motion, thin: int = 1) -> tuple[np.ndarray, np.ndarray]:

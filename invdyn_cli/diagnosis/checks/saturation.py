@@ -204,6 +204,6 @@ def _bend(x: np.ndarray) -> float:
     return float(np.std(np.polyval(np.polyfit(at, middle, 2), at)))
 
 
-def _gravity(robot: Robot, q: np.ndarray, most: int = 50) -> np.ndarray:
-    """(R, n) torque [N m; N] that holds the arm at `most` positions of q (T, n)."""
-    return gravity_torque(robot, q[np.linspace(0, len(q) - 1, most).astype(int)])
+def _gravity(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """(50, n) torque [N m; N] that holds the arm at positions of q (T, n)."""
+    return gravity_torque(robot, q[np.linspace(0, len(q) - 1, 50).astype(int)])

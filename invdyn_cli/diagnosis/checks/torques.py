@@ -12,7 +12,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.checks.arrangement import FLAW, OWN, UNITS, known_orders
 from invdyn_cli.diagnosis.checks.fitness import fitness, rows_of
-from invdyn_cli.diagnosis.checks.fits import correlation, left, slope, span
+from invdyn_cli.diagnosis.checks.fits import correlation, left, slope
 from invdyn_cli.diagnosis.checks.samples import NO_MOTION, Samples, gather_changing
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
@@ -28,13 +28,11 @@ def matched(samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     explained, cosine, excited = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     total = np.maximum(np.sum((tau - tau.mean(0)) ** 2, axis=0), 1e-300)
     for j in range(n):
-        basis = span(samples.columns(j))
-        rest = tau - basis @ (basis.T @ tau)
-        nominal = samples.nominal[:, j] - basis @ (basis.T @ samples.nominal[:, j])
+        *rest, nominal = left(np.column_stack([tau, samples.nominal[:, j]]), samples.columns(j)).T
         excited[j] = rms(nominal) / max(samples.reach[j], 1e-12)
-        for i in range(n):
-            cosine[i, j] = correlation(rest[:, i], nominal)
-            after = float(rest[:, i] @ rest[:, i]) * (1 - cosine[i, j] ** 2)
+        for i, one in enumerate(rest):
+            cosine[i, j] = correlation(one, nominal)
+            after = float(one @ one) * (1 - cosine[i, j] ** 2)
             explained[i, j] = 1 - after / total[i]
     return explained, cosine, excited
 

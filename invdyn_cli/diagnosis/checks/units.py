@@ -7,8 +7,9 @@ from typing import ClassVar
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.derivatives import drawn_forward
-from invdyn_cli.diagnosis.checks.fits import correlation, left, slope
+from invdyn_cli.diagnosis.checks.fits import correlation, slope
 from invdyn_cli.diagnosis.checks.samples import EXCITED, gather
+from invdyn_cli.diagnosis.checks.torques import matched
 from invdyn_cli.diagnosis.checks.unit_factors import CLOCKS, DEGREE, POSITIONS, RATES, SCALES, TURNS, nearest
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log, RawTrajectory
@@ -243,14 +244,13 @@ class MotionUnits(AbstractCheck):
                 if not factor or np.mean(np.abs(ratios / factor - 1) < self.within) < self.most:
                     found += self._odd(log, robot, name, channel, every)
                     continue
+                seen = f"{channel} is {ratio:.5g} times the derivative of q on {len(ratios)} moving joints"
                 if factor in TURNS:
                     if channel == "qd":
-                        seen = f"qd is {ratio:.5g} times the derivative of q on {len(ratios)} moving joints"
                         found.append(self._seen("q", name, 1 / factor, 1 / factor, "revolutions", seen))
                     continue
                 raw = next(x for x in log.trajectories if x.name == name)
                 per = "" if channel == "qd" else " per second"
-                seen = f"{channel} is {ratio:.5g} times the derivative of q on {len(ratios)} moving joints"
                 if factor == 1e3 and channel == "qd" and median_step(raw.t) > 0.2:
                     return [*found, self._seen("t", None, ratio, 1e3, "milliseconds", seen)]
                 found.append(self._seen(channel, name, ratio, factor, RATES[factor] + per, seen))
@@ -316,7 +316,7 @@ class MotionUnits(AbstractCheck):
         )
 
 
-def _rates(parts: Sequence[Stretch], channel: str, joints: int, slow: float = 0.0) -> np.ndarray:
+def _rates(parts: Sequence[Stretch], channel: str, joints: int, slow: float) -> np.ndarray:
     """(joints,) slope of logged derivatives (qd or qdd) on those of q at their common lag, NaN where none are logged,
     and on joints slower than `slow` [rad/s] that do not follow clearly."""
     if not parts or any(channel not in x.extra for x in parts):
@@ -346,10 +346,6 @@ def _judged(log: Log, robot: Robot, factor: float, which: np.ndarray) -> tuple[f
     samples = gather(log, robot, 1024, parts)
     if samples is None:
         return 0.0, 0
-    squares = []
-    for joint in range(samples.tau.shape[1]):
-        columns = samples.columns(joint)
-        tau, nominal = left(samples.tau[:, joint], columns), left(samples.nominal[:, joint], columns)
-        if rms(nominal) > EXCITED * samples.reach[joint]:
-            squares.append(correlation(tau, nominal) ** 2)
-    return (float(np.mean(squares)) if squares else 0.0), len(squares)
+    _, cosine, excited = matched(samples)
+    squares = np.diag(cosine)[excited > EXCITED] ** 2
+    return (float(np.mean(squares)) if len(squares) else 0.0), len(squares)
