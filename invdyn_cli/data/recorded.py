@@ -143,7 +143,8 @@ class RealLog(AbstractSource):
         files = self._reference_files(keys)
         named = {name: getattr(self, name) for name in (*SETS, *(() if files else ("reference",)))}
         blocks = asked(named, keys)
-        notes = [f"data.{name} is not used: the log is taken as it was recorded" for name in self._set_in_vain()]
+        in_vain = [f.name for f in fields(self) if f.name in UNUSED and getattr(self, f.name) != f.default]
+        notes = [f"data.{name} is not used: the log is taken as it was recorded" for name in in_vain]
         progress(0.0, listed(map(str, self.path)))
         log = joined(self._read(keys, self._used(keys, blocks)), robot, notes)
         reference = None
@@ -219,9 +220,6 @@ class RealLog(AbstractSource):
                 got = f"{path} has joints {listed(log.joints)}, {self._paths()[0]} has {listed(logs[0].joints)}"
                 raise LogError(f"{got}; allowed: logs of one robot")
         return logs
-
-    def _set_in_vain(self) -> list[str]:
-        return [f.name for f in fields(self) if f.name in UNUSED and getattr(self, f.name) != f.default]
 
     def _described(self, logs: Iterable[Log]) -> dict[str, Any]:
         words = ("robot", "source", "licence", "torque_side", "torque_unit", "position_side", "compensated")

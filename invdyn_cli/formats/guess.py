@@ -73,13 +73,14 @@ class _Guess:
 
     def time(self) -> None:
         given = self.given.channel("t")
-        if given.columns == (NONE,) or (not given.columns and not self.named_clock() and self.given.rate):
+        named = [] if given.columns else self.named_clock()
+        if given.columns == (NONE,) or (not given.columns and not named and self.given.rate):
             self.channels["t"], self.known["t"] = Channel((NONE,)), GIVEN
         elif given.columns:
             self.channels["t"] = replace(given, columns=expanded(self.where, self.table, given.columns[:1]))
             self.known["t"] = GIVEN
-        elif self.named_clock():
-            name, known = self.named_clock()[0]
+        elif named:
+            name, known = named[0]
             self.channels["t"], self.known["t"] = replace(given, columns=(name,)), known
         else:
             rate = "(or rate=HZ; without converting: 'data.columns={rate: HZ}')"

@@ -44,7 +44,7 @@ class Block:
         return (t >= self.start) & (t < self.end)
 
 
-def parse(option: str, text: str, keys: Iterable[str]) -> Block:
+def _parsed(option: str, text: str, keys: Sequence[str]) -> Block:
     """The block for the selection `text` of `data.<option>`, among trajectories called `keys`.
 
     Keys are "name", or "log/name" where there are several logs; then "name" alone will do if only one log has it.
@@ -53,7 +53,6 @@ def parse(option: str, text: str, keys: Iterable[str]) -> Block:
         UsageError: if it is not written as a selection.
         LogError: if no trajectory, or more than one, has that name.
     """
-    keys = list(keys)
     windowed = None if text in keys else _WINDOWED.fullmatch(text)
     if windowed is None and text not in keys and set("[]") & set(text):
         got = f"data.{option}: {text!r} is not a selection"
@@ -76,10 +75,10 @@ def asked(options: Mapping[str, Iterable[object] | None], keys: Iterable[str]) -
     set.
 
     Raises:
-        LogError, UsageError: as `parse`, and for blocks that overlap.
+        LogError, UsageError: as `_parsed`, and for blocks that overlap.
     """
     keys = list(keys)
-    blocks = {k: None if v is None else [parse(k, str(text), keys) for text in v] for k, v in options.items()}
+    blocks = {k: None if v is None else [_parsed(k, str(text), keys) for text in v] for k, v in options.items()}
     _refuse_overlap(blocks)
     return blocks
 

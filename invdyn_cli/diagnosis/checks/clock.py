@@ -190,7 +190,7 @@ class ClockJitter(AbstractCheck):
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """The median rate instead of an impossible nominal one."""
-        rates = [1 / median_step(raw.t) for raw in log.trajectories if np.isfinite(median_step(raw.t))]
+        rates = [1 / step for raw in log.trajectories if np.isfinite(step := median_step(raw.t))]
         if (np.isfinite(log.rate) and log.rate > 0) or not rates:
             return log, []
         rate = float(np.median(rates))

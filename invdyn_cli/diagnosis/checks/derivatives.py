@@ -83,15 +83,15 @@ class DerivativeConsistency(AbstractCheck):
         return each(log, change), notes
 
     def _channel(self, log: Log, name: str, parts: list[Stretch], channel: str) -> list[Check]:
-        own = np.concatenate([getattr(x, channel) for x in parts])
         moving = np.flatnonzero(rms(np.concatenate([x.qd for x in parts])) > self.slow)
         if not len(moving):
             return []
         lag, logged = drawn_forward(parts, channel, moving)
-        slopes = np.array([slope(logged[:, j], own[:, j]) for j in moving])
-        rest = rms(logged[:, moving] - slopes * own[:, moving]) / np.maximum(rms(logged[:, moving]), 1e-12)
-        flat = rms(logged[:, moving]) == 0
-        rest[flat], slopes[flat] = 1.0, 0.0
+        own, logged = np.concatenate([getattr(x, channel) for x in parts])[:, moving], logged[:, moving]
+        slopes = np.array([slope(y, x) for y, x in zip(logged.T, own.T, strict=True)])
+        size = rms(logged)
+        rest = rms(logged - slopes * own) / np.maximum(size, 1e-12)
+        rest[size == 0], slopes[size == 0] = 1.0, 0.0
         common = float(np.median(slopes))
         alike = common > 0 and np.all(np.abs(slopes / common - 1) < self.alike)
         clock = alike and abs(common - 1) > self.slope and len(moving) > 1

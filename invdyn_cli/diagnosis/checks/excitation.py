@@ -86,15 +86,12 @@ class Excitation:
             lacks = dict(self._lacks(numbers, speed, one["qdd"], nominal, moves, seconds, slides))
             before = -1 if robot is None else robot.parents[joint]
             if before >= 0 and moves:
-                lacks |= self._alone(speed > self.rest, np.abs(channels["qd"][:, before]) > self.rest)
+                own, other = speed > self.rest, np.abs(channels["qd"][:, before]) > self.rest
+                if np.mean(own & other) / max(np.mean(own | other), 1e-12) < self.together:
+                    lacks["together"] = "it and the joint before it move one after the other"
             numbers["lacks"], numbers["cannot_show"] = lacks, cannot_show(lacks, EFFECTS)
             out[name] = numbers
         return out
-
-    def _alone(self, own: np.ndarray, before: np.ndarray) -> dict[str, str]:
-        """{"together": reason} where a joint and the one before it move, but hardly at the same time (T,)."""
-        share = np.mean(own & before) / max(np.mean(own | before), 1e-12)
-        return {"together": "it and the joint before it move one after the other"} if share < self.together else {}
 
     def _reversals(self, x: Stretch, joint: int) -> int:
         """Changes of direction, each with a speed above `rest` on both sides."""

@@ -99,8 +99,7 @@ def torque_of(robot: Robot, motion: Motion) -> np.ndarray:
 
 def reach(robot: Robot) -> np.ndarray:
     """(n,) RMS of the nominal torque [N m; N] over random states: velocities and accelerations of about 1."""
-    q, qd, qdd = rigid_body.random_states(robot, 256, seed=0)
-    return rms(torque_of(robot, Motion(q.T, qd.T, qdd.T)))
+    return rms(rigid_torque(robot, Motion(*rigid_body.random_states(robot, 256, seed=0))).T)
 
 
 def regressor_rows(robot: Robot, motion: Motion, thin: int = 1) -> tuple[np.ndarray, np.ndarray]:

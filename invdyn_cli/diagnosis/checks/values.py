@@ -161,9 +161,8 @@ class Outliers(AbstractCheck):
             for channel in present(raw):
                 for joint, name in enumerate(log.joints):
                     rows = self.rows_of(raw, channel, joint)
-                    if not len(rows):
-                        continue
-                    found.append(self._outlying(raw, channel, joint, name, rows))
+                    if len(rows):
+                        found.append(self._outlying(raw, channel, joint, name, rows))
         return found
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
@@ -238,7 +237,7 @@ class Outliers(AbstractCheck):
         least = max(share * (high - low), floor, 1e-9 * np.abs(x).max())
         rows = np.flatnonzero(second > least / 2)
         if not len(rows):
-            return rows[:0]
+            return rows
         if len(rows) > 10_000:  # a channel of jumps; a sample of them tells enough
             rows = rows[:: len(rows) // 10_000]
         around = rows[:, None] + np.arange(-50, 51)
