@@ -101,11 +101,6 @@ class Verdict:
     gravity: np.ndarray | None = None
 
     @property
-    def stated(self) -> bool:
-        """Whether the log asks for another arrangement than the logged one."""
-        return self.best.key != self.logged.key
-
-    @property
     def other_orders(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
         """Other orders (of positions, of torques) that the physics does not exclude beside the best, but for joints
         without a torque that shows: of these two may always be exchanged."""
