@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from invdyn_cli import urdf
 from invdyn_cli.diagnosis.checks.arrangement import AFTER_ORDER, FOUND, SOURCE, arrangement
 from invdyn_cli.diagnosis.checks.fits import left
 from invdyn_cli.diagnosis.checks.placeholders import EQUAL, SAME, ZERO, kinds_of
@@ -17,9 +18,9 @@ from invdyn_cli.errors import listed
 from invdyn_cli.interfaces import AbstractCheck
 from invdyn_cli.log import Log
 from invdyn_cli.types import Check, Robot
+from invdyn_cli.urdf_checks import INERTIA
 
 NOT_COMPARED = "tool and base are not compared"
-SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 OTHERWISE_MOUNTED = "the base is not mounted as the URDF says: it hangs, or stands at a wall"
 """What a check means beside which a diagnosis is of little use."""
@@ -71,17 +72,16 @@ class Description(AbstractCheck):
             root = ET.fromstring(robot.urdf)
         except ET.ParseError:
             return
-        links = {x.get("name", ""): x.find("inertial") for x in root.findall("link")}
+        links = {x.get("name", ""): x for x in root.findall("link")}
         moving = [x for x in root.findall("joint") if x.get("name") in robot.joints]
         carried = {x.find("child").get("link"): x.get("name") for x in moving}  # type: ignore[union-attr]
-        inertias = {name: _inertia(x) for name, x in links.items() if x is not None}
-        masses = {name: _number(x.find("mass"), "value") for name, x in links.items() if x is not None}
-        own = [name for name in carried if name in links]
-        none = [name for name in own if masses.get(name, 0.0) <= 0]
-        solid = [name for name in own if name not in none]
-        kinds = dict(zip(solid, kinds_of([inertias[x] for x in solid], [masses[x] for x in solid]), strict=True))
+        masses = {name: urdf.number(links[name], "inertial/mass", "value", 0.0) for name in carried if name in links}
+        none = [name for name, mass in masses.items() if mass <= 0]
+        solid = [name for name in masses if name not in none]
+        found = kinds_of([_inertia(links[x]) for x in solid], [masses[x] for x in solid])
+        kinds = dict(zip(solid, found, strict=True))
         zero, equal, alike = ([name for name in solid if kinds[name] == kind] for kind in (ZERO, EQUAL, SAME))
-        origins = [name for name in solid if name not in zero and not np.any(_triple(links[name]))]
+        origins = [x for x in solid if x not in zero and not urdf.triple(links[x], "inertial/origin", "xyz").any()]
         yield from self._line("warn", none, "no mass", "its weight and inertia are missing in every torque", carried)
         yield from self._line("warn", zero, "zero inertia", "a body with a mass has an inertia", carried)
         why = "a placeholder, not the inertia of a body: acceleration torques are wrong"
@@ -224,26 +224,10 @@ class Description(AbstractCheck):
         return float(2.0 * theta[0])
 
 
-def _inertia(inertial: ET.Element | None) -> np.ndarray:
+def _inertia(link: ET.Element) -> np.ndarray:
     """(3, 3) about the centre of mass, axes of the inertial frame."""
-    tag = None if inertial is None else inertial.find("inertia")
-    xx, xy, xz, yy, yz, zz = (_number(tag, name) for name in SIX)
+    xx, xy, xz, yy, yz, zz = (urdf.number(link, "inertial/inertia", name) for name in INERTIA)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _number(tag: ET.Element | None, name: str) -> float:
-    try:
-        return float(tag.get(name, "0")) if tag is not None else 0.0
-    except ValueError:
-        return 0.0
-
-
-def _triple(inertial: ET.Element | None) -> np.ndarray:
-    origin = None if inertial is None else inertial.find("origin")
-    try:
-        return np.array([float(x) for x in origin.get("xyz", "0 0 0").split()]) if origin is not None else np.zeros(3)
-    except ValueError:
-        return np.zeros(3)
 
 
 def _degrees(one: np.ndarray, other: np.ndarray) -> float:
