@@ -360,17 +360,17 @@ class Signals:
         held_out: (R,) bool, rows that chose nothing.
     """
 
-    trajectory: Array
-    t: Array
-    q: Array
-    qd: Array
-    qdd: Array
-    tau: Array
-    nominal: Array
-    extended: Array
-    terms: tuple[Array, ...]
-    valid: Array
-    held_out: Array
+    trajectory: np.ndarray
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    tau: np.ndarray
+    nominal: np.ndarray
+    extended: np.ndarray
+    terms: tuple[np.ndarray, ...]
+    valid: np.ndarray
+    held_out: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from rich.text import Text
 from invdyn_cli import store
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.diagnosis.marks import Mark, located
+from invdyn_cli.files import write_file
 from invdyn_cli.functions.arrays import Arrays
 from invdyn_cli.functions.inputs import LogLike, RobotLike, log_of, robot_of
 from invdyn_cli.interfaces import Progress, silent
@@ -71,15 +72,9 @@ class CheckResult(Shown):
         progress(0.8, "report")
         drawn = CheckedLog(self.log, self.corrected, self.marks, self.robot)
         figures, lacking = check_figures.draw_all(drawn, folder / "figures")
-        page = check_page.write_page(
-            self.examination,
-            self.log,
-            self.robot,
-            figures,
-            folder / REPORT,
-            notes=[*self.notes, *lacking],
-            live=check_plots.all_plots(drawn),
-        )
+        notes, live = [*self.notes, *lacking], check_plots.all_plots(drawn)
+        text = check_page.page(self.examination, self.log, self.robot, figures, notes, live)
+        page = write_file(folder / REPORT, text)
         store.write_check(self.examination, folder / CHECK)
         progress(1.0, "done")
         return page

@@ -22,8 +22,8 @@ from invdyn_cli.report.canvas import (
     PURPLE,
     SKY,
     VERMILLION,
-    WIDTH,
     add_legend,
+    blank_figure,
     house_style,
     limit_bars,
     plain,
@@ -56,8 +56,7 @@ def draw(spec: Mapping[str, Any], statements: Sequence[Mapping[str, Any]], jobs:
     sets = list(dict.fromkeys(bar.get("set", "test") for bar in spec["bars"].values()))
     everything = np.array([x for name in sets for _, metrics in jobs for x in _shown(spec, metrics, name)])
     with house_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.9 * len(panels)), layout="constrained")
-        figure.suptitle(plain(spec["title"]), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+        figure = blank_figure(0.9 + 2.9 * len(panels), spec["title"])
         every = figure.subplots(len(panels), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
         for axes, panel in zip(every, panels, strict=True):
             limit_bars(axes, everything, ACCURATE)

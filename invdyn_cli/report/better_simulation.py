@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from invdyn_cli.diagnosis.decide.wording import units_of
-from invdyn_cli.report.html import folded, picture, table
+from invdyn_cli.report.html import folded, picture, row, table
 from invdyn_cli.report.replay_figure import angle_unit
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Diagnosis
@@ -73,7 +73,7 @@ def _held(diagnosis: Diagnosis) -> str:
                 (replay.torque_after, torques),
             )
         ]
-        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{escape(x)}</td>" for x in cells) + "</tr>"
+        body += row(*map(escape, (joint, *cells)))
     heads = (
         "joint",
         "unconstrained, nominal",

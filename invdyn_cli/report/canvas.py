@@ -6,7 +6,7 @@ Pure black is for data alone, text is dark grey.
 
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -87,12 +87,32 @@ def shape_of(panels: int) -> tuple[int, int]:
     return math.ceil(panels / columns), columns
 
 
+def blank_figure(height: float, title: str = "", size: float = 10.5) -> Figure:
+    """An empty figure of that height [in], below its title, if it has one, in letters of this size [pt]."""
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    if title:
+        figure.suptitle(plain(title), x=0.01, ha="left", fontsize=size, fontweight="bold")
+    return figure
+
+
 def titled_figure(record: RunRecord, title: str, height: float) -> Figure:
     """An empty figure of that height [in] below a line that names the run and the content."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     run = f"{choice(record, 'model')} on {choice(record, 'data')}, {choice(record, 'adaptation')}"
-    figure.suptitle(plain(f"{run}: {title}"), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-    return figure
+    return blank_figure(height, f"{run}: {title}")
+
+
+def panel_grid(figure: Figure, panels: int, *, sharex: bool = False) -> list[Axes]:
+    """So many panels in the rows and columns of `shape_of`, without empty cells."""
+    grid = figure.subplots(*shape_of(panels), squeeze=False, sharex=sharex).ravel()
+    for axes in grid[panels:]:
+        axes.remove()
+    return list(grid[:panels])
+
+
+def name_joints(axes: Axes, joints: Sequence[str], room: int) -> None:
+    """The joints as tick labels, turned if they have more letters than there is room for."""
+    turned = len(joints) * max(map(len, joints)) > room
+    axes.set_xticks(range(len(joints)), map(plain, joints), rotation=30 * turned, ha="right" if turned else "center")
 
 
 def add_legend(figure: Figure, *panels: Axes) -> None:

@@ -18,12 +18,13 @@ from invdyn_cli.report.canvas import (
     LINE_POINTS,
     ORANGE,
     VERMILLION,
-    WIDTH,
     add_legend,
+    blank_figure,
     house_style,
     label_below,
     limit_around,
     log_axis,
+    panel_grid,
     plain,
     save,
     shape_of,
@@ -61,7 +62,7 @@ def draw_all(drawn: CheckedLog, folder: Path) -> tuple[list[Path], list[str]]:
 
 def clock(drawn: CheckedLog) -> Figure | None:
     """The steps of the clock as logged, a log axis where they differ much."""
-    figure = Figure(figsize=(WIDTH, 2.3), layout="constrained")
+    figure = blank_figure(2.3)
     axes = figure.subplots()
     every, scale = [], 1e3 if drawn.logged_unit("t", 0) == "s" else 1.0
     for raw, start in zip(drawn.log.trajectories, drawn.starts, strict=False):
@@ -95,10 +96,9 @@ def channel(drawn: CheckedLog, name: str) -> Figure | None:
     columns = [drawn.column(drawn.log, name, j) for j in range(len(joints))]
     if not any(columns):
         return None
-    rows, width = shape_of(len(joints))
-    figure = Figure(figsize=(WIDTH, 1.6 * rows + 0.8), layout="constrained")
-    grid = figure.subplots(rows, width, squeeze=False, sharex=True)
-    for j, axes in enumerate(grid.flat[: len(joints)]):
+    figure = blank_figure(1.6 * shape_of(len(joints))[0] + 0.8)
+    panels = panel_grid(figure, len(joints), sharex=True)
+    for j, axes in enumerate(panels):
         logged = columns[j]
         new = drawn.column(drawn.corrected, name, j)
         if name == "q":
@@ -118,9 +118,7 @@ def channel(drawn: CheckedLog, name: str) -> Figure | None:
         draw_recordings(drawn, axes)
         draw_marks(drawn, axes, name, j, logged)
         label_below(axes, drawn.time_label, j, len(joints))
-    for axes in grid.flat[len(joints) :]:
-        axes.remove()
-    add_legend(figure, *grid.flat[: len(joints)])
+    add_legend(figure, *panels)
     return figure
 
 
@@ -137,7 +135,7 @@ def model(drawn: CheckedLog) -> Figure | None:
     nominal, gravity = nominal_torque(robot, Motion(part.q[shown], part.qd[shown], part.qdd[shown]))
     nominal = nominal - gravity if "gravity" in drawn.corrected.compensated else nominal
     t = np.arange(len(nominal)) / part.rate
-    figure = Figure(figsize=(WIDTH, 1.6 * robot.dofs + 0.8), layout="constrained")
+    figure = blank_figure(1.6 * robot.dofs + 0.8)
     grid = figure.subplots(robot.dofs, 2, squeeze=False, width_ratios=[3, 1])
     every = slice(None, None, max(1, len(after.tau) // (CLOUD_POINTS // 2)))
     for j, (left, right) in enumerate(grid):
@@ -176,10 +174,9 @@ def excitation(drawn: CheckedLog) -> Figure | None:
     q, qd = (np.concatenate([getattr(x, c) for x in parts]) for c in ("q", "qd"))
     every = slice(None, None, max(1, len(q) // CLOUD_POINTS))
     joints = drawn.log.joints
-    rows, width = shape_of(len(joints))
-    figure = Figure(figsize=(WIDTH, 1.6 * rows + 0.8), layout="constrained")
-    grid = figure.subplots(rows, width, squeeze=False)
-    for j, axes in enumerate(grid.flat[: len(joints)]):
+    figure = blank_figure(1.6 * shape_of(len(joints))[0] + 0.8)
+    panels = panel_grid(figure, len(joints))
+    for j, axes in enumerate(panels):
         axes.plot(q[every, j], qd[every, j], ".", color=BLUE, ms=1.5, label="visited")
         robot = drawn.robot
         if robot is not None:
@@ -190,9 +187,7 @@ def excitation(drawn: CheckedLog) -> Figure | None:
         axes.set_title(plain(joints[j]))
         axes.set_xlabel(f"position q [{drawn.unit('q', j)}]")
         axes.set_ylabel(f"velocity [{drawn.unit('qd', j)}]")
-    for axes in grid.flat[len(joints) :]:
-        axes.remove()
-    add_legend(figure, *grid.flat[: len(joints)])
+    add_legend(figure, *panels)
     return figure
 
 

@@ -11,10 +11,9 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.excitation import OF_ROBOT
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import listed
-from invdyn_cli.files import write_file
 from invdyn_cli.log import Log
 from invdyn_cli.report.check_table import PILLS, check_table, skipped_reasons
-from invdyn_cli.report.html import document, folded, lively, pairs, picture, section, table
+from invdyn_cli.report.html import document, folded, lively, pairs, picture, row, section, table
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import capital, words
 from invdyn_cli.types import Check, Examination, Robot
@@ -59,20 +58,6 @@ h3 { font-size: 1rem; margin: 1.4rem 0 0; } h3 + figure { margin-top: .3rem; }
 """
 
 
-def write_page(
-    examination: Examination,
-    log: Log,
-    robot: Robot | None,
-    figures: Sequence[Path],
-    path: Path,
-    notes: Sequence[str] = (),
-    live: Sequence[str] = ("", ""),
-) -> Path:
-    """Write the page of a checked log to `path`, whole or not at all; `figures` are those of `check_figures.draw_all`,
-    `notes` what else the reader should know, `live` the plots of `check_plots.all_plots`."""
-    return write_file(path, page(examination, log, robot, figures, notes, live))
-
-
 def page(
     examination: Examination,
     log: Log,
@@ -81,7 +66,8 @@ def page(
     notes: Sequence[str] = (),
     live: Sequence[str] = ("", ""),
 ) -> str:
-    """The page as HTML text."""
+    """The page of a checked log as HTML text; `figures` are those of `check_figures.draw_all`, `notes` what else the
+    reader should know, `live` the plots of `check_plots.all_plots`."""
     drawn = {x.stem: x for x in figures}
     channels, model = live
     shown = lively(channels, CHANNELS)
@@ -204,9 +190,8 @@ def _excitation(examination: Examination, robot: Robot | None) -> str:
         share = (high - low) / span if np.isfinite(span) and span > 0 else None
         bar = "-" if share is None else f'<span class="bar" style="width:{5 * min(share, 1):.2f}em"></span>{share:.0%}'
         numbers = (*x["q"], max(map(abs, x["qd"])), max(map(abs, x["qdd"])), *x["torque"])
-        cells = "".join(f"<td>{escape(significant(y))}</td>" for y in numbers)
-        body += f"<tr><td>{escape(joint)}</td>{cells}<td>{bar}</td><td>{x['reversals']}</td>"
-        body += f"<td>{x['rest_share']:.0%}</td><td>{x['slow_share']:.0%}</td></tr>"
+        rest = (f"{x[kind]:.0%}" for kind in ("rest_share", "slow_share"))
+        body += row(escape(joint), *map(significant, numbers), bar, str(x["reversals"]), *rest)
     if not body:
         return ""
     slides = (False,) if robot is None else robot.prismatic

@@ -15,9 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from invdyn_cli.files import write_file
-from invdyn_cli.report.canvas import COLOURS, WIDTH, add_legend, house_style, save
-from invdyn_cli.report.canvas import plain as unformatted
-from invdyn_cli.report.html import document, folded, lively, picture, section, table
+from invdyn_cli.report.canvas import COLOURS, add_legend, blank_figure, house_style, name_joints, plain, save
+from invdyn_cli.report.html import document, folded, lively, picture, row, section, table
 from invdyn_cli.report.interactive import Line, Panel, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.run_plots import timeline
@@ -140,23 +139,21 @@ def joint_table(runs: Sequence[Compared]) -> Table | None:
 def bars(runs: Sequence[Compared]) -> Figure:
     """Test RMSE from zero: of every joint, a colour for each run, or of many runs the mean, a bar for each."""
     few, unit, joints = len(runs) <= MOST_BARS, _unit(runs), _joints_of(runs)
-    figure = Figure(figsize=(WIDTH, 3.6 if few else 0.8 + 0.22 * len(runs)), layout="constrained")
+    figure = blank_figure(3.6 if few else 0.8 + 0.22 * len(runs))
     axes = figure.subplots()
     if few:
         width = 0.8 / len(runs)
         for k, (x, colour) in enumerate(zip(runs, LOOKS, strict=False)):
             where = np.arange(len(joints)) + (k - (len(runs) - 1) / 2) * width
             axes.bar(where, np.nan_to_num([x.joint("rmse", j) for j in joints]), 0.92 * width, color=COLOURS[colour],
-                     label=unformatted(x.name))  # fmt: skip
-        crowded = len(joints) * max(map(len, joints)) > 110
-        axes.set_xticks(range(len(joints)), map(unformatted, joints), rotation=30 * crowded,
-                        ha="right" if crowded else "center")  # fmt: skip
+                     label=plain(x.name))  # fmt: skip
+        name_joints(axes, joints, 110)
         axes.set_ylabel(f"test RMSE [{unit}]")
         axes.grid(False, axis="x")
         add_legend(figure, axes)
     else:
         axes.barh(range(len(runs)), np.nan_to_num([x.score("rmse") for x in runs]), 0.7, color=COLOURS[LOOKS[0]])
-        axes.set_yticks(range(len(runs)), [unformatted(x.name) for x in runs])
+        axes.set_yticks(range(len(runs)), [plain(x.name) for x in runs])
         axes.invert_yaxis()
         axes.set_xlabel(f"test RMSE, mean over joints [{unit}]")
         axes.grid(False, axis="y")
@@ -184,10 +181,10 @@ def _overview(runs: Sequence[Compared]) -> str:
     best, body = _lowest([x.score("nmse") for x in runs]), ""
     for i, x in enumerate(runs):
         name = f'<a href="{escape(x.link, quote=True)}">{escape(x.name)}</a>' if x.link else escape(x.name)
-        words = "".join(f"<td>{escape(str(x.metrics.get(k)))}</td>" for k in ("model", "data", "adaptation", "seed"))
+        words = (escape(str(x.metrics.get(k))) for k in ("model", "data", "adaptation", "seed"))
         nmse = significant(x.score("nmse"))
-        numbers = (f"<b>{nmse}</b>" if i in best else nmse, significant(x.score("rmse")), *_cost(x))
-        body += f"<tr><td>{name}</td>{words}{''.join(f'<td>{n}</td>' for n in numbers)}</tr>"
+        nmse = f"<b>{nmse}</b>" if i in best else nmse
+        body += row(name, *words, nmse, significant(x.score("rmse")), *_cost(x))
     heads = ("run", "model", "data", "adaptation", "seed", "test NMSE", f"test RMSE [{_unit(runs)}]", "fit [s]",
              "parameters")  # fmt: skip
     note = "Mean over joints; of a run that adapts, during adaptation. The lowest NMSE is bold."
@@ -204,7 +201,7 @@ def _joints(runs: Sequence[Compared]) -> str:
         for i, x in enumerate(runs):
             cells = (f"<b>{significant(c[i])}</b>" if i in b else significant(c[i])
                      for c, b in zip(columns, best, strict=True))  # fmt: skip
-            body += f"<tr><td>{escape(x.name)}</td>{''.join(f'<td>{c}</td>' for c in cells)}</tr>"
+            body += row(escape(x.name), *cells)
         out += table((head, *joints), body, "joints")
     return out + '<p class="note">The lowest error of every joint is bold.</p>'
 
@@ -214,11 +211,7 @@ def _configs(runs: Sequence[Compared]) -> str:
     found = [_flat(_read(x.record.config if x.record is not None else "")) for x in runs]
     names = list(dict.fromkeys(name for one in found for name in one))
     rows = [(name, [one.get(name, "-") for one in found]) for name in names]
-    body = "".join(
-        f"<tr><td>{escape(name)}</td>{''.join(f'<td>{escape(v)}</td>' for v in values)}</tr>"
-        for name, values in rows
-        if len(set(values)) > 1 and all(found)
-    )
+    body = "".join(row(*map(escape, (name, *values))) for name, values in rows if len(set(values)) > 1 and all(found))
     return table(("option", *(x.name for x in runs)), body) if body and len(runs) <= MOST_BARS else ""
 
 
@@ -234,7 +227,7 @@ def _base_parameters(runs: Sequence[Compared]) -> str:
     for i, name in enumerate(names):
         cells = (round_by_error(float(x["values"][i]), float(x["std"][i]) if "std" in x else np.nan)
                  for x in same.values())  # fmt: skip
-        body += f"<tr><td>{escape(name)}</td>{''.join(f'<td>{c}</td>' for c in cells)}</tr>"
+        body += row(escape(name), *cells)
     return folded("values ± standard error", table(("base parameter", *same), body, ""))
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from invdyn_cli.control import KIND_WORDS, ControlRecord
-from invdyn_cli.files import write_file
 from invdyn_cli.report.controlled import OBJECT, sentences
-from invdyn_cli.report.html import document, folded, pairs, picture, section, table
+from invdyn_cli.report.html import document, folded, pairs, picture, row, section, table
 from invdyn_cli.report.tables import significant
 
 CAPTION = (
@@ -20,13 +19,8 @@ UNITS = {"damping_time": " [s]", "velocity_cutoff": " [Hz]", "settle": " [s]", "
 """Of the options that have one."""
 
 
-def write_page(record: ControlRecord, choices: Mapping[str, Any], figure: Path, path: Path) -> Path:
-    """Write the page of control runs to `path`, whole or not at all; `choices` are the names of the command line."""
-    return write_file(path, page(record, choices, figure))
-
-
 def page(record: ControlRecord, choices: Mapping[str, Any], figure: Path) -> str:
-    """The page as HTML text."""
+    """The page of control runs as HTML text; `choices` are the names of the command line."""
     told = "".join(f'<p class="lead">{escape(x)}</p>\n' for x in sentences(record))
     told += "".join(f'<p class="warning">{escape(x)}</p>\n' for x in record.warnings)
     options = {f"{name}{UNITS.get(name, '')}": x for name, x in vars(record.sweep).items() if name != "gains"}
@@ -48,8 +42,7 @@ def _numbers(record: ControlRecord) -> str:
         for gain in record.sweep.gains:
             errors = (significant(record.rms(gain, loaded, kind)) for kind in record.kinds)
             shares = (significant(100 * record.share(gain, loaded, kind)) for kind in record.kinds[1:])
-            body += f"<tr><td>{OBJECT[loaded]}</td><td>{gain:g}</td>"
-            body += "".join(f"<td>{x}</td>" for x in (*errors, *shares)) + "</tr>"
+            body += row(OBJECT[loaded], f"{gain:g}", *errors, *shares)
     heads = ("", "gain [1/rad]", *(f"error [deg], {KIND_WORDS[x]}" for x in record.kinds))
     heads += tuple(f"feedback torque [%], {KIND_WORDS[x]}" for x in record.kinds[1:])
     note = "Error: RMS over time and joints. Feedback torque: RMS share of the whole torque."
@@ -62,6 +55,6 @@ def _joints(record: ControlRecord) -> str:
     for x in record.cases:
         cells = [OBJECT[x.loaded], KIND_WORDS[x.kind], f"{x.gain:g}", str(x.repetition)]
         cells += [significant(float(value)) for value in x.error]
-        body += "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+        body += row(*map(escape, cells))
     heads = ("", "feedforward", "gain [1/rad]", "repetition", *(f"{x} [deg]" for x in record.joints))
     return table(heads, body, "")

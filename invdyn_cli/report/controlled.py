@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from invdyn_cli.control import ADAPTED, ALONE, KIND_WORDS, LEARNED, Case, ControlRecord
-from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, WIDTH, add_legend, house_style, log_axis, plain, save
+from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, add_legend, blank_figure, house_style, log_axis, save
 from invdyn_cli.report.tables import significant
 
 SCHEMA = "invdyn-control/1"
@@ -47,9 +47,7 @@ def draw(record: ControlRecord, named: str, paths: Sequence[Path]) -> None:
 
 def _figure(record: ControlRecord, named: str) -> Figure:
     """Tracking error and the feedback's share over the gain, without and with the object."""
-    figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
-    title = f"{named}: tracking error and feedback torque"
-    figure.suptitle(plain(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    figure = blank_figure(6.4, f"{named}: tracking error and feedback torque")
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     gains = sorted(record.sweep.gains)
     for column, loaded in enumerate((False, True)):

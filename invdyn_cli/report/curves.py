@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from invdyn_cli.maths import stages
 from invdyn_cli.maths.metrics import ACCURATE, BLOCK
-from invdyn_cli.report.canvas import BLACK, COLOURS, INK, WIDTH, add_legend, house_style, log_axis, plain
+from invdyn_cli.report.canvas import BLACK, COLOURS, INK, add_legend, blank_figure, house_style, log_axis, plain
 from invdyn_cli.report.comparison import matches
 from invdyn_cli.types import RunRecord
 
@@ -56,8 +56,7 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
     """
     weighed = spec.get("mass")
     with house_style():
-        figure = Figure(figsize=(WIDTH, 5.6 if weighed else 3.9), layout="constrained")
-        figure.suptitle(plain(spec["title"]), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+        figure = blank_figure(5.6 if weighed else 3.9, spec["title"])
         panels = figure.subplots(2 if weighed else 1, 1, squeeze=False, sharex=True,
                                  height_ratios=(3, 1.3) if weighed else (1,))[:, 0]  # fmt: skip
         axes = panels[0]

@@ -23,10 +23,11 @@ from invdyn_cli.report.canvas import (
     ORANGE,
     PREDICTED,
     SAMPLES,
-    WIDTH,
     add_legend,
+    blank_figure,
     house_style,
     label_below,
+    panel_grid,
     plain,
     save,
     shape_of,
@@ -183,12 +184,11 @@ def all_joints(exhibit: Exhibit) -> Figure:
     """Every joint over the stretch of time that shows most: one body must explain all of them."""
     n, signals, finding = len(exhibit.joints), exhibit.signals, exhibit.finding
     rows = telling_window(signals, exhibit.term, range(n), where=finding.trajectory, around=finding.window)
-    grid_rows, columns = shape_of(n)
-    figure = _headed(exhibit, 1.45 * grid_rows + 1.5, "One cause, all joints at once.")
-    grid = figure.subplots(grid_rows, columns, squeeze=False, sharex=True)
+    figure = _headed(exhibit, 1.45 * shape_of(n)[0] + 1.5, "One cause, all joints at once.")
+    panels = panel_grid(figure, n, sharex=True)
     t = signals.t[rows]
     widest = np.nanmax(np.ptp(np.nan_to_num(exhibit.term[rows]), axis=0), initial=0.0)
-    for i, axes in enumerate(grid.flat[:n]):
+    for i, axes in enumerate(panels):
         _two_curves(axes, t, exhibit.residual[rows, i], exhibit.term[rows, i], widest / 25)
         _shade(axes, exhibit)
         gain = finding.gain.get(exhibit.joints[i])
@@ -198,16 +198,14 @@ def all_joints(exhibit: Exhibit) -> Figure:
         axes.set_title(plain(title))
         axes.set_ylabel(f"residual [{exhibit.units[i]}]")
         label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
-    for axes in grid.flat[n:]:
-        axes.remove()
-    add_legend(figure, grid.flat[0])
+    add_legend(figure, panels[0])
     return figure
 
 
 def _headed(exhibit: Exhibit, height: float, word: str = "") -> Figure:
     """An empty figure under the finding in words, with what it gains and what it means in a second line."""
     finding = exhibit.finding
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure = blank_figure(height)
     figure.get_layout_engine().set(h_pad=0.06, w_pad=0.06)  # type: ignore[union-attr]
     headline = f"{place(finding)}: {headline_of(finding)}"
     meaning = text_of(finding).meaning

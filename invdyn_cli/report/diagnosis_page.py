@@ -17,7 +17,7 @@ from invdyn_cli.report.check_table import PILLS, check_table, pill, skipped_reas
 from invdyn_cli.report.diagnosis_figures import OVERVIEW
 from invdyn_cli.report.diagnosis_plots import diagnosis_plots
 from invdyn_cli.report.diagnosis_tables import ERROR_HEADS, errors_of
-from invdyn_cli.report.html import document, folded, pairs, picture, section, table
+from invdyn_cli.report.html import document, folded, pairs, picture, row, section, table
 from invdyn_cli.report.model_sections import standard_section, unclaimed_section
 from invdyn_cli.report.overlay import OPENING, OVERLAY, caption
 from invdyn_cli.report.quantities import best_gain, gain_text, in_degrees, quantity_text
@@ -270,15 +270,15 @@ def _parameters(finding: Finding) -> str:
         degrees = in_degrees(quantity)
         small = f"<small>{escape(degrees)}</small>" if degrees else ""
         shown = "cannot be determined from this log" if quantity.value is None else quantity_text(quantity)
-        body += f"<tr><td>{escape(name)}</td><td>{escape(shown)}{small}</td></tr>"
+        body += row(escape(name), escape(shown) + small)
     return table(("parameter", "estimate [95 %]"), body, "") if body else ""
 
 
 def _gains(diagnosis: Diagnosis, gains: Mapping[str, Gain]) -> str:
     units, body = units_of(diagnosis), ""
     for joint, x in gains.items():
-        body += f"<tr><td>{escape(joint)}</td><td>{significant(x.rmse_before)}</td><td>{significant(x.rmse_after)}</td>"
-        body += f"<td>{escape(gain_text(x))} {units.get(joint, 'N m')}</td></tr>"
+        gain = f"{escape(gain_text(x))} {units.get(joint, 'N m')}"
+        body += row(escape(joint), significant(x.rmse_before), significant(x.rmse_after), gain)
     heads = ("held-out RMSE in motion", "without it", "with it", "gain [95 %]")
     return table(heads, body, "") if body else ""
 
@@ -315,9 +315,8 @@ def _errors(diagnosis: Diagnosis) -> str:
     for joint in joints_of(diagnosis):
         share = diagnosis.unexplained.get(joint, math.nan)
         bar = f'<span class="bar" style="width:{max(0.0, min(1.0, share)) * 5:.2f}em"></span>' if share == share else ""
-        cells = "".join(f"<td>{significant(x)}</td>" for x in errors_of(diagnosis, joint))
-        body += f"<tr><td>{escape(joint)}</td>{cells}"
-        body += f"<td>{bar}{'-' if share != share else f'{100 * share:.0f} %'}</td></tr>"
+        left = bar + ("-" if share != share else f"{100 * share:.0f} %")
+        body += row(escape(joint), *map(significant, errors_of(diagnosis, joint)), left)
     heads = ("joint", *ERROR_HEADS[:-1], "unexplained")
     note = f"On held-out data; RMSE in {'; '.join(dict.fromkeys(units.values()))}. "
     note += "Friction line: offset, Coulomb and viscous friction by least squares, with the links as in the URDF. "
@@ -347,8 +346,7 @@ def _excitation(diagnosis: Diagnosis) -> str:
         return ""
     body = ""
     for joint, found in excitation.items():
-        cells = "".join(f"<td>{escape(_cell(found.get(name)))}</td>" for name in heads)
-        body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
+        body += row(escape(joint), *(escape(_cell(found.get(name))) for name in heads))
     return folded("what the log excites", table(("joint", *(x.replace("_", " ") for x in heads)), body, ""))
 
 

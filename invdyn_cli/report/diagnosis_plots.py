@@ -4,7 +4,6 @@ import numpy as np
 
 from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.recording.rows import runs
-from invdyn_cli.report.exhibits import as_numpy
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.tables import significant
@@ -24,7 +23,7 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
     """As HTML; "" without signals."""
     if diagnosis.signals is None or not len(diagnosis.signals.t):
         return ""
-    signals, units = as_numpy(diagnosis.signals), units_of(diagnosis)
+    signals, units = diagnosis.signals, units_of(diagnosis)
     starts = [0, *(np.flatnonzero(signals.trajectory[1:] != signals.trajectory[:-1]) + 1).tolist()]
     turns = np.flatnonzero(signals.held_out[1:] != signals.held_out[:-1]) + 1
     stages = [(int(row), "held-out data" if signals.held_out[row] else "training data") for row in turns]

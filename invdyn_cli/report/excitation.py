@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from invdyn_cli.design.trajectory import Design
 from invdyn_cli.joints import units
-from invdyn_cli.report.canvas import BLUE, GREY, LINE_POINTS, VERMILLION, WIDTH, house_style, plain, save
+from invdyn_cli.report.canvas import BLUE, GREY, LINE_POINTS, VERMILLION, blank_figure, house_style, plain, save
 
 ROW = 1.1
 """[in] of a joint's row of panels."""
@@ -23,11 +23,8 @@ def draw(design: Design, path: Path) -> Path:
 def picture(design: Design) -> Figure:
     """A row of two panels for each joint: its position between its limits, and its speed."""
     robot = design.robot
-    figure = Figure(figsize=(WIDTH, ROW * robot.dofs + 0.8), layout="constrained")
-    figure.suptitle(
-        plain(f"{robot.name}: a trajectory of {design.t[-1]:.4g} s that distinguishes causes"),
-        x=0.01, ha="left", fontsize=10.5, fontweight="bold",
-    )  # fmt: skip
+    title = f"{robot.name}: a trajectory of {design.t[-1]:.4g} s that distinguishes causes"
+    figure = blank_figure(ROW * robot.dofs + 0.8, title)
     axes = figure.subplots(robot.dofs, 2, sharex=True, squeeze=False)
     rows = np.linspace(0, len(design.t) - 1, min(len(design.t), LINE_POINTS)).astype(int)
     for i, name in enumerate(robot.joints):

@@ -16,25 +16,8 @@ GAP = 5.0
 
 
 @dataclass(frozen=True)
-class Rows:
-    """`types.Signals` in numpy."""
-
-    trajectory: np.ndarray
-    t: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    tau: np.ndarray
-    nominal: np.ndarray
-    extended: np.ndarray
-    terms: tuple[np.ndarray, ...]
-    valid: np.ndarray
-    held_out: np.ndarray
-
-
-@dataclass(frozen=True)
 class Exhibit:
-    """A finding with its signals, as numpy arrays.
+    """A finding with its signals.
 
     Attributes:
         finding: the finding.
@@ -50,7 +33,7 @@ class Exhibit:
     number: int
     joints: tuple[str, ...]
     units: tuple[str, ...]
-    signals: Rows
+    signals: Signals
     term: np.ndarray
     residual: np.ndarray
     column: int
@@ -66,8 +49,7 @@ def exhibits(diagnosis: Diagnosis) -> list[Exhibit]:
     if diagnosis.signals is None:
         return []
     joints, units = joints_of(diagnosis), tuple(units_of(diagnosis).values())
-    signals = as_numpy(diagnosis.signals)
-    found = []
+    signals, found = diagnosis.signals, []
     for k, (finding, term) in enumerate(zip(claims(diagnosis), signals.terms, strict=True)):
         size = np.sum(np.square(np.nan_to_num(term)), axis=0)
         column = joints.index(finding.joint) if finding.joint in joints else int(np.argmax(size))
@@ -76,13 +58,7 @@ def exhibits(diagnosis: Diagnosis) -> list[Exhibit]:
     return found
 
 
-def as_numpy(signals: Signals) -> Rows:
-    """The same signals, every array in numpy."""
-    made = {name: np.asarray(x) for name, x in vars(signals).items() if name != "terms"}
-    return Rows(**made, terms=tuple(np.asarray(x) for x in signals.terms))
-
-
-def recordings(signals: Rows) -> Iterator[slice]:
+def recordings(signals: Signals) -> Iterator[slice]:
     """Rows of every stretch without interruption: one trajectory, a clock that runs on without a gap."""
     t, name = signals.t, signals.trajectory
     if not len(t):
@@ -95,7 +71,7 @@ def recordings(signals: Rows) -> Iterator[slice]:
 
 
 def telling_window(
-    signals: Rows,
+    signals: Signals,
     changing: np.ndarray,
     columns: Sequence[int],
     *,

@@ -38,6 +38,8 @@ from invdyn_cli.report.canvas import (
     limit_bars,
     limit_zero,
     log_axis,
+    name_joints,
+    panel_grid,
     plain,
     save,
     shape_of,
@@ -147,8 +149,7 @@ def errors(record: RunRecord) -> Figure | None:
     upper.set_ylabel("NMSE")
     lower.set_ylim(bottom=0)
     lower.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units(record)))}]")
-    crowded = len(joints) * max(map(len, joints)) > 130
-    lower.set_xticks(range(len(joints)), map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
+    name_joints(lower, joints, 130)
     room = max(0.6, 2 - len(joints) / 2)
     lower.set_xlim(-room, len(joints) - 1 + room)
     for axes in (upper, lower):
@@ -166,10 +167,9 @@ def loss(record: RunRecord) -> Figure | None:
         return None
     joints = record.fit.joints
     panels = max(curve.shape[2] for curve in curves.values())
-    rows, columns = shape_of(panels)
-    figure = titled_figure(record, "loss while learning", 1.8 * rows + 0.9)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
-    for i, axes in enumerate(grid.flat[:panels]):
+    figure = titled_figure(record, "loss while learning", 1.8 * shape_of(panels)[0] + 0.9)
+    grid = panel_grid(figure, panels, sharex=True)
+    for i, axes in enumerate(grid):
         for name, curve in curves.items():
             step = max(1, len(curve) // LINE_POINTS)
             values = np.ma.masked_invalid(curve[::step, :, i])
@@ -185,9 +185,7 @@ def loss(record: RunRecord) -> Figure | None:
         log_axis(axes)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         label_below(axes, "epoch", i, panels)
-    for axes in grid.flat[panels:]:
-        axes.remove()
-    add_legend(figure, grid.flat[0])
+    add_legend(figure, grid[0])
     return figure
 
 
@@ -199,10 +197,9 @@ def residual_velocity(record: RunRecord) -> Figure | None:
     residual = judged.data.tau - judged.tau
     velocity = np.asarray(judged.data.motion.qd)
     joints = record.fit.joints
-    rows, columns = shape_of(len(joints))
-    figure = titled_figure(record, "residual over velocity, test set", 2.0 * rows + 0.9)
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for i, (axes, joint, unit) in enumerate(zip(grid.flat, joints, units(record), strict=False)):
+    figure = titled_figure(record, "residual over velocity, test set", 2.0 * shape_of(len(joints))[0] + 0.9)
+    panels = panel_grid(figure, len(joints))
+    for i, (axes, joint, unit) in enumerate(zip(panels, joints, units(record), strict=True)):
         finite = np.isfinite(residual[:, i]) & np.isfinite(velocity[:, i])
         x, y = velocity[finite, i], residual[finite, i]
         some = slice(None, None, max(1, math.ceil(len(x) / CLOUD_POINTS)))
@@ -221,9 +218,7 @@ def residual_velocity(record: RunRecord) -> Figure | None:
         axes.set_title(_joint_title(record, i, joint, unit))
         axes.set_ylabel(f"residual [{unit}]")
         label_below(axes, "velocity [m/s]" if unit == "N" else "velocity [rad/s]", i, len(joints), shared=False)
-    for axes in grid.flat[len(joints) :]:
-        axes.remove()
-    add_legend(figure, grid.flat[0])
+    add_legend(figure, panels[0])
     return figure
 
 

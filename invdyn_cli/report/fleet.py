@@ -13,7 +13,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from invdyn_cli.report.html import document, section, table
+from invdyn_cli.report.html import document, row, section, table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import STATUS_STYLE
 from invdyn_cli.report.wording import CLAIMS, UNSEEN, VERDICT_WORDS, capital, cause, headline_of, words
@@ -235,11 +235,7 @@ def page(logs: Sequence[Diagnosed]) -> str:
     count = f"{len(logs)} log{'s' * (len(logs) != 1)} of {known} robot{'s' * (known != 1)}"
     lead = f'<p class="lead">{count}{f", {failed} of them not diagnosed" if failed else ""}.</p>'
     changed = [change for some in robots.values() for change in changes(some)]
-    body = "".join(
-        f"<tr><td>{escape(x.robot or '-')}</td><td>{escape(x.since.log)}</td><td>{escape(x.before.log)}</td>"
-        f"<td>{escape(capital(x.text))}</td></tr>"
-        for x in changed
-    )
+    body = "".join(row(*map(escape, (x.robot or "-", x.since.log, x.before.log, capital(x.text)))) for x in changed)
     told = table(("robot", "since", "log before", "what has changed"), body) if changed else "<p>Nothing.</p>"
     note = (
         '<p class="note">Each log is diagnosed by itself, and diagnoses are compared. A size has changed where its '
@@ -269,7 +265,7 @@ def _row(one: Diagnosed) -> str:
     link = f'<a href="{escape(one.folder, quote=True)}/report.html">report</a>' if one.verdict != "failed" else ""
     verdict = escape(VERDICT_WORDS.get(one.verdict, one.verdict))
     verdict = f'<b class="worst">{verdict}</b>' if one.verdict == "failed" else verdict
-    return f"<tr><td>{escape(one.log)}</td><td>{verdict}</td><td>{causes}</td><td>{link}</td></tr>"
+    return row(escape(one.log), verdict, causes, link)
 
 
 def _headline(finding: Finding) -> str:

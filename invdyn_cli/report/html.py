@@ -109,6 +109,11 @@ def table(heads: Sequence[str], body: str, style: str = "words") -> str:
     return f'<div class="wide"><table class="{style}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
+def row(*cells: str) -> str:
+    """A row of a table, its cells HTML."""
+    return f"<tr>{''.join(f'<td>{x}</td>' for x in cells)}</tr>"
+
+
 def _named(row: str, heads: Sequence[str]) -> str:
     """A row of a table (HTML) whose cells but the first know the head of their column."""
     start, *cells = row.split("<td")
@@ -126,7 +131,7 @@ def pairs(facts: Mapping[str, Any]) -> str:
     its own, folded."""
     tables = {k: v for k, v in facts.items() if isinstance(v, list | tuple) and v and isinstance(v[0], Mapping)}
     plain = {k: v for k, v in facts.items() if k not in tables}
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _flat(plain) if v)
+    rows = "".join(row(escape(k), escape(v)) for k, v in _flat(plain) if v)
     shown = f'<table class="pairs"><tbody>{rows}</tbody></table>' if rows else ""
     return shown + "".join(folded(f"{k} ({len(v)})", _records(v)) for k, v in tables.items())
 
@@ -134,12 +139,9 @@ def pairs(facts: Mapping[str, Any]) -> str:
 def _records(records: Sequence[Mapping[str, Any]]) -> str:
     """A row for each mapping, a column for each name."""
     names = list(dict.fromkeys(name for one in records for name in one))
-    head = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in names)
     lines = (dict(_flat({name: one.get(name) for name in names})) for one in records)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(one.get(name, ''))}</td>" for name in names) + "</tr>" for one in lines
-    )
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    body = "".join(row(*(escape(one.get(name, "")) for name in names)) for one in lines)
+    return table([name.replace("_", " ") for name in names], body, "")
 
 
 def _flat(facts: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:

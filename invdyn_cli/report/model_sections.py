@@ -5,7 +5,7 @@ from html import escape
 from typing import Any
 
 from invdyn_cli.diagnosis.decide.wording import units_of
-from invdyn_cli.report.html import folded, table
+from invdyn_cli.report.html import folded, row, table
 from invdyn_cli.report.quantities import quantity_text
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
@@ -32,7 +32,7 @@ def standard_section(diagnosis: Diagnosis) -> str:
     for joint, terms in rows.items():
         cells = [_term(x, numbers.get((x.get("effect"), joint))) if x else "-" for x in map(terms.get, heads)]
         cells.append(f"{significant(links['worth'][joint])} {units_of(diagnosis).get(joint, 'N m')}")
-        body += f"<tr><td>{escape(joint)}</td>" + "".join(f"<td>{x}</td>" for x in cells) + "</tr>"
+        body += row(escape(joint), *cells)
     how = {"left out": "estimated by leaving motions out", "evidence": "estimated from one motion by its evidence"}
     about = f"typically off in the URDF by {100 * links['share']:.3g} % ({how.get(links['chosen'], links['chosen'])})."
     if not links["share"]:
@@ -54,8 +54,7 @@ def _each_log(diagnosis: Diagnosis) -> str:
     """Offset and friction of the logs of a comparison; nothing without a reference."""
     rows, body = each_log(diagnosis), ""
     for differs, cells in rows:
-        told = [f"<b>{escape(x)}</b>" if differs else escape(x) for x in cells]
-        body += "<tr>" + "".join(f"<td>{x}</td>" for x in told) + "</tr>"
+        body += row(*(f"<b>{escape(x)}</b>" if differs else escape(x) for x in cells))
     note = "Each log was fitted separately, beside the other changes. ± 95 %. Bold: the sizes differ significantly."
     many = sum(differs for differs, _ in rows)
     label = f"Offset and friction in the reference and now: {many} of {len(rows)} differ"

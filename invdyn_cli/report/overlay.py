@@ -5,12 +5,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from invdyn_cli.diagnosis.decide.wording import units_of
-from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, label_below, limit_around, plain, shape_of, thinned
-from invdyn_cli.report.exhibits import Rows, as_numpy, exhibits, telling_window
+from invdyn_cli.report.canvas import (
+    MEASURED,
+    add_legend,
+    blank_figure,
+    label_below,
+    limit_around,
+    panel_grid,
+    plain,
+    shape_of,
+    thinned,
+)
+from invdyn_cli.report.exhibits import exhibits, telling_window
 from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import cause, causes, joints_of
-from invdyn_cli.types import Diagnosis
+from invdyn_cli.types import Diagnosis, Signals
 
 OPENING, OVERLAY = "torque", "torques"
 """What the pictures' files are called."""
@@ -26,7 +36,7 @@ def opening(diagnosis: Diagnosis) -> Figure:
     """The torque of the joint that the largest anomaly shows on, in the seconds in which its term varies most; without
     an anomaly, of the joint on which the nominal model is most at fault."""
     assert diagnosis.signals is not None
-    signals, anomalies = as_numpy(diagnosis.signals), causes(diagnosis)
+    signals, anomalies = diagnosis.signals, causes(diagnosis)
     if anomalies:
         number, finding = anomalies[0]
         shown = exhibits(diagnosis)[number - 1]
@@ -36,7 +46,7 @@ def opening(diagnosis: Diagnosis) -> Figure:
         fault = _fault(signals)
         column = int(np.argmax(np.nanstd(fault, axis=0)))
         rows = telling_window(signals, fault, [column])
-    figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
+    figure = blank_figure(2.8)
     axes = figure.subplots()
     _curves(axes, diagnosis, signals, rows, column)
     axes.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
@@ -48,10 +58,9 @@ def caption(diagnosis: Diagnosis) -> str:
     """What the opening picture shows, and why that joint; also, if it is so, that joints rest where most of the squares
     are left."""
     assert diagnosis.signals is not None
-    anomalies = causes(diagnosis)
+    signals, anomalies = diagnosis.signals, causes(diagnosis)
     largest = "with the largest error of the nominal model in relation to its torque"
     why = f"of the largest cause: {cause(anomalies[0][1])}" if anomalies else largest
-    signals = as_numpy(diagnosis.signals)
     left = ((signals.tau - signals.extended) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)) ** 2
     left = np.nan_to_num(left) * signals.held_out[:, None]
     at_rest = bool(np.sum(left[~signals.valid]) > np.sum(left) / 2)
@@ -61,27 +70,23 @@ def caption(diagnosis: Diagnosis) -> str:
 def overlay(diagnosis: Diagnosis) -> Figure:
     """Every joint's torques in the held-out seconds in which the nominal model is most at fault."""
     assert diagnosis.signals is not None
-    signals, n = as_numpy(diagnosis.signals), len(joints_of(diagnosis))
+    signals, n = diagnosis.signals, len(joints_of(diagnosis))
     rows = telling_window(signals, _fault(signals), range(n))
-    height, columns = shape_of(n)
-    figure = Figure(figsize=(WIDTH, 1.35 * height + 1.0), layout="constrained")
-    figure.suptitle("Measured and modelled torque", x=0.01, ha="left", fontsize=11, fontweight="bold")
-    grid = figure.subplots(height, columns, squeeze=False, sharex=True)
-    for i, axes in enumerate(grid.flat[:n]):
+    figure = blank_figure(1.35 * shape_of(n)[0] + 1.0, "Measured and modelled torque", 11)
+    panels = panel_grid(figure, n, sharex=True)
+    for i, axes in enumerate(panels):
         _curves(axes, diagnosis, signals, rows, i)
         label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
-    for axes in grid.flat[n:]:
-        axes.remove()
-    add_legend(figure, grid.flat[0])
+    add_legend(figure, panels[0])
     return figure
 
 
-def _fault(signals: Rows) -> np.ndarray:
+def _fault(signals: Signals) -> np.ndarray:
     """(R, n) what the nominal model misses, in standard deviations of the measured torque."""
     return (signals.tau - signals.nominal) / np.maximum(np.nanstd(signals.tau, axis=0), 1e-300)
 
 
-def _curves(axes: Axes, diagnosis: Diagnosis, signals: Rows, rows: slice, i: int) -> None:
+def _curves(axes: Axes, diagnosis: Diagnosis, signals: Signals, rows: slice, i: int) -> None:
     """Joint i: the three torques, its held-out errors in the title."""
     joint, unit, t = joints_of(diagnosis)[i], list(units_of(diagnosis).values())[i], signals.t[rows]
     measured, nominal, extended = (x[rows, i] for x in (signals.tau, signals.nominal, signals.extended))

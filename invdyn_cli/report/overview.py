@@ -5,8 +5,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from invdyn_cli.diagnosis.decide.wording import units_of
-from invdyn_cli.report.canvas import BLACK, GREY, INK, ORANGE, RESIDUAL, WIDTH, add_legend, number_bars, plain, thinned
-from invdyn_cli.report.exhibits import as_numpy, telling_window
+from invdyn_cli.report.canvas import (
+    BLACK,
+    GREY,
+    INK,
+    ORANGE,
+    RESIDUAL,
+    add_legend,
+    blank_figure,
+    name_joints,
+    number_bars,
+    plain,
+    thinned,
+)
+from invdyn_cli.report.exhibits import telling_window
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
@@ -17,15 +29,11 @@ BEFORE, AFTER = GREY, RESIDUAL
 def overview(diagnosis: Diagnosis) -> Figure:
     """Held-out error per joint before and after, what is still unexplained, and the worst joint's residual in time."""
     assert diagnosis.signals is not None
-    joints, signals = joints_of(diagnosis), as_numpy(diagnosis.signals)
-    figure = Figure(figsize=(WIDTH, 6.2), layout="constrained")
-    figure.suptitle(
-        "Improvement by the extended model, on held-out data", x=0.01, ha="left", fontsize=11, fontweight="bold"
-    )
+    joints, signals = joints_of(diagnosis), diagnosis.signals
+    figure = blank_figure(6.2, "Improvement by the extended model, on held-out data", 11)
     grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1), height_ratios=(1.35, 1))
     bars, shares, time = (figure.add_subplot(grid[k]) for k in ((0, 0), (0, 1), (1, slice(None))))
     _error_bars(bars, diagnosis)
-    crowded = len(joints) * max(map(len, joints)) > 75
     where = np.arange(len(joints))
     share = 100 * np.array([diagnosis.unexplained.get(x, np.nan) for x in joints], float)
     shares.barh(where, np.nan_to_num(share), 0.62, color=ORANGE)
@@ -46,7 +54,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     shares.grid(False, axis="y")
     shares.set_xlabel("predictable share of the residual [%], and its RMS")
     shares.set_title("unexplained: what a neural network predicts")
-    bars.set_xticks(where, map(plain, joints), rotation=30 * crowded, ha="right" if crowded else "center")
+    name_joints(bars, joints, 75)
     worst = int(np.nanargmax(np.nan_to_num([diagnosis.baseline.get(x, {}).get("rmse", 0.0) for x in joints])))
     unit = units_of(diagnosis)[joints[worst]]
     rows = telling_window(signals, signals.tau - signals.nominal, [worst], length=15.0)
@@ -65,20 +73,24 @@ def overview(diagnosis: Diagnosis) -> Figure:
 
 def _error_bars(axes: Axes, diagnosis: Diagnosis) -> None:
     joints, floor = joints_of(diagnosis), diagnosis.noise_floor or {}
-    where = np.arange(len(joints))
-    found = [
+    before, after, least = (
         np.array([x.get(j, {}).get("rmse", np.nan) for j in joints], float)
         for x in (diagnosis.baseline, diagnosis.extended, floor)
-    ]
-    for values, colour, side, label in zip(
-        found, (BEFORE, AFTER), (-0.2, 0.2), ("nominal model", "extended model"), strict=False
-    ):
-        axes.bar(where + side, np.nan_to_num(values), 0.37, color=colour, label=label)
-        number_bars(axes, where + side, values)
-    if np.isfinite(found[2]).any():
-        axes.hlines(found[2], where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
+    )
+    paired_bars(axes, (before, after), ("nominal model", "extended model"))
+    if np.isfinite(least).any():
+        where = np.arange(len(joints))
+        axes.hlines(least, where - 0.42, where + 0.42, color=BLACK, lw=1.8, label="noise floor", zorder=3)
     axes.margins(y=0.12)
     axes.set_ylim(bottom=0)
     axes.grid(False, axis="x")
     axes.set_title("error of every joint")
     axes.set_ylabel(f"RMSE [{'; '.join(dict.fromkeys(units_of(diagnosis).values()))}]")
+
+
+def paired_bars(axes: Axes, errors: tuple[np.ndarray, np.ndarray], labels: tuple[str, str]) -> None:
+    """Two bars for every joint, its errors (n,) before and after, with their numbers."""
+    for values, label, colour, side in zip(errors, labels, (BEFORE, AFTER), (-0.2, 0.2), strict=True):
+        where = np.arange(len(values)) + side
+        axes.bar(where, np.nan_to_num(values), 0.37, color=colour, label=label)
+        number_bars(axes, where, values)

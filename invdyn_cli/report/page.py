@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from invdyn_cli.files import write_file
-from invdyn_cli.report.html import document, folded, pairs, picture, section
+from invdyn_cli.report.html import document, folded, pairs, picture, row, section, table
 from invdyn_cli.report.run_plots import run_plots
 from invdyn_cli.report.tables import (
     LOAD_HEADS,
@@ -155,12 +155,11 @@ def _scores(record: RunRecord) -> str:
     worst = [None if math.isnan(x) else _worst([values[c] for _, values in joints]) for c, x in enumerate(mean[1])]
     head = "".join(f'<th colspan="2">{escape(x)}</th>' for x in names)
     body = ""
-    for row, (joint, values) in enumerate(joints):
+    for j, (joint, values) in enumerate(joints):
         shown = (
-            f'<b class="worst">{significant(v)}</b>' if worst[c] == row else significant(v)
-            for c, v in enumerate(values)
+            f'<b class="worst">{significant(v)}</b>' if worst[c] == j else significant(v) for c, v in enumerate(values)
         )
-        body += f"<tr><td>{escape(joint)}</td>{''.join(f'<td>{x}</td>' for x in shown)}</tr>"
+        body += row(escape(joint), *shown)
     body += '<tr class="mean"><td>mean</td>' + "".join(f"<td>{significant(v)}</td>" for v in mean[1]) + "</tr>"
     note = "NMSE is the mean squared error over the variance of the measured torque; "
     note += f"RMSE is in {units_said(record)}. The worst joint of a column is marked. {member_spread(record)}"
@@ -173,10 +172,9 @@ def _scores(record: RunRecord) -> str:
 
 def _loads(record: RunRecord) -> str:
     rows = load_rows(record)
-    head = "".join(f"<th>{escape(x)}</th>" for x in LOAD_HEADS)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(x)}</td>' for x in row)}</tr>" for row in rows)
+    body = "".join(row(*map(escape, cells)) for cells in rows)
     note = "Loads that the adaptation estimated during the test set, before a release showed, ± standard error."
-    return f'<div class="wide"><table>{head}{body}</table></div><p class="note">{note}</p>' if rows else ""
+    return table(LOAD_HEADS, body, "") + f'<p class="note">{note}</p>' if rows else ""
 
 
 def _worst(values: Sequence[float]) -> int | None:
@@ -213,10 +211,9 @@ def _base_parameters(found: Mapping[str, Any] | None) -> str:
     for name, expression, value, error in zip(names, expressions, values, std, strict=True):
         label = escape(str(name)) + (f"<small>{escape(str(expression))}</small>" if expression != name else "")
         share = f"{significant(100 * error / abs(value))} %" if value else "-"
-        body += f"<tr><td>{label}</td><td>{round_by_error(value, error)}</td><td>{share}</td></tr>"
-    head = "<thead><tr><th>base parameter</th><th>value ± standard error</th><th>relative</th></tr></thead>"
-    table = f'<div class="wide"><table>{head}<tbody>{body}</tbody></table></div>'
-    return folded(f"{len(values)} base parameters", table, shown=True)
+        body += row(label, round_by_error(value, error), share)
+    shown = table(("base parameter", "value ± standard error", "relative"), body, "")
+    return folded(f"{len(values)} base parameters", shown, shown=True)
 
 
 def _robot(record: RunRecord) -> str:

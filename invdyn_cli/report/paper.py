@@ -7,7 +7,7 @@ from pathlib import Path
 
 from invdyn_cli.models.ffnn import Ffnn
 from invdyn_cli.report.comparison import Grid
-from invdyn_cli.report.html import document, folded, picture, section
+from invdyn_cli.report.html import document, folded, picture, row, section, table
 from invdyn_cli.types import RunRecord
 
 PAPER = (
@@ -156,14 +156,9 @@ def _exhibit(x: Exhibit) -> str:
 
 
 def _table(grid: Grid, kind: str) -> str:
-    def cell(text: str, last: bool) -> str:
-        if not (last and kind == "verdicts"):
-            return f"<td>{escape(text)}</td>"
-        verdict, _, why = text.partition("; ")
-        return f'<td><span class="{kind_of(verdict)}">{escape(verdict)}</span><small>{escape(why)}</small></td>'
-
-    head = "".join(f"<th>{escape(x)}</th>" for x in grid.heads)
-    rows = "".join(
-        f"<tr>{''.join(cell(text, i + 1 == len(row)) for i, text in enumerate(row))}</tr>" for row in grid.rows
-    )
-    return f'<div class="wide"><table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    body = ""
+    for *texts, last in grid.rows:
+        verdict, _, why = last.partition("; ")
+        judged = f'<span class="{kind_of(verdict)}">{escape(verdict)}</span><small>{escape(why)}</small>'
+        body += row(*map(escape, texts), judged if kind == "verdicts" else escape(last))
+    return table(grid.heads, body, kind)

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from invdyn_cli.maths import stages
-from invdyn_cli.report.canvas import SKY, VERMILLION, WIDTH, add_legend, house_style, plain, thinned
+from invdyn_cli.report.canvas import SKY, VERMILLION, add_legend, blank_figure, house_style, plain, thinned
 from invdyn_cli.report.curves import mark_stages
 from invdyn_cli.report.tables import units
 from invdyn_cli.types import RunRecord, Trajectory
@@ -19,8 +19,7 @@ def draw(spec: Mapping[str, Any], record: RunRecord) -> Figure:
     numbers = spec.get("joints", [1])
     without, loaded = (record.predictions[name].data.trajectories[0] for name in ("validation", "test"))
     with house_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.3 * max(1.2, len(numbers))), layout="constrained")
-        figure.suptitle(plain(spec["title"]), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+        figure = blank_figure(0.9 + 2.3 * max(1.2, len(numbers)), spec["title"])
         panels = figure.subplots(len(numbers), 1, squeeze=False, sharex=True)[:, 0]
         for axes, number in zip(panels, numbers, strict=True):
             for x, colour, label in ((without, VERMILLION, "without object"), (loaded, SKY, "with object")):

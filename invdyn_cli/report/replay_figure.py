@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from invdyn_cli.diagnosis.decide.wording import units_of
-from invdyn_cli.report.canvas import MEASURED, WIDTH, add_legend, limit_around, number_bars, plain
-from invdyn_cli.report.overview import AFTER, BEFORE
+from invdyn_cli.report.canvas import MEASURED, add_legend, blank_figure, limit_around, name_joints, plain
+from invdyn_cli.report.overview import AFTER, BEFORE, paired_bars
 from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
 
@@ -19,14 +19,7 @@ LEAST = 0.001
 def replay_figure(diagnosis: Diagnosis) -> Figure:
     """A few windows of the joint that gains most, and the error of every joint, nominal and extended."""
     replay = diagnosis.replay
-    figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
-    figure.suptitle(
-        f"Unconstrained replay, {replay.length:g} s under the logged torques",
-        x=0.01,
-        ha="left",
-        fontsize=11,
-        fontweight="bold",
-    )
+    figure = blank_figure(5.6, f"Unconstrained replay, {replay.length:g} s under the logged torques", 11)
     columns = max(1, len(replay.traces))
     grid = figure.add_gridspec(2, columns, height_ratios=(1.1, 1))
     panels, bars = [figure.add_subplot(grid[0, k]) for k in range(columns)], figure.add_subplot(grid[1, :])
@@ -42,17 +35,10 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
         axes.margins(x=0.01)
     if replay.traces:
         panels[0].set_ylabel(f"position of {plain(replay.traces[0].joint)} [{unit[replay.traces[0].joint]}]")
-    where = np.arange(len(replay.joints))
-    for values, colour, side, label in (
-        (replay.before, BEFORE, -0.2, "nominal arm"),
-        (replay.after, AFTER, 0.2, "extended arm"),
-    ):
-        bars.bar(where + side, values, 0.37, color=colour, label=label)
-        number_bars(bars, where + side, values)
+    paired_bars(bars, (replay.before, replay.after), ("nominal arm", "extended arm"))
     bars.margins(y=0.12)
     bars.set_ylim(bottom=0)
-    crowded = len(where) * max(map(len, replay.joints)) > 110
-    bars.set_xticks(where, map(plain, replay.joints), rotation=30 * crowded, ha="right" if crowded else "center")
+    name_joints(bars, replay.joints, 110)
     bars.grid(False, axis="x")
     bars.set_title(f"error of every joint, RMS over {replay.windows} windows")
     bars.set_ylabel(f"position error [{'; '.join(dict.fromkeys(unit.values()))}]")

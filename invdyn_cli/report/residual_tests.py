@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from invdyn_cli.diagnosis.decide.wording import test_words, units_of
-from invdyn_cli.report.canvas import INK, RESIDUAL, WIDTH, plain
-from invdyn_cli.report.html import picture, table
+from invdyn_cli.report.canvas import INK, RESIDUAL, blank_figure, plain
+from invdyn_cli.report.html import picture, row, table
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import words
 from invdyn_cli.types import Diagnosis, ResidualTest
@@ -42,8 +42,7 @@ def tests_section(diagnosis: Diagnosis, drawn: Path | None) -> str:
     units, body, heads = units_of(diagnosis), "", list(dict.fromkeys(x.against for x in diagnosis.tests))
     for joint in dict.fromkeys(x.joint for x in diagnosis.tests):
         own = {x.against: x for x in diagnosis.tests if x.joint == joint}
-        cells = "".join(f"<td>{_cell(own.get(name))}</td>" for name in heads)
-        body += f"<tr><td>{escape(joint)}</td>{cells}</tr>"
+        body += row(escape(joint), *(_cell(own.get(name)) for name in heads))
     out = table(("joint", *map(test_words, heads)), body, "dense")
     out += f'<p class="note">[{"; ".join(dict.fromkeys(units.values()))}] {escape(NOTE)}</p>'
     rows = "".join(
@@ -69,8 +68,7 @@ def tests_figure(diagnosis: Diagnosis) -> Figure:
     shown = failing(diagnosis)[:SHOWN]
     columns = min(3, len(shown))
     rows, units = math.ceil(len(shown) / columns), units_of(diagnosis)
-    figure = Figure(figsize=(WIDTH, 2.3 * rows + 0.7), layout="constrained")
-    figure.suptitle("The residual is not noise: failed tests", x=0.01, ha="left", fontsize=11, fontweight="bold")
+    figure = blank_figure(2.3 * rows + 0.7, "The residual is not noise: failed tests", 11)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, x in zip(panels, shown, strict=False):
         over, mean, error = np.asarray(x.curve)

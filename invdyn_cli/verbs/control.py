@@ -67,5 +67,5 @@ def write(record: ControlRecord, choices: dict, folder: Path, formats: Sequence[
     write_file(folder / "control.csv", controlled.as_csv(record))
     named = f"{choices['model']}, {choices['adaptation']}"
     controlled.draw(record, named, [folder / "figures" / f"control.{x}" for x in sorted({"png", *formats})])
-    control_page.write_page(record, choices, folder / "figures" / "control.png", folder / "report.html")
+    write_file(folder / "report.html", control_page.page(record, choices, folder / "figures" / "control.png"))
     write_file(folder / "control.json", controlled.as_json(record, choices))

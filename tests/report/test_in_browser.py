@@ -94,7 +94,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     examination, drawn = drawn_of(log, robot)
     assert isinstance(drawn, CheckedLog)
     pictures, _ = check_figures.draw_all(drawn, folder / "check")
-    check_page.write_page(examination, log, robot, pictures, made["check"], live=check_plots.all_plots(drawn))
+    made["check"].write_text(check_page.page(examination, log, robot, pictures, live=check_plots.all_plots(drawn)))
     diagnosis = make_diagnosis()
     pictures = diagnosis_figures.draw_all(diagnosis, folder / "diagnosis")
     diagnosis_page.write_report(diagnosis, "lbr", pictures, made["diagnosis"])
@@ -106,7 +106,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     control = control_record(1.0, 0.5)
     picture = folder / "control" / "control.png"
     controlled.draw(control, "m, a", [picture])
-    control_page.write_page(control, {"model": "m", "adaptation": "a"}, picture, made["control"])
+    made["control"].write_text(control_page.page(control, {"model": "m", "adaptation": "a"}, picture))
     return made
 
 
