@@ -16,6 +16,9 @@ from invdyn_cli.interfaces import AbstractAdapter, AbstractModel, AbstractSource
 from invdyn_cli.maths import metrics
 from invdyn_cli.types import Dataset, Fit, Prediction, PyTree, Robot, RunRecord, Score, Splits
 
+TIMED = 200
+"""Blocks whose learning is timed."""
+
 Stage = Callable[[str], Progress]
 """Opens a stage of the work with this name, and returns the function that reports its progress."""
 
@@ -181,15 +184,13 @@ def _samples(adaptation: AbstractAdapter, model: AbstractModel, state: PyTree, s
     return jax.lax.scan(sample, state, samples)[1]
 
 
-def update_times(
-    adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset, most: int = 200
-) -> np.ndarray:
-    """Time [s] to learn from a block, called from Python, for each of at most `most` blocks of the data."""
+def update_times(adaptation: AbstractAdapter, model: AbstractModel, fit: Fit, data: Dataset) -> np.ndarray:
+    """Time [s] to learn from a block, called from Python, for each of at most TIMED blocks of the data."""
     size = adaptation.block
     learn = jax.jit(partial(adaptation.learn, model))
     state, motion, tau = adaptation.init(model, fit), data.motion, data.tau
     took = []
-    for k in range(min(most + 1, data.samples // size)):
+    for k in range(min(TIMED + 1, data.samples // size)):
         rows = slice(k * size, (k + 1) * size)
         started = time.perf_counter()
         state = jax.block_until_ready(learn(state, motion[rows], tau[rows]))

@@ -229,7 +229,7 @@ def _header(path: Path, root: Group) -> Log:
     return Log(
         **text | {"urdf": str(path.parent / text["urdf"]) if text["urdf"] else ""},
         joints=joints,
-        rate=_number(f"{path}: rate", attributes["rate"], math.nan),
+        rate=_number(f"{path}: rate", attributes["rate"]),
         drive_gain=None if gain is None else _numbers(f"{path}: drive_gain_N_m_per_A", gain),
         position_side=_text(attributes.get("position_side")) or "unknown",
         compensated=_texts(attributes.get("compensated")),
@@ -262,7 +262,7 @@ def _trajectory(path: Path, name: str, group: Group, values: Mapping[str, Any]) 
     stage = None if (given := values.get("stage")) is None else np.asarray(given)
     if stage is not None and stage.dtype.kind == "U":
         stage = np.array([shortened(x, LONGEST_NAME) for x in stage.ravel()], object).reshape(stage.shape)
-    mass = _number(f"{path}: trajectory {name!r}: payload_mass", group.attributes.get("payload_mass"), math.nan)
+    mass = _number(f"{path}: trajectory {name!r}: payload_mass", group.attributes.get("payload_mass"))
     notes = _text(group.attributes.get("notes"), LONGEST_TEXT)
     return RawTrajectory(name=name, stage=stage, payload_mass=mass, notes=notes, **numbers)
 
@@ -303,8 +303,8 @@ def _numbers(what: str, stored: Stored) -> np.ndarray:
     return np.reshape(np.asarray(stored.values, float), stored.shape or ())
 
 
-def _number(what: str, stored: Stored | None, missing: float) -> float:
-    """The first value of an attribute, or a default."""
+def _number(what: str, stored: Stored | None) -> float:
+    """The first value of an attribute; NaN where there is none."""
     if stored is None or not stored.values:
-        return missing
+        return math.nan
     return float(_numbers(what, stored).reshape(-1)[0])

@@ -85,21 +85,19 @@ def train(
     validation: Data | None,
     keys: Array,
     progress: Progress = silent,
-    start: Sequence[PyTree] | None = None,
     rates: Sequence[np.ndarray] | None = None,
 ) -> list[Trained]:
     """Minimise the mean squared error of every net with Adam (Kingma and Ba 2015; optax defaults beside the rate).
 
     Args:
         keys: (members,) one key per member (seed); each member shuffles and starts on its own.
-        start: parameters to start from (as `Trained.params`), instead of fresh ones.
         rates: learning rates of each group, (members, nets), instead of the same for all members.
     """
     watch = _Watch(len(groups), progress)
     if rates is None:
         rates = [np.tile(group.learning_rates, (len(keys), 1)) for group in groups]
     jobs = [
-        partial(_train_group, group, schedule, data, validation, keys, rates[i], partial(watch, i), start and start[i])
+        partial(_train_group, group, schedule, data, validation, keys, rates[i], partial(watch, i))
         for i, group in enumerate(groups)
     ]
     with ThreadPoolExecutor(1 if takes_one_core() else max(1, len(jobs))) as pool:
@@ -125,9 +123,8 @@ def _train_group(
     keys: Array,
     rates: np.ndarray,
     report: Callable[[float, np.ndarray], None],
-    start: PyTree | None,
 ) -> Trained:
-    params = initial(group.hidden, group.columns, data.x.shape[1], keys) if start is None else start
+    params = initial(group.hidden, group.columns, data.x.shape[1], keys)
     steps = jnp.asarray(rates, jnp.float32)
     state = params, jax.vmap(jax.vmap(_adam.init))(params)
     watched = validation if validation is not None and len(validation.x) else Data(data.x[:0], data.y[:0])

@@ -4,7 +4,7 @@ Every function raises a ValueError with a sentence for what does not fit, or wha
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -133,11 +133,11 @@ def prediction(tree: Mapping[str, Any], joints: tuple[str, ...], learned_on: Rob
     return Prediction(Dataset(trajectories, joints, learned_on), columns["prediction"])
 
 
-def mapping(value: Any, what: str, each: Callable[[Any, str], Any] | None = None) -> dict[str, Any]:
-    """A mapping, `each` applied to its values."""
+def mapping(value: Any, what: str) -> dict[str, Any]:
+    """A mapping by texts."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{what} is a {type(value).__name__}; allowed: a mapping")
-    return {str(k): each(v, f"{what} {k}") if each else v for k, v in value.items()}
+    return {str(k): v for k, v in value.items()}
 
 
 def names(values: Any, what: str) -> tuple[str, ...]:

@@ -47,14 +47,6 @@ def test_bites_do_not_change_the_training():
     assert long.train_loss.shape == (40, 1, 1) and long.train_loss[-1] < 0.5 * long.train_loss[0]
 
 
-def test_training_goes_on_from_given_weights():
-    """`start` replaces the fresh weights: the first loss is that of the given net, not of a new one."""
-    group = training.Group((8,), (0,), (0.01,))
-    [before] = training.train([group], training.Schedule(40, 32), data(), None, KEYS)
-    [after] = training.train([group], training.Schedule(1, 32), data(), None, KEYS, start=[before.params])
-    assert after.train_loss[0] < 1.2 * before.train_loss[-1] < 0.6 * before.train_loss[0]
-
-
 def test_shuffles_use_every_row_once_an_epoch():
     """With weights that stand still (a vanishing rate) and batches that divide the rows, the mean loss of an epoch is
     the loss over all rows, however they are shuffled."""

@@ -44,9 +44,9 @@ class Shown(abc.ABC):
         return as_html(self.__rich__())
 
 
-def as_text(part: Any, width: int = WIDTH) -> str:
+def as_text(part: Any) -> str:
     """Rich objects as lines of plain text."""
-    console = _console(width)
+    console = _console(WIDTH)
     console.print(part)
     text = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]: a StringIO
     return "\n".join(line.rstrip() for line in text.splitlines())

@@ -19,9 +19,9 @@ LONGEST_PART, LONGEST = 40, 100
 """Characters of a part of a name, and of a name."""
 
 
-def safe(text: Any, most: int = LONGEST_PART) -> str:
+def safe(text: Any) -> str:
     """A text as a part of a file's name: letters, digits and -_.+ stay, others become "_"."""
-    return "".join(c if c.isalnum() or c in "-_.+" else "_" for c in str(text))[:most].lstrip(".") or "_"
+    return "".join(c if c.isalnum() or c in "-_.+" else "_" for c in str(text))[:LONGEST_PART].lstrip(".") or "_"
 
 
 def job_name(choices: Mapping[str, Any], seed: Any) -> str:

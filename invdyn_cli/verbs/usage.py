@@ -97,9 +97,9 @@ def setting(one: Option) -> str:
     return f"{one.name}={one.value or '(required)'}"
 
 
-def entry(left: str, text: str, indent: int = 2) -> Iterator[str]:
+def entry(left: str, text: str) -> Iterator[str]:
     """`left` and its text in two columns; the text begins on the next line where `left` is too long."""
-    folded = textwrap.wrap(left, width(), initial_indent=" " * indent, subsequent_indent=" " * (indent + 4))
+    folded = textwrap.wrap(left, width(), initial_indent=" " * 2, subsequent_indent=" " * 6)
     body = textwrap.wrap(text, max(width() - COLUMN, 20), break_on_hyphens=False)
     if body and len(folded) == 1 and len(folded[0]) < COLUMN - 1:
         folded = [folded[0].ljust(COLUMN) + body.pop(0)]
