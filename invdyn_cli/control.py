@@ -108,7 +108,7 @@ class Case:
     @property
     def rms(self) -> float:
         """[deg] over time and joints."""
-        return float(np.sqrt(np.mean(self.error**2)))
+        return float(rms(self.error))
 
     @property
     def share(self) -> float:

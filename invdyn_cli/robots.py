@@ -278,8 +278,7 @@ def _parents_first(model: pin.Model, moving: list[int]) -> list[int]:
 def _parents(model: pin.Model, names: list[str]) -> list[int]:
     """Column of each joint's parent, -1 for the base."""
     ids = [model.getJointId(x) for x in names]
-    parents = [ids.index(model.parents[i]) if model.parents[i] else -1 for i in ids]
-    return parents
+    return [ids.index(model.parents[i]) if model.parents[i] else -1 for i in ids]
 
 
 def _gravity(gravity: Sequence[float] | None, base_rpy: Sequence[float] | None) -> np.ndarray:

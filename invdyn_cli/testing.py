@@ -346,7 +346,7 @@ def _rows(data: Dataset) -> Iterator[bytes]:
 def _samples(motion: Motion, count: int) -> Motion:
     """That many samples, evenly spread over the motion."""
     rows = np.linspace(0, len(motion) - 1, count).astype(int)
-    return Motion(motion.q[rows], motion.qd[rows], motion.qdd[rows])
+    return motion[rows]
 
 
 def _row(motion: Motion, row: int) -> Motion:

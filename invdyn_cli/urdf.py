@@ -13,6 +13,7 @@ from typing import Any
 from xml.parsers import expat
 
 import numpy as np
+import scipy
 
 from invdyn_cli.errors import RobotError, closest, listed, shortened
 
@@ -220,20 +221,11 @@ def _inertial_of(link: ET.Element) -> np.ndarray:
     if link.find("inertial") is None:
         return np.zeros(10)
     mass = number(link, "inertial/mass", "value")
-    x, y, z = com = triple(link, "inertial/origin", "xyz")
-    (sr, sp, sy), (cr, cp, cy) = (f(triple(link, "inertial/origin", "rpy")) for f in (np.sin, np.cos))
-    turn = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    com = triple(link, "inertial/origin", "xyz")
+    turn = scipy.spatial.transform.Rotation.from_euler("xyz", triple(link, "inertial/origin", "rpy")).as_matrix()
     xx, xy, xz, yy, yz, zz = (number(link, "inertial/inertia", k) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     about = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
-    about += mass * np.array(
-        [[y * y + z * z, -x * y, -x * z], [-x * y, x * x + z * z, -y * z], [-x * z, -y * z, x * x + y * y]]
-    )
+    about += mass * (com @ com * np.eye(3) - np.outer(com, com))
     return np.array([mass, *(mass * com), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 
 

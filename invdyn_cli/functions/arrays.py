@@ -150,7 +150,7 @@ def _refuse_shapes(channels: dict[str, np.ndarray], clock: np.ndarray, *, timed:
         name = turned[0]
         got = f"{name} has shape {channels[name].shape}, with {rows} samples in t; allowed: (T, n), time first"
         raise UsageError(got, advice=" and ".join(f"{x}.T" for x in turned))
-    if len(shape) != 2 or (len(shape) == 2 and shape[0] != rows):
+    if len(shape) != 2 or shape[0] != rows:
         raise UsageError(f"q has shape {shape}, t has {rows} samples; allowed: ({rows}, n), one row for each time")
     for name, x in channels.items():
         if x.shape != shape:

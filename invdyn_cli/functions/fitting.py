@@ -1,6 +1,6 @@
 """`fit`: a model that is fitted to one part of a log and tested on the rest; `simulate`: the log of a simulated arm."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ def fit(
     stage = lambda step: lambda done, note: progress(done, f"{step} {note}".rstrip())  # noqa: E731
     record = experiment.run(HeldLog(found, how), chosen, Batch(), nominal, seed=seed, stage=stage)
     choices = {"model": name, "data": found.source or "log", "adaptation": "batch", **record.choices}
-    return FitResult(RunRecord(**{**vars(record), "choices": choices}))
+    return FitResult(replace(record, choices=choices))
 
 
 def _robot(robot: RobotLike | None, log: Log, needed: bool) -> Robot | None:

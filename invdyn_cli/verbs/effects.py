@@ -2,7 +2,7 @@
 
 import ast
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -133,7 +133,8 @@ def one_in_words(name: str) -> Iterator[str]:
 
     effect = made(name)
     robot = load_urdf(ROBOT)
-    sizes = _typical(effect, robot)
+    usual = _parameters(effect, robot)
+    sizes = _typical(effect, [parameters for _, parameters in usual])
     yield f"{effect.title} ({effect.name})"
     yield from textwrap.wrap(effect.meaning, width())
     yield ""
@@ -152,7 +153,7 @@ def one_in_words(name: str) -> Iterator[str]:
     rivals = "; ".join(" + ".join(x) for x in effect.confounders)
     yield from entry("may be mistaken for", rivals or "no other effect of the catalogue")
     yield from entry("to distinguish it", effect.advice or "nothing is known")
-    for format_name, text in _in_files(effect, robot):
+    for format_name, text in _in_files(effect, robot, usual):
         yield from entry(f"in {format_name}", text)
     yield from entry("source", effect.reference)
     yield from entry("code", f"{type(effect).__qualname__} in {type(effect).__module__}")
@@ -179,12 +180,11 @@ def _parameters(effect: Any, robot: Any) -> list[tuple[int | None, dict[str, Any
         return []
 
 
-def _typical(effect: Any, robot: Any) -> dict[str, str]:
-    """Each parameter's typical sizes in words."""
+def _typical(effect: Any, every: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Each parameter's sizes on all joints in words."""
     import numpy as np
 
     found: dict[str, str] = {}
-    every = [parameters for _, parameters in _parameters(effect, robot)]
     for name in effect.parameters if every else ():
         values = np.array([np.asarray(x[name], float) for x in every])
         low, high = ([f"{v:.3g}" for v in np.atleast_1d(end)] for end in (values.min(axis=0), values.max(axis=0)))
@@ -193,19 +193,19 @@ def _typical(effect: Any, robot: Any) -> dict[str, str]:
     return found
 
 
-def _in_files(effect: Any, robot: Any) -> Iterator[tuple[str, str]]:
-    """(format, what it contains of the effect and what it lacks), from an export of the arm with it."""
+def _in_files(effect: Any, robot: Any, usual: Sequence[tuple[int | None, dict]]) -> Iterator[tuple[str, str]]:
+    """(format, what it contains of the effect and what it lacks), from an export of the arm with it in the last of its
+    usual sizes."""
     from invdyn_cli.diagnosis.extension import exported
     from invdyn_cli.effects.composition import EffectInstance
     from invdyn_cli.effects.description import ExtendedModel
     from invdyn_cli.joints import JOINT_TERMS
 
-    sizes = _parameters(effect, robot)
-    if not sizes:
+    if not usual:
         lost = effect.in_simulator({name: 0.0 for name in effect.parameters}).lost
         yield "MJCF and URDF", lost or "depends on its parameters"
         return
-    joint, parameters = sizes[-1]
+    joint, parameters = usual[-1]
     terms = effect.in_simulator(parameters)
     held = {name: f"{name.replace('_', ' ')} [{JOINT_TERMS[name]}]" for name in terms.joint}
     lasting = effect.point == "body" and not effect.passing
