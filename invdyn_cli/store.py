@@ -283,14 +283,12 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, files: Mapping[str, str]) 
         "notes": diagnosis.notes,
         "details": diagnosis.details,
     }
-    text = json.dumps(plain(tree), indent=1, ensure_ascii=False, allow_nan=False)
-    write_file(path, text + "\n")
+    write_json(tree, path)
 
 
 def write_model(model: ExtendedModel, path: Path) -> None:
     """Write extended_model.json (schema invdyn-model/1), whole or not at all."""
-    text = json.dumps(plain(as_dict(model)), indent=1, ensure_ascii=False, allow_nan=False)
-    write_file(path, text + "\n")
+    write_json(as_dict(model), path)
 
 
 def examination_as_dict(examination: Examination) -> dict[str, Any]:
@@ -340,8 +338,12 @@ def _tests_tree(tests: Sequence[ResidualTest]) -> dict[str, list[dict[str, Any]]
 def write_check(examination: Examination, path: Path) -> None:
     """Write check.json (schema invdyn-check/1), whole or not at all; numbers that do not exist as null."""
     tree = {"schema": CHECK_SCHEMA, **examination_as_dict(examination)}
-    text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
-    write_file(path, text + "\n")
+    write_json(tree, path)
+
+
+def write_json(tree: Mapping[str, Any], path: Path) -> None:
+    """Write a tree of values that `plain` knows as JSON, whole or not at all."""
+    write_file(path, json.dumps(plain(tree), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _prediction_tree(prediction: Prediction) -> dict[str, Any]:

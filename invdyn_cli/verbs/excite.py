@@ -1,6 +1,5 @@
 """invdyn excite: a reference trajectory that distinguishes rivals, as a csv for a controller."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from invdyn_cli.design.sizes import left_out, refused, unplayable
 from invdyn_cli.design.trajectory import APART, Design, Told, design
 from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.errors import UsageError, closest, listed
-from invdyn_cli.files import relative, write_file
+from invdyn_cli.files import relative
 from invdyn_cli.report import excitation
 from invdyn_cli.report.wording import CAUTION
 from invdyn_cli.simulation.played import write_csv
@@ -171,8 +170,7 @@ def write(made: Design, folder: Path) -> None:
     """The three files."""
     write_csv(folder / TRAJECTORY, made.t, np.asarray(made.motion.q), made.robot.joints)
     excitation.draw(made, folder / FIGURE)
-    text = json.dumps(store.plain(as_dict(made)), indent=1, ensure_ascii=False, allow_nan=False)
-    write_file(folder / DESIGN, text + "\n")
+    store.write_json(as_dict(made), folder / DESIGN)
 
 
 def as_dict(made: Design) -> dict[str, Any]:

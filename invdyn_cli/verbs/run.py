@@ -105,11 +105,9 @@ def make_tracker(config: DictConfig) -> AbstractTracker:
     Raises:
         UsageError: for anything else.
     """
-    node = config.get("tracker")
-    if not isinstance(node, DictConfig) or "_target_" not in node:
-        raise UsageError(f"tracker={node}; allowed: a name that invdyn run --help lists")
-    made = instantiate(node)
-    refuse_other_class(made, "tracker", node, AbstractTracker)
+    refuse_no_object(config, "tracker")
+    made = instantiate(config.tracker)
+    refuse_other_class(made, "tracker", config.tracker, AbstractTracker)
     made.refuse_missing()
     return made
 
@@ -162,10 +160,16 @@ def make_robot(config: DictConfig, header: Header | None, *, optional: bool, con
 def refuse_options(config: DictConfig) -> None:
     """Refuse values outside of any group, and empty groups."""
     for group in ("robot", "data", "model", "adaptation"):
-        if config[group] is None or "_target_" not in config[group]:
-            raise UsageError(f"{group}={config[group]}; allowed: a name that invdyn run --help lists")
+        refuse_no_object(config, group)
     refuse_seed(config.seed)
     refuse_formats("figures.formats", config.figures.formats)
+
+
+def refuse_no_object(config: DictConfig, group: str, advice: str = "") -> None:
+    """Refuse a group that describes no object."""
+    node = config.get(group)
+    if not isinstance(node, DictConfig) or "_target_" not in node:
+        raise UsageError(f"{group}={node}; allowed: a name that invdyn run --help lists", advice=advice)
 
 
 def size_limit(config: DictConfig) -> float:
@@ -197,11 +201,7 @@ def refuse_formats(option: str, formats: Any) -> None:
 
 def make_log_source(config: DictConfig) -> AbstractSource:
     """The data source of the config; UsageError for one that has no log."""
-    if not isinstance(config.data, DictConfig) or "_target_" not in config.data:
-        raise UsageError(
-            f"data={config.data}; allowed: a name that invdyn run --help lists",
-            advice="data=real_log data.path=…",
-        )
+    refuse_no_object(config, "data", "data=real_log data.path=…")
     source = instantiate(config.data)
     if isinstance(source, AbstractSource) and source.has_log:
         return source
