@@ -13,7 +13,7 @@ from invdyn_cli.abstract_experiment import AbstractExperiment, chosen
 from invdyn_cli.errors import UsageError, listed
 from invdyn_cli.files import write_file
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import VERDICT_WORDS, capital, cause, claims, estimates, joints_of, place, words
+from invdyn_cli.report.wording import capital, cause, claims, estimates, joints_of, place, words
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import diagnose
 from invdyn_cli.verbs.launch import config_folder
@@ -137,7 +137,7 @@ def short(title: str, diagnosis: Diagnosis, seconds: float) -> str:
         found = [f"{words(f.effect)} ({place(f)})" for f in claims(diagnosis) if f.status == status]
         said[status] = "; ".join(found) or "-"
     errors = [_over_joints(x) for x in (diagnosis.baseline, diagnosis.extended, diagnosis.noise_floor or {})]
-    cells = [title, VERDICT_WORDS[diagnosis.verdict], *said.values(), *map(significant, errors)]
+    cells = [title, diagnosis.verdict.replace("_", " "), *said.values(), *map(significant, errors)]
     return f"| {' | '.join(cells)} | {seconds:.0f} |"
 
 

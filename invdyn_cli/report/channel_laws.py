@@ -5,16 +5,15 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from invdyn_cli.report.canvas import BLACK, GREY, INK, MEASURED, PREDICTED, SAMPLES
-from invdyn_cli.report.exhibits import Exhibit, recordings
+from invdyn_cli.report.exhibits import Exhibit, in_window, recordings
 from invdyn_cli.report.laws import cloud, joint_name, law, mark, name_axes, scalar
-from invdyn_cli.report.wording import windows
 
 
 def over_nominal(axes: Axes, exhibit: Exhibit) -> None:
     """Over the nominal torque: a wrong scale is a line; if the effect acts in a time window, its samples have another
     colour."""
     x, y, term = (exhibit.own(a) for a in (exhibit.signals.nominal, exhibit.residual, exhibit.term))
-    inside = in_window(exhibit)
+    inside = in_window(exhibit.finding, exhibit.signals)
     if inside.any() and not inside.all():
         cloud(axes, x[~inside], y[~inside], GREY, "outside of the window")
         x, y, term = x[inside], y[inside], term[inside]
@@ -79,12 +78,3 @@ def clipping(axes: Axes, exhibit: Exhibit) -> None:
     name_axes(
         axes, exhibit, f"logged torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]", y="delivered torque"
     )
-
-
-def in_window(exhibit: Exhibit) -> np.ndarray:
-    """(R,) whether a row lies in the finding's window; nowhere without one."""
-    finding, signals = exhibit.finding, exhibit.signals
-    if finding.window is None:
-        return np.zeros(len(signals.t), bool)
-    inside = np.any([(signals.t >= start) & (signals.t <= end) for start, end in windows(finding)], axis=0)
-    return inside & (signals.trajectory == finding.trajectory) if finding.trajectory is not None else inside

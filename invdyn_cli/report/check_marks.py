@@ -43,8 +43,7 @@ def draw_marks(drawn: CheckedLog, axes: Axes, name: str, joint: int | None, piec
     values = np.concatenate([np.zeros(0), *(y for _, y in pieces or ())])
     for one in drawn.marks:
         if one.check == "gaps" and one.rows is not None:
-            ends = drawn.time[one.rows.reshape(-1, 2)]
-            for a, b in ends[np.argsort(ends[:, 0] - ends[:, 1])][:MOST_GAPS].tolist():
+            for a, b in drawn.time[longest_gaps(drawn, one.rows)].tolist():
                 axes.axvspan(a, b, color=GREY, alpha=0.35, lw=0, label="gap")
         if one.channel == "q_ref" and name == "q":
             one = replace(one, channel="q", label=one.label if one.label.startswith("q") else f"q_ref: {one.label}")
@@ -87,10 +86,21 @@ def _spans(
     drawn: CheckedLog, axes: Axes, at: np.ndarray, colour: str, level: float | None, rows, values, word: str
 ) -> None:
     """Thick segments where rows follow each other: on the curve, or at one level."""
-    flags = np.zeros(int(drawn.starts[-1]) + 1, bool)
-    flags[at] = True
-    ends = runs(flags)[:MOST_MARKS] - np.array([0, 1])
+    ends = spans(at)
     y = np.interp(ends, rows, values) if level is None else np.full(ends.shape, level)
     lines = np.full((2, len(ends), 3), np.nan)
     lines[:, :, :2] = drawn.time[ends], y
     axes.plot(*lines.reshape(2, -1), color=colour, lw=4, alpha=0.8, solid_capstyle="butt", label=word, zorder=3)
+
+
+def spans(rows: np.ndarray) -> np.ndarray:
+    """(k, 2) first and last one of rows that follow each other, the first MOST_MARKS such spans."""
+    flags = np.zeros(rows.max() + 1, bool)
+    flags[rows] = True
+    return runs(flags)[:MOST_MARKS] - np.array([0, 1])
+
+
+def longest_gaps(drawn: CheckedLog, rows: np.ndarray) -> np.ndarray:
+    """(k, 2) rows at the ends of gaps, the longest MOST_GAPS, of the rows of all."""
+    ends = rows.reshape(-1, 2)
+    return ends[np.argsort(drawn.time[ends[:, 0]] - drawn.time[ends[:, 1]])[:MOST_GAPS]]

@@ -15,7 +15,7 @@ from invdyn_cli.log import Log
 from invdyn_cli.report.check_table import PILLS, check_table, skipped_reasons
 from invdyn_cli.report.html import document, folded, lively, pairs, picture, row, section, table
 from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import capital, words
+from invdyn_cli.report.wording import capital, places, words
 from invdyn_cli.types import Check, Examination, Robot
 
 CAPTIONS = {
@@ -220,10 +220,10 @@ def _can_show(examination: Examination, robot: Robot | None) -> str:
         hidden = {joint for joints in reasons.values() for joint in joints}
         able = [joint for joint in excitation if joint not in hidden]
         said = "".join(
-            f"<div>{escape(_joints(joints, excitation))}: {escape(why)}</div>" for why, joints in reasons.items()
+            f"<div>{escape(places(joints, excitation))}: {escape(why)}</div>" for why, joints in reasons.items()
         )
         body += f'<tr><td class="whole">{escape(capital(words(effect)))}</td>'
-        body += f"<td>{escape(_joints(able, excitation)) if able else 'none'}</td><td>{said or '-'}</td></tr>"
+        body += f"<td>{escape(places(able, excitation)) if able else 'none'}</td><td>{said or '-'}</td></tr>"
     if not body:
         return ""
     note = "This table does not say whether an effect is present; invdyn diagnose does."
@@ -232,13 +232,9 @@ def _can_show(examination: Examination, robot: Robot | None) -> str:
     return table(("effect", "can be shown on", "not on, and why"), body) + f'<p class="note">{escape(note)}</p>'
 
 
-def _joints(joints: Sequence[str], excitation: Mapping[str, Any]) -> str:
-    return "all joints" if len(joints) == len(excitation) > 1 else ", ".join(joints)
-
-
 def _all_checks(examination: Examination) -> str:
     reasons = skipped_reasons(examination.checks)
-    skipped = "".join(f"<li>{escape(', '.join(x))}: {escape(why)}</li>" for why, x in reasons.items())
+    skipped = "".join(f"<li>{escape(', '.join(x).replace('_', ' '))}: {escape(why)}</li>" for why, x in reasons.items())
     lines = [x for x in examination.checks if x.severity != "skipped"]
     below = f"<p>Skipped, and why:</p><ul>{skipped}</ul>" if skipped else ""
     return check_table(lines) + below

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn_cli.diagnosis.checks.samples import gather
-from invdyn_cli.recording.rows import runs
 from invdyn_cli.report.check_figures import MANY, QUANTITIES
-from invdyn_cli.report.check_marks import LOOKS, MOST_GAPS, MOST_MARKS
+from invdyn_cli.report.check_marks import LOOKS, MOST_MARKS, longest_gaps, spans
 from invdyn_cli.report.checked_log import CheckedLog, Pieces
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
@@ -98,9 +97,7 @@ def _marks(drawn: CheckedLog, channel: str, joint: int, y: np.ndarray) -> tuple[
     marks, whole = [], []
     for one in drawn.marks:
         if one.check == "gaps" and one.rows is not None and len(one.rows):
-            ends = one.rows.reshape(-1, 2)
-            longest = np.argsort(drawn.time[ends[:, 0]] - drawn.time[ends[:, 1]])[:MOST_GAPS]
-            marks.append(Mark("gap", "grey", ends[longest]))
+            marks.append(Mark("gap", "grey", longest_gaps(drawn, one.rows)))
         elif (one.channel == channel or (one.channel == "q_ref" and channel == "q")) and one.joint in (None, joint):
             if one.rows is None or one.check not in COLOURS:
                 whole.append(f"q_ref: {one.label}" if one.channel == "q_ref" else one.label)
@@ -113,9 +110,7 @@ def _mark(check: str, rows: np.ndarray, y: np.ndarray) -> Mark:
     if check in LOOKS:
         at = rows[:: max(1, len(rows) // MOST_MARKS)]
         return Mark(check.replace("_", " "), COLOURS[check], at, y[at] if check == "outliers" else None)
-    flags = np.zeros(len(y) + 1, bool)
-    flags[rows] = True
-    return Mark(check.replace("_", " "), COLOURS[check], runs(flags)[:MOST_MARKS] - np.array([0, 1]))
+    return Mark(check.replace("_", " "), COLOURS[check], spans(rows))
 
 
 def all_plots(drawn: CheckedLog) -> Sequence[str]:

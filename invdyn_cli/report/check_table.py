@@ -1,13 +1,14 @@
 """Lines of an examination as a table: severity, check, place, what was seen, what to do."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from html import escape
 
 from invdyn_cli.report.html import table
 from invdyn_cli.report.wording import capital
 from invdyn_cli.types import Check
 
-SEVERITIES = {"fail": "fails", "warn": "warning", "note": "note", "ok": "ok"}
+SEVERITIES = {"fail": "fails", "warn": "warning"}
+"""Severities that are called differently."""
 
 PILLS = """
 .pill { display: inline-block; padding: 0 .55rem; border-radius: 1rem; font-size: .82rem; border: 1px solid;
@@ -30,20 +31,20 @@ def skipped_reasons(checks: Iterable[Check]) -> dict[str, dict[str, None]]:
     reasons: dict[str, dict[str, None]] = {}
     for x in checks:
         if x.severity == "skipped":
-            reasons.setdefault(x.seen, {})[x.check.replace("_", " ")] = None
+            reasons.setdefault(x.seen, {})[x.check] = None
     return reasons
 
 
-def pill(kind: str, said: Mapping[str, str]) -> str:
-    """A word in a frame with the colour of its kind."""
-    return f'<span class="pill {escape(kind)}">{escape(said.get(kind, kind))}</span>'
+def pill(kind: str, said: str = "") -> str:
+    """A word, else the kind itself, in a frame with the colour of the kind."""
+    return f'<span class="pill {escape(kind)}">{escape(said or kind.replace("_", " "))}</span>'
 
 
 def _row(check: Check) -> str:
     where = ", ".join(x for x in (check.trajectory, check.joint) if x) or "everywhere"
     meaning = f"<small>{escape(capital(check.meaning))}</small>" if check.meaning else ""
     return (
-        f"<tr><td>{pill(check.severity, SEVERITIES)}</td>"
+        f"<tr><td>{pill(check.severity, SEVERITIES.get(check.severity, ''))}</td>"
         f'<td class="whole">{escape(check.check.replace("_", " "))}</td><td>{escape(where)}</td>'
         f"<td>{escape(capital(check.seen))}{meaning}</td><td>{escape(capital(check.advice))}</td></tr>"
     )

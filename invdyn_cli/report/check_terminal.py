@@ -13,6 +13,7 @@ from rich.text import Text
 
 from invdyn_cli.diagnosis import doctor
 from invdyn_cli.errors import listed
+from invdyn_cli.report.check_table import skipped_reasons
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Check, Examination
 
@@ -35,12 +36,8 @@ def shown(examination: Examination) -> Group:
                 parts.append(Padding(Text(f"-> {one.advice}"), (0, 0, 0, 4)))
         if len(lines) > MOST:
             parts.append(Padding(Text(f"and {len(lines) - MOST} more, see check.json"), (0, 0, 0, 2)))
-    skipped: dict[str, dict[str, None]] = {}
-    for one in examination.checks:
-        if one.severity == "skipped":
-            skipped.setdefault(one.seen, {})[one.check] = None
     reasons: dict[str, list[str]] = {}
-    for why, names in skipped.items():
+    for why, names in skipped_reasons(examination.checks).items():
         reasons.setdefault(", ".join(names), []).append(why)
     for names, own in reasons.items():
         more = [f"and {len(own) - MOST} more, see check.json"] if len(own) > MOST else []

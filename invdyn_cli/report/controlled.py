@@ -1,7 +1,5 @@
 """The value of a learned feedforward in a control loop: figure, table, sentences, JSON (invdyn-control/1), CSV."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -16,8 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from invdyn_cli.control import ADAPTED, ALONE, KIND_WORDS, LEARNED, Case, ControlRecord
+from invdyn_cli.maths.metrics import rms
 from invdyn_cli.report.canvas import BLACK, BLUE, ORANGE, add_legend, blank_figure, house_style, log_axis, save
-from invdyn_cli.report.tables import significant
+from invdyn_cli.report.tables import csv_text, significant
 
 SCHEMA = "invdyn-control/1"
 COLOURS = {ALONE: BLACK, LEARNED: ORANGE, ADAPTED: BLUE}
@@ -141,7 +140,7 @@ def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:
         return {name: _number(x) for name, x in zip(record.joints, values, strict=True)}
 
     def case(one: Case) -> dict[str, Any]:
-        stages = {name: {"rms": _number(_rms(x)), "joint": joints(x)} for name, x in one.stages.items()}
+        stages = {name: {"rms": _number(float(rms(x))), "joint": joints(x)} for name, x in one.stages.items()}
         return {
             "object": one.loaded,
             "feedforward": one.kind.replace(" ", "_"),
@@ -171,23 +170,13 @@ def as_json(record: ControlRecord, choices: Mapping[str, Any]) -> str:
 
 def as_csv(record: ControlRecord) -> str:
     """A line for each run, numbers unrounded; errors of the joints in columns of their own."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     columns = ("object", "feedforward", "gain", "repetition", "error_deg", "peak_deg", "feedback_share")
-    writer.writerow([*columns, *(f"error_deg[{x}]" for x in record.joints)])
+    rows: list[list] = [[*columns, *(f"error_deg[{x}]" for x in record.joints)]]
     for one in record.cases:
         what = int(one.loaded), one.kind.replace(" ", "_"), one.gain, one.repetition
-        writer.writerow([*what, *map(_cell, (one.rms, one.peak.max(), one.share, *one.error))])
-    return text.getvalue()
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+        rows.append([*what, *map(_number, (one.rms, one.peak.max(), one.share, *one.error))])
+    return csv_text(rows)
 
 
 def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _cell(value: float) -> float | str:
-    return float(value) if math.isfinite(value) else ""

@@ -65,6 +65,9 @@ PANELS: dict[str, Panel] = {
 }
 """What the picture of an effect may show (`AbstractEffect.panels`), at most two of them."""
 
+MEDIANS = 150
+"""Medians of the residual over a whole record."""
+
 JOINTS = "joints"
 """The panel that shows all joints over time."""
 
@@ -138,7 +141,7 @@ def law_and_time(exhibit: Exhibit, panels: Sequence[Panel]) -> Figure:
     return figure
 
 
-def level(exhibit: Exhibit, *, bins: int = 150) -> Figure:
+def level(exhibit: Exhibit) -> Figure:
     """The whole record over time beside its distribution, and the telling stretch below: offsets, drifts, and what has
     no picture of its own."""
     figure = _headed(exhibit, 6.0)
@@ -151,7 +154,7 @@ def level(exhibit: Exhibit, *, bins: int = 150) -> Figure:
         t = exhibit.signals.t[rows] - exhibit.signals.t[rows][0] + start
         some = slice(None, None, max(1, len(y) // 8000))
         whole.plot(t[some], y[rows][some], ".", color=SAMPLES, ms=2, mew=0, alpha=0.5, rasterized=True)
-        parts = np.array_split(np.arange(len(t)), max(1, min(len(t), round(bins * len(t) / len(y)))))
+        parts = np.array_split(np.arange(len(t)), max(1, min(len(t), round(MEDIANS * len(t) / len(y)))))
         middle = [float(np.nanmedian(y[rows][x])) if np.isfinite(y[rows][x]).any() else np.nan for x in parts]
         whole.plot([t[x].mean() for x in parts], middle, ".", color=MEASURED, ms=4, label="median over time", zorder=3)
         whole.plot(*thinned(t, term[rows]), color=PREDICTED, lw=1.8, label=laws.TERM, zorder=2)

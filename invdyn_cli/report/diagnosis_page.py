@@ -27,7 +27,6 @@ from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import (
     CAUTION,
     NO_BREAK,
-    STATUS_WORDS,
     UNSEEN,
     advised,
     capital,
@@ -39,6 +38,7 @@ from invdyn_cli.report.wording import (
     joints_of,
     law,
     place,
+    places,
     rivals_of,
     text_of,
     verdict_words,
@@ -212,7 +212,7 @@ def _causes(diagnosis: Diagnosis) -> str:
         body += (
             f'<tr><td class="whole"><a href="#finding-{number}">{escape(capital(words(finding.effect)))}</a>'
             f'<small class="name">{escape(finding.effect)}</small></td><td class="whole">{escape(place(finding))}</td>'
-            f"<td>{pill(finding.status, STATUS_WORDS)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
+            f"<td>{pill(finding.status)}</td><td>{values}</td><td>{gain}</td><td>{rivals}</td></tr>"
         )
     if not body:
         none = "None was found beyond the standard terms." if in_table(diagnosis) else "None was found."
@@ -231,7 +231,7 @@ def _causes(diagnosis: Diagnosis) -> str:
 
 def _cause(diagnosis: Diagnosis, number: int, finding: Finding, drawn: Mapping[str, Path]) -> str:
     """One claim: picture, law, parameters and gains, what else it could be, rivals, what to record."""
-    status = pill(finding.status, STATUS_WORDS)
+    status = pill(finding.status)
     said = f"{place(finding)}: {cause(finding)}"
     out = f'<div class="cause" id="finding-{number}"><h3>{escape(said)} {status}</h3>\n'
     text = text_of(finding)
@@ -297,12 +297,12 @@ def _blind_spots(diagnosis: Diagnosis) -> str:
     for x in diagnosis.findings:
         if x.status in UNSEEN:
             rows.setdefault((x.effect, x.status, x.advice), {})[place(x)] = None
-    body, every = "", joints_of(diagnosis)
-    for (effect, status, advice), places in rows.items():
-        where = "all joints" if len(every) > 1 and set(places) >= set(every) else ", ".join(places)
+    body = ""
+    for (effect, status, advice), found in rows.items():
+        where = places(found, joints_of(diagnosis))
         body += (
             f'<tr><td>{escape(capital(words(effect)))}<small class="name">{escape(effect)}</small></td>'
-            f"<td>{escape(where)}</td><td>{pill(status, STATUS_WORDS)}</td><td>{escape(advice)}</td></tr>"
+            f"<td>{escape(where)}</td><td>{pill(status)}</td><td>{escape(advice)}</td></tr>"
         )
     note = '<p class="note">No claims are made: these effects may or may not be present.</p>'
     return note + table(("effect", "joint", "why", "what would show it"), body) if body else ""
@@ -333,7 +333,7 @@ def _checks(diagnosis: Diagnosis) -> str:
     told = [x for kind in order for x in diagnosis.examination.checks if x.severity == kind]
     fine = len({x.check for x in diagnosis.examination.checks if x.severity == "ok"})
     skipped = skipped_reasons(diagnosis.examination.checks)
-    why = "; ".join(f"{', '.join(names)} ({said})" for said, names in skipped.items())
+    why = "; ".join(f"{', '.join(names).replace('_', ' ')} ({said})" for said, names in skipped.items())
     count = f'<p class="note">{fine} check{"s" * (fine != 1)} passed.</p>' if fine else ""
     count += f'<p class="note">Skipped: {escape(why)}.</p>' if why else ""
     return check_table(told) + count

@@ -4,11 +4,12 @@ import numpy as np
 
 from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.recording.rows import runs
+from invdyn_cli.report.exhibits import in_window
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
-from invdyn_cli.report.tables import significant
-from invdyn_cli.report.wording import claims, joints_of, windows, words
-from invdyn_cli.types import Diagnosis
+from invdyn_cli.report.tables import position_unit, significant
+from invdyn_cli.report.wording import claims, joints_of, words
+from invdyn_cli.types import Diagnosis, Signals
 
 MOST_TURNS = 20
 """Changes between training and held-out data up to which they are marked."""
@@ -46,9 +47,9 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
                 Line("residual, extended", measured - extended, "blue", 1.1)]  # fmt: skip
         title = f"{joint}: held-out RMSE {before} → {after} {unit}"
         panels.append(Panel(title, f"torque [{unit}]", lines, joint=j, height=130))
-        marks = _windows(diagnosis, signals.trajectory, signals.t, joint)
+        marks = _windows(diagnosis, signals, joint)
         panels.append(Panel("", f"residual [{unit}]", left, marks, joint=j, height=95, zero=True))
-        speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
+        speed = f"velocity [{position_unit(unit)}/s]"
         points = [(f"residual, {name}", signals.qd[:, j], measured - x, colour)
                   for name, x, colour in (("nominal", nominal, "grey"), ("extended", extended, "blue"))]  # fmt: skip
         clouds.append(Cloud(joint, speed, f"residual [{unit}]", points, joint=j))
@@ -56,15 +57,10 @@ def diagnosis_plots(diagnosis: Diagnosis) -> str:
     return plots(time, panels, clouds, posture(robot, time, signals.q), "torques of the log", NOTE)
 
 
-def _windows(diagnosis: Diagnosis, trajectory: np.ndarray, t: np.ndarray, joint: str) -> list[Mark]:
+def _windows(diagnosis: Diagnosis, signals: Signals, joint: str) -> list[Mark]:
     """The times in which causes with a window act, for this joint or the whole arm."""
     marks = []
     for x in claims(diagnosis):
-        if x.window is None or x.joint not in (None, joint):
-            continue
-        inside = np.any([(t >= start) & (t <= end) for start, end in windows(x)], axis=0)
-        if x.trajectory is not None:
-            inside &= trajectory == x.trajectory
-        if inside.any():
+        if x.joint in (None, joint) and (inside := in_window(x, signals)).any():
             marks.append(Mark(words(x.effect), "orange", runs(inside) - [0, 1]))
     return marks

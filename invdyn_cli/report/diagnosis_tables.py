@@ -22,6 +22,7 @@ from invdyn_cli.report.wording import (
     joints_of,
     perhaps,
     place,
+    places,
     standard_rows,
     verdict_words,
     when,
@@ -132,11 +133,7 @@ def unseen_line(diagnosis: Diagnosis) -> str:
     for x in diagnosis.findings:
         if x.status in UNSEEN:
             hidden.setdefault(x.effect, {})[place(x)] = None  # once, with one encoder or with another
-    every = joints_of(diagnosis)
-    said = [
-        f"{words(effect)} ({'all joints' if len(every) > 1 and set(places) >= set(every) else ', '.join(places)})"
-        for effect, places in hidden.items()
-    ]
+    said = [f"{words(effect)} ({places(found, joints_of(diagnosis))})" for effect, found in hidden.items()]
     return f"This log cannot show: {'; '.join(said)}." if said else ""
 
 

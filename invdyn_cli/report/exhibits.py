@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from invdyn_cli.diagnosis.decide.wording import units_of
-from invdyn_cli.report.wording import claims, joints_of
+from invdyn_cli.report.wording import claims, joints_of, windows
 from invdyn_cli.types import Diagnosis, Finding, Signals
 
 GAP = 5.0
@@ -56,6 +56,14 @@ def exhibits(diagnosis: Diagnosis) -> list[Exhibit]:
         residual = signals.tau - signals.extended + term
         found.append(Exhibit(finding, k + 1, joints, units, signals, term, residual, column))
     return found
+
+
+def in_window(finding: Finding, signals: Signals) -> np.ndarray:
+    """(R,) whether a row lies in one of the finding's windows; nowhere without one."""
+    inside = np.zeros(len(signals.t), bool)
+    for start, end in windows(finding):
+        inside |= (signals.t >= start) & (signals.t <= end)
+    return inside & (signals.trajectory == finding.trajectory) if finding.trajectory is not None else inside
 
 
 def recordings(signals: Signals) -> Iterator[slice]:

@@ -46,7 +46,7 @@ from invdyn_cli.report.canvas import (
     thinned,
     titled_figure,
 )
-from invdyn_cli.report.tables import scored_sets, significant, units
+from invdyn_cli.report.tables import position_unit, scored_sets, significant, units
 from invdyn_cli.types import Prediction, RunRecord
 
 
@@ -217,7 +217,7 @@ def residual_velocity(record: RunRecord) -> Figure | None:
             limit_zero(axes, np.percentile(y, [0.2, 99.8]))
         axes.set_title(_joint_title(record, i, joint, unit))
         axes.set_ylabel(f"residual [{unit}]")
-        label_below(axes, "velocity [m/s]" if unit == "N" else "velocity [rad/s]", i, len(joints), shared=False)
+        label_below(axes, f"velocity [{position_unit(unit)}/s]", i, len(joints), shared=False)
     add_legend(figure, panels[0])
     return figure
 

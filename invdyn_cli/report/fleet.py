@@ -1,7 +1,5 @@
 """The diagnoses of many logs on one page: which robot, which causes, what has changed, and since when."""
 
-import csv
-import io
 import itertools
 import math
 import re
@@ -15,8 +13,8 @@ from rich.text import Text
 
 from invdyn_cli.report.html import document, row, section, table
 from invdyn_cli.report.quantities import quantity_text
-from invdyn_cli.report.tables import STATUS_STYLE
-from invdyn_cli.report.wording import CLAIMS, UNSEEN, VERDICT_WORDS, capital, cause, headline_of, words
+from invdyn_cli.report.tables import STATUS_STYLE, csv_text
+from invdyn_cli.report.wording import CLAIMS, UNSEEN, capital, cause, headline_of, words
 from invdyn_cli.types import Finding, Quantity
 
 TORQUE = "rms_of_term_N_m"
@@ -202,7 +200,7 @@ def fleet_table(logs: Sequence[Diagnosed]) -> Table:
     for robot, some in by_robot(logs).items():
         for one in some:
             style = STATUS_STYLE["failed"] if one.verdict == "failed" else ""
-            verdict = Text(VERDICT_WORDS.get(one.verdict, one.verdict), style)
+            verdict = Text(one.verdict.replace("_", " "), style)
             told = one.message or "; ".join(filter(None, (*map(_told, one.causes), one.standard))) or "-"
             shown.add_row(Text(robot or "-"), Text(one.log), verdict, Text(told))
     return shown
@@ -216,15 +214,15 @@ def change_lines(logs: Sequence[Diagnosed]) -> list[str]:
 
 def fleet_csv(logs: Sequence[Diagnosed]) -> str:
     """A row per cause of every log; one without a cause, or that failed, has a row of its own."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("robot", "log", "date", "verdict", "effect", "joint", "status", "message", "folder"))
+    rows: list[tuple[str, ...]] = [
+        ("robot", "log", "date", "verdict", "effect", "joint", "status", "message", "folder")
+    ]
     for one in logs:
         head = (one.robot, one.log, one.date, one.verdict)
         for finding in one.causes or (None,):
             about = (finding.effect, finding.joint or "", finding.status) if finding else ("", "", "")
-            writer.writerow((*head, *about, one.message, one.folder))
-    return text.getvalue()
+            rows.append((*head, *about, one.message, one.folder))
+    return csv_text(rows)
 
 
 def page(logs: Sequence[Diagnosed]) -> str:
@@ -263,7 +261,7 @@ def _row(one: Diagnosed) -> str:
     told = [*map(_headline, one.causes), *filter(None, [capital(one.standard), one.message])]
     causes = "<br>".join(map(escape, told)) or ("none" if one.is_usable else "not looked for")
     link = f'<a href="{escape(one.folder, quote=True)}/report.html">report</a>' if one.verdict != "failed" else ""
-    verdict = escape(VERDICT_WORDS.get(one.verdict, one.verdict))
+    verdict = escape(one.verdict.replace("_", " "))
     verdict = f'<b class="worst">{verdict}</b>' if one.verdict == "failed" else verdict
     return row(escape(one.log), verdict, causes, link)
 

@@ -105,7 +105,7 @@ def table(heads: Sequence[str], body: str, style: str = "words") -> str:
     plain text, the body is HTML."""
     head = "".join(f"<th>{escape(x)}</th>" for x in heads)
     if "words" in style.split():
-        body = "<tr".join(_named(row, heads) for row in body.split("<tr"))
+        body = "<tr".join(_named(one, heads) for one in body.split("<tr"))
     return f'<div class="wide"><table class="{style}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
@@ -114,9 +114,9 @@ def row(*cells: str) -> str:
     return f"<tr>{''.join(f'<td>{x}</td>' for x in cells)}</tr>"
 
 
-def _named(row: str, heads: Sequence[str]) -> str:
+def _named(one: str, heads: Sequence[str]) -> str:
     """A row of a table (HTML) whose cells but the first know the head of their column."""
-    start, *cells = row.split("<td")
+    start, *cells = one.split("<td")
     names = ["", *(f' data-head="{escape(x, quote=True)}"' if x else "" for x in heads[1:])]
     return start + "".join(f"<td{name}{cell}" for name, cell in zip(names, cells, strict=False))
 

@@ -24,11 +24,16 @@ from invdyn_cli.report.canvas import (
     plain,
 )
 from invdyn_cli.report.exhibits import Exhibit, recordings, telling_window
+from invdyn_cli.report.tables import position_unit
 from invdyn_cli.types import Finding
 
 CLOUD, MEDIAN, TERM = "samples", "median of a bin, bar from 10 to 90 %", "fitted term"
 PERIODS = 6
 """Number of periods of a ripple that are shown."""
+SLOPES = 15
+"""Windows of time in which a recording's drag is measured."""
+SPECTRUM_ROWS, SPECTRUM_LINES = 6000, 700
+"""Rows from which a spectrum over the angle is computed, and its lines."""
 
 
 def over_velocity(axes: Axes, exhibit: Exhibit) -> None:
@@ -78,13 +83,13 @@ def over_load(axes: Axes, exhibit: Exhibit) -> None:
     name_axes(axes, exhibit, f"|nominal torque| [{exhibit.units[exhibit.column]}]", y="residual · sign(velocity)")
 
 
-def slope_over_time(axes: Axes, exhibit: Exhibit, *, windows: int = 15) -> None:
-    """Slope of residual over velocity in windows of time: a viscous friction as it warms up."""
+def slope_over_time(axes: Axes, exhibit: Exhibit) -> None:
+    """Slope of residual over velocity in SLOPES windows of time: a viscous friction as it warms up."""
     t = exhibit.signals.t
     qd, y, term = exhibit.own(exhibit.signals.qd, moving=True), exhibit.own(exhibit.residual), exhibit.own(exhibit.term)
     points = []
     for rows in recordings(exhibit.signals):
-        for part in np.array_split(np.arange(rows.start, rows.stop), windows):
+        for part in np.array_split(np.arange(rows.start, rows.stop), SLOPES):
             use = part[np.isfinite(qd[part] + y[part] + term[part])]
             if len(use) > 10:
                 power = np.sum(qd[use] ** 2)
@@ -154,16 +159,16 @@ def over_angle(axes: Axes, exhibit: Exhibit) -> None:
     name_axes(axes, exhibit, f"angle of {joint_name(exhibit)} [{angle_unit(exhibit)}]")
 
 
-def spectrum_over_angle(axes: Axes, exhibit: Exhibit, *, most: int = 6000, lines: int = 700) -> None:
+def spectrum_over_angle(axes: Axes, exhibit: Exhibit) -> None:
     """Amplitude over cycles per revolution (Lomb-Scargle, for angles that are not evenly spaced), the line marked."""
     q, y = exhibit.own(exhibit.signals.q), exhibit.own(exhibit.residual)
     use = np.flatnonzero(np.isfinite(q + y))
-    use = use[:: max(1, len(use) // most)]
+    use = use[:: max(1, len(use) // SPECTRUM_ROWS)]
     span = np.ptp(q[use]) / (2 * np.pi) if len(use) else 0.0
     cycles = scalar(exhibit.finding, "cycles", 1.0)
     if span > 0:
         highest = max(2.2 * abs(cycles), 10.0)
-        found = np.linspace(min(0.5 / span, 0.5 * highest), highest, lines)
+        found = np.linspace(min(0.5 / span, 0.5 * highest), highest, SPECTRUM_LINES)
         power = scipy.signal.lombscargle(q[use], y[use] - y[use].mean(), found)
         axes.plot(found, 2 * np.sqrt(np.maximum(power, 0) / len(use)), color=MEASURED, lw=1.2)
         axes.set_xlim(0, highest)
@@ -249,7 +254,7 @@ def joint_name(exhibit: Exhibit) -> str:
 
 
 def angle_unit(exhibit: Exhibit) -> str:
-    return "m" if exhibit.units[exhibit.column] == "N" else "rad"
+    return position_unit(exhibit.units[exhibit.column])
 
 
 def rate_unit(exhibit: Exhibit) -> str:

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 from invdyn_cli.diagnosis.decide.wording import units_of
 from invdyn_cli.report.canvas import MEASURED, add_legend, blank_figure, limit_around, name_joints, plain
 from invdyn_cli.report.overview import AFTER, BEFORE, paired_bars
+from invdyn_cli.report.tables import position_unit
 from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
 
@@ -49,4 +50,4 @@ def replay_figure(diagnosis: Diagnosis) -> Figure:
 def angle_unit(diagnosis: Diagnosis) -> dict[str, str]:
     """rad, or m for a joint that slides, by joint."""
     torque = units_of(diagnosis)
-    return {x: "m" if torque.get(x) == "N" else "rad" for x in joints_of(diagnosis)}
+    return {x: position_unit(torque.get(x, "")) for x in joints_of(diagnosis)}

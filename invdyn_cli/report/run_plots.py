@@ -8,7 +8,7 @@ import numpy as np
 from invdyn_cli.report.canvas import binned
 from invdyn_cli.report.interactive import Cloud, Line, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
-from invdyn_cli.report.tables import robot_of, significant, units
+from invdyn_cli.report.tables import position_unit, robot_of, significant, units
 from invdyn_cli.types import Dataset, RunRecord
 
 SHOWN = ("test", "test_adapted")
@@ -43,7 +43,7 @@ def run_plots(record: RunRecord, note: str = "") -> str:
             title += f": NMSE {significant(score.nmse[j])}, RMSE {significant(score.rmse[j])} {unit}"
         panels.append(Panel(title, f"torque [{unit}]", said, joint=j, height=140))
         panels.append(Panel("", f"residual [{unit}]", left, joint=j, height=95, zero=True))
-        speed = "velocity [m/s]" if unit == "N" else "velocity [rad/s]"
+        speed = f"velocity [{position_unit(unit)}/s]"
         rest = _residual(tau[:, j], found[last][:, j])
         fine = np.isfinite(rest) & np.isfinite(qd[:, j])
         centre, _, middle, _ = binned(qd[fine, j], rest[fine])

@@ -7,7 +7,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,11 @@ def units_said(record: RunRecord) -> str:
     every = units(record)
     sliding = [joint for joint, unit in zip(record.fit.joints, every, strict=True) if unit == "N"]
     return f"N m (N for {', '.join(sliding)})" if 0 < len(sliding) < len(every) else every[0]
+
+
+def position_unit(torque: str) -> str:
+    """rad, or m of a joint whose torque is in N."""
+    return "m" if torque == "N" else "rad"
 
 
 def shortened(text: str) -> str:
@@ -183,10 +188,11 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def sweep_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """The same rows as CSV with a header line, numbers unrounded, an empty field for None."""
+    return csv_text([SWEEP_FIELDS, *([row.get(name) for name in SWEEP_FIELDS] for row in rows)])
+
+
+def csv_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Rows, the first of them the heads, as CSV."""
     text = io.StringIO()
-    writer: csv.DictWriter[str] = csv.DictWriter(
-        text, SWEEP_FIELDS, extrasaction="ignore", restval="", lineterminator="\n"
-    )
-    writer.writeheader()
-    writer.writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()

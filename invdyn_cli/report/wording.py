@@ -1,7 +1,7 @@
 """What a diagnosis says of effects, in words: names, laws, headlines, statuses."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -19,23 +19,10 @@ CAUTION = "It keeps the joints' limits; collisions are not checked."
 UNSEEN = ("not_excited", "not_observable")
 """Statuses of effects that a log cannot show."""
 
-STATUS_WORDS = {
-    "named": "named",
-    "ambiguous": "ambiguous",
-    "not_excited": "not excited",
-    "not_observable": "not observable",
-}
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
 SHOWN_RIVALS = 2
 """Largest number of alternatives in a headline (one more if it is the last); the list has all."""
-
-VERDICT_WORDS = {
-    "explained": "explained",
-    "partly_explained": "partly explained",
-    "nothing_found": "nothing found",
-    "log_unusable": "log unusable",
-}
 
 
 def words(effect: str) -> str:
@@ -114,7 +101,7 @@ def gaining(joint: str, finding: Finding) -> str:
 def verdict_words(diagnosis: Diagnosis) -> str:
     """The verdict; an explained log on which residual tests still fail is explained except for small effects, and a log
     whose residual a learner predicts has something that has no name."""
-    said = capital(VERDICT_WORDS.get(diagnosis.verdict, diagnosis.verdict))
+    said = capital(diagnosis.verdict.replace("_", " "))
     if diagnosis.verdict == "explained" and not all(x.passed for x in diagnosis.tests):
         return f"{said}, except for small effects"
     unknown = diagnosis.verdict == "nothing_found" and any(x > PREDICTABLE for x in diagnosis.unexplained.values())
@@ -124,6 +111,11 @@ def verdict_words(diagnosis: Diagnosis) -> str:
 def place(finding: Finding) -> str:
     """The joint, or 'whole arm'."""
     return finding.joint or "whole arm"
+
+
+def places(some: Collection[str], every: Collection[str]) -> str:
+    """The places, or 'all joints' if all of these are among them."""
+    return "all joints" if len(every) > 1 and set(some) >= set(every) else ", ".join(some)
 
 
 def windows(finding: Finding) -> list[tuple[float, float]]:

@@ -1,6 +1,5 @@
 """invdyn collect: all runs below folders as one table, on the terminal and as a file."""
 
-import csv
 import io
 import math
 import os
@@ -17,7 +16,7 @@ from rich.text import Text
 from invdyn_cli import store, untrusted
 from invdyn_cli.errors import InvdynError, RunFileError, UsageError, listed
 from invdyn_cli.files import relative, write_file
-from invdyn_cli.report.tables import shortened, significant
+from invdyn_cli.report.tables import csv_text, shortened, significant
 from invdyn_cli.tracking.contract import flat
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import launch, quoted
@@ -165,11 +164,7 @@ def _shown(rows: Sequence[Row]) -> Table:
 def _write(rows: Sequence[Row], target: Path) -> None:
     """Numbers as they are; an empty field where there is none."""
     if target.suffix == ".csv":
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        write_file(target, text.getvalue())
+        write_file(target, csv_text([list(rows[0]), *(row.values() for row in rows)]))
         return
     import pyarrow
     from pyarrow import parquet

@@ -1,7 +1,5 @@
 """invdyn tables: runs what experiments/NAME.yaml asks for, and writes its table beside the paper's statements."""
 
-import csv
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +11,7 @@ from rich.text import Text
 from invdyn_cli.files import write_file
 from invdyn_cli.report import comparison
 from invdyn_cli.report.comparison import Grid
+from invdyn_cli.report.tables import csv_text
 from invdyn_cli.verbs import published
 from invdyn_cli.verbs.launch import launch
 from invdyn_cli.verbs.objects import trusted
@@ -51,9 +50,7 @@ def write(done: Published, folder: Path) -> Path:
     text = f"# {done.spec['title']}\n\n{done.spec['source']}\n\n{comparison.markdown(done.table)}"
     if done.verdicts:
         text += f"\n## Beside the paper's statements\n\n{comparison.markdown(done.verdicts)}"
-    rows = io.StringIO()
-    csv.writer(rows, lineterminator="\n").writerows([done.table.heads, *done.table.rows])
-    write_file(folder / f"{done.name}.csv", rows.getvalue())
+    write_file(folder / f"{done.name}.csv", csv_text([done.table.heads, *done.table.rows]))
     return write_file(folder / f"{done.name}.md", text)
 
 
