@@ -80,9 +80,7 @@ def run(
         progress=stage("learn"),
     )
     fitted = time.perf_counter()
-    judge = stage("judge")
-    judged = {"train": splits.train, "validation": splits.validation, **splits.tests}
-    judged = {name: data for name, data in judged.items() if data is not None}
+    judge, judged = stage("judge"), splits.sets
     predictions = {}
     for name, data in judged.items():
         predictions[name] = Prediction(data, predict(model, fit, data))
@@ -226,8 +224,8 @@ def score(data: Dataset, prediction: np.ndarray) -> Score:
 def digest(splits: Splits) -> str:
     """Sixteen hex digits that depend on every number in the data."""
     hashed = hashlib.sha256()
-    for data in (splits.train, splits.validation, *splits.tests.values()):
-        for x in data.trajectories if data else ():
+    for data in splits.sets.values():
+        for x in data.trajectories:
             for array in (x.t, x.motion.q, x.motion.qd, x.motion.qdd, x.tau):
                 hashed.update(np.ascontiguousarray(array, float).data)
     return hashed.hexdigest()[:16]

@@ -141,8 +141,7 @@ def check_source(source: AbstractSource, robot: Robot | None) -> None:
     digests = experiment.digest(splits), experiment.digest(source.load(robot))
     _claim(digests[0] == digests[1], f"{who}.load gives other data when called again")
     _claim("test" in splits.tests, f"{who}.load has tests {sorted(splits.tests)}; required: 'test'")
-    sets = {"train": splits.train, "validation": splits.validation, **splits.tests}
-    sets = {name: data for name, data in sets.items() if data is not None}
+    sets = splits.sets
     for name, data in sets.items():
         _dataset(f"{who}: {name}", data, splits.train.joints, robot)
     rows = {name: set(_rows(data)) for name, data in sets.items()}

@@ -149,6 +149,12 @@ class Splits:
     tests: Mapping[str, Dataset]
     description: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def sets(self) -> dict[str, Dataset]:
+        """All sets that there are, by name."""
+        found = {"train": self.train, "validation": self.validation, **self.tests}
+        return {name: data for name, data in found.items() if data is not None}
+
 
 @dataclass(frozen=True)
 class Header:

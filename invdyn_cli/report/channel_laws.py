@@ -19,7 +19,7 @@ def over_nominal(axes: Axes, exhibit: Exhibit) -> None:
         x, y, term = x[inside], y[inside], term[inside]
     law(axes, x, y, term)
     axes.set_title("over the nominal torque")
-    name_axes(axes, exhibit, f"nominal torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]")
+    name_axes(axes, exhibit, f"nominal torque of {joint_name(exhibit)} [{exhibit.unit}]")
 
 
 def over_rate(axes: Axes, exhibit: Exhibit) -> None:
@@ -31,8 +31,7 @@ def over_rate(axes: Axes, exhibit: Exhibit) -> None:
             rate[rows] = np.gradient(nominal[rows], t[rows])
     law(axes, rate, exhibit.own(exhibit.residual), exhibit.own(exhibit.term))
     axes.set_title("over the slope of the torque")
-    unit = exhibit.units[exhibit.column]
-    name_axes(axes, exhibit, f"d(nominal torque)/dt of {joint_name(exhibit)} [{unit}/s]")
+    name_axes(axes, exhibit, f"d(nominal torque)/dt of {joint_name(exhibit)} [{exhibit.unit}/s]")
 
 
 def misfit_over_shift(axes: Axes, exhibit: Exhibit) -> None:
@@ -73,8 +72,6 @@ def clipping(axes: Axes, exhibit: Exhibit) -> None:
     ends = np.array([np.nanmin(logged), np.nanmax(logged)])
     axes.plot(ends, ends, color=BLACK, lw=1, label="delivered as logged")
     for side in (-1, 1) if np.isfinite(limit) else ():
-        axes.axhline(side * limit, color=PREDICTED, lw=2, label=f"limit ±{limit:.4g} {exhibit.units[exhibit.column]}")
+        axes.axhline(side * limit, color=PREDICTED, lw=2, label=f"limit ±{limit:.4g} {exhibit.unit}")
     axes.set_title("delivered over logged torque")
-    name_axes(
-        axes, exhibit, f"logged torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]", y="delivered torque"
-    )
+    name_axes(axes, exhibit, f"logged torque of {joint_name(exhibit)} [{exhibit.unit}]", y="delivered torque")

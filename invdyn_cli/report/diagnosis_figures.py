@@ -33,7 +33,7 @@ from invdyn_cli.report.canvas import (
     shape_of,
     thinned,
 )
-from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_window
+from invdyn_cli.report.exhibits import Exhibit, exhibits, recordings, telling_window, time_label
 from invdyn_cli.report.overlay import OPENING, OVERLAY, opening, overlay
 from invdyn_cli.report.overview import overview
 from invdyn_cli.report.quantities import best_gain
@@ -176,7 +176,7 @@ def level(exhibit: Exhibit) -> Figure:
     spread.set_xlabel("samples")
     whole.margins(x=0.01)
     whole.set_xlabel("time, recordings one after another [s]")
-    whole.set_ylabel(f"residual [{exhibit.units[exhibit.column]}]")
+    whole.set_ylabel(f"residual [{exhibit.unit}]")
     stretch = figure.add_subplot(grid[1, :])
     _stretch(stretch, exhibit)
     add_legend(figure, whole, stretch)
@@ -200,7 +200,7 @@ def all_joints(exhibit: Exhibit) -> Figure:
             title += f"    RMSE {significant(gain.rmse_before)} → {significant(gain.rmse_after)} {exhibit.units[i]}"
         axes.set_title(plain(title))
         axes.set_ylabel(f"residual [{exhibit.units[i]}]")
-        label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
+        label_below(axes, time_label(signals, rows), i, n)
     add_legend(figure, panels[0])
     return figure
 
@@ -236,8 +236,8 @@ def _stretch(axes: Axes, exhibit: Exhibit) -> None:
     _shade(axes, exhibit)
     held = ", held out" if rows.stop > rows.start and signals.held_out[rows].all() else ""
     axes.set_title(f"over time{held}")
-    axes.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
-    axes.set_ylabel(f"residual [{exhibit.units[exhibit.column]}]")
+    axes.set_xlabel(time_label(signals, rows))
+    axes.set_ylabel(f"residual [{exhibit.unit}]")
 
 
 def _two_curves(axes: Axes, t: np.ndarray, y: np.ndarray, term: np.ndarray, least: float = 0.0) -> None:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from invdyn_cli.diagnosis.decide.wording import units_of
+from invdyn_cli.report.canvas import plain
 from invdyn_cli.report.wording import claims, joints_of, windows
 from invdyn_cli.types import Diagnosis, Finding, Signals
 
@@ -38,6 +39,11 @@ class Exhibit:
     residual: np.ndarray
     column: int
 
+    @property
+    def unit(self) -> str:
+        """Of the looked-at joint's torque."""
+        return self.units[self.column]
+
     def own(self, values: np.ndarray, *, moving: bool = False) -> np.ndarray:
         """The looked-at joint's column (R,) of some (R, n); NaN where it rests if only motion counts."""
         column = np.asarray(values, float)[:, self.column]
@@ -56,6 +62,11 @@ def exhibits(diagnosis: Diagnosis) -> list[Exhibit]:
         residual = signals.tau - signals.extended + term
         found.append(Exhibit(finding, k + 1, joints, units, signals, term, residual, column))
     return found
+
+
+def time_label(signals: Signals, rows: slice) -> str:
+    """Of the time axis under rows of one recording."""
+    return f"time in {plain(str(signals.trajectory[rows.start]))} [s]"
 
 
 def in_window(finding: Finding, signals: Signals) -> np.ndarray:

@@ -80,7 +80,7 @@ def over_load(axes: Axes, exhibit: Exhibit) -> None:
     y = sign * exhibit.own(exhibit.residual, moving=True)
     law(axes, load, y, sign * exhibit.own(exhibit.term, moving=True))
     axes.set_title("against the motion, over the load")
-    name_axes(axes, exhibit, f"|nominal torque| [{exhibit.units[exhibit.column]}]", y="residual · sign(velocity)")
+    name_axes(axes, exhibit, f"|nominal torque| [{exhibit.unit}]", y="residual · sign(velocity)")
 
 
 def slope_over_time(axes: Axes, exhibit: Exhibit) -> None:
@@ -105,7 +105,7 @@ def slope_over_time(axes: Axes, exhibit: Exhibit) -> None:
     axes.set_ylim(min(0, *axes.get_ylim()))
     axes.set_title("drag over time")
     axes.set_xlabel("time [s]")
-    axes.set_ylabel(f"residual / velocity [{exhibit.units[exhibit.column]} / ({rate_unit(exhibit)})]")
+    axes.set_ylabel(f"residual / velocity [{exhibit.unit} / ({rate_unit(exhibit)})]")
 
 
 def over_position(axes: Axes, exhibit: Exhibit) -> None:
@@ -127,7 +127,7 @@ def loops_over_load(axes: Axes, exhibit: Exhibit) -> None:
     _loops(axes, exhibit, exhibit.own(exhibit.signals.nominal))
     axes.set_title("over the load, as time goes on")
     axes.axvline(0, color=INK, lw=0.8)
-    name_axes(axes, exhibit, f"nominal torque of {joint_name(exhibit)} [{exhibit.units[exhibit.column]}]")
+    name_axes(axes, exhibit, f"nominal torque of {joint_name(exhibit)} [{exhibit.unit}]")
 
 
 def _loops(axes: Axes, exhibit: Exhibit, x: np.ndarray) -> None:
@@ -246,7 +246,7 @@ def by_its_law(finding: Finding, t: np.ndarray, qd: np.ndarray) -> np.ndarray | 
 
 def name_axes(axes: Axes, exhibit: Exhibit, x: str, y: str = "residual") -> None:
     axes.set_xlabel(x)
-    axes.set_ylabel(f"{y} [{exhibit.units[exhibit.column]}]")
+    axes.set_ylabel(f"{y} [{exhibit.unit}]")
 
 
 def joint_name(exhibit: Exhibit) -> str:
@@ -254,7 +254,7 @@ def joint_name(exhibit: Exhibit) -> str:
 
 
 def angle_unit(exhibit: Exhibit) -> str:
-    return position_unit(exhibit.units[exhibit.column])
+    return position_unit(exhibit.unit)
 
 
 def rate_unit(exhibit: Exhibit) -> str:

@@ -16,7 +16,7 @@ from invdyn_cli.report.canvas import (
     shape_of,
     thinned,
 )
-from invdyn_cli.report.exhibits import exhibits, telling_window
+from invdyn_cli.report.exhibits import exhibits, telling_window, time_label
 from invdyn_cli.report.overview import AFTER, BEFORE
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import cause, causes, joints_of
@@ -49,7 +49,7 @@ def opening(diagnosis: Diagnosis) -> Figure:
     figure = blank_figure(2.8)
     axes = figure.subplots()
     _curves(axes, diagnosis, signals, rows, column)
-    axes.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
+    axes.set_xlabel(time_label(signals, rows))
     add_legend(figure, axes)
     return figure
 
@@ -76,7 +76,7 @@ def overlay(diagnosis: Diagnosis) -> Figure:
     panels = panel_grid(figure, n, sharex=True)
     for i, axes in enumerate(panels):
         _curves(axes, diagnosis, signals, rows, i)
-        label_below(axes, f"time in {plain(str(signals.trajectory[rows.start]))} [s]", i, n)
+        label_below(axes, time_label(signals, rows), i, n)
     add_legend(figure, panels[0])
     return figure
 

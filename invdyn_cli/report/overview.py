@@ -18,7 +18,7 @@ from invdyn_cli.report.canvas import (
     plain,
     thinned,
 )
-from invdyn_cli.report.exhibits import telling_window
+from invdyn_cli.report.exhibits import telling_window, time_label
 from invdyn_cli.report.tables import significant
 from invdyn_cli.report.wording import joints_of
 from invdyn_cli.types import Diagnosis
@@ -65,7 +65,7 @@ def overview(diagnosis: Diagnosis) -> Figure:
     time.plot(*thinned(t, after), color=AFTER, lw=1.2, label="extended model")
     time.margins(x=0.01)
     time.set_title(f"residual of {plain(joints[worst])}, the joint with the largest error")
-    time.set_xlabel(f"time in {plain(str(signals.trajectory[rows.start]))} [s]")
+    time.set_xlabel(time_label(signals, rows))
     time.set_ylabel(f"residual [{unit}]")
     add_legend(figure, bars)
     return figure

@@ -9,7 +9,7 @@ from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig
 
 from invdyn_cli.compiled import use_compilation_cache
 from invdyn_cli.diagnosis import Options
@@ -33,7 +33,7 @@ from invdyn_cli.report import diagnosis_figures
 from invdyn_cli.types import Diagnosis
 from invdyn_cli.verbs import imports, screen, sweep
 from invdyn_cli.verbs.launch import in_sweep, job, launch
-from invdyn_cli.verbs.objects import instantiate, refuse_other_class
+from invdyn_cli.verbs.objects import instantiate, plain, refuse_other_class
 from invdyn_cli.verbs.run import make_log_source, make_robot, refuse_flags, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 
@@ -166,15 +166,12 @@ def options_of(config: DictConfig) -> Options:
             shared = config.data is not None and config.data.get(one.name) == values
             name = f"data.{one.name}" if shared else f"diagnosis.conditioning.{one.name}"
             raise UsageError(f"{name}={values}; allowed: above 0" + ", below 1" * (high == 1))
-    known = node.known
-    listed_ones = OmegaConf.to_container(known, resolve=True) if isinstance(known, ListConfig | DictConfig) else known
-    if isinstance(listed_ones, str | Mapping):
-        listed_ones = [listed_ones]
-    if not isinstance(listed_ones, list):
+    known = plain(node.known)
+    if isinstance(known, str | Mapping):
+        known = [known]
+    if not isinstance(known, list):
         raise UsageError(f"diagnosis.known={known}; allowed: a list of effect, effect@joint, {{effect, joint, …}}")
-    return Options(
-        known=listed_ones, most=node.most, conditioning=conditioning, replay=node.replay, correct=config.correct
-    )
+    return Options(known=known, most=node.most, conditioning=conditioning, replay=node.replay, correct=config.correct)
 
 
 def effects_of(config: DictConfig) -> dict[str, AbstractEffect]:

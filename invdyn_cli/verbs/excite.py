@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.table import Table
 
 from invdyn_cli import store, untrusted
@@ -24,6 +24,7 @@ from invdyn_cli.simulation.played import write_csv
 from invdyn_cli.types import Finding, Quantity, Robot
 from invdyn_cli.verbs import screen
 from invdyn_cli.verbs.launch import job, launch
+from invdyn_cli.verbs.objects import plain
 from invdyn_cli.verbs.run import make_robot, refuse_seed
 from invdyn_cli.verbs.screen import Screen
 
@@ -153,8 +154,7 @@ def _finding(one: Mapping[str, Any]) -> Finding:
 
 def noise_of(config: DictConfig, robot: Robot) -> np.ndarray | float | None:
     """The noise of the torques, one number or one for each joint."""
-    node = config.noise
-    value = OmegaConf.to_container(node) if isinstance(node, ListConfig) else node
+    value = plain(config.noise)
     if value is None:
         return None
     try:
@@ -244,8 +244,7 @@ def _plain(cause: Cause, robot: Robot) -> dict[str, Any]:
 
 
 def _listed(config: DictConfig, name: str) -> list[Any]:
-    node = config[name]
-    value = OmegaConf.to_container(node, resolve=True) if isinstance(node, ListConfig | DictConfig) else node
+    value = plain(config[name])
     if isinstance(value, Mapping):
         value = [value]
     if not isinstance(value, list):

@@ -71,6 +71,11 @@ def instantiate(node: DictConfig, **more: Any) -> Any:
         raise UsageError(f"{node.get('_target_', 'a config')}: {type(cause).__name__}: {cause}") from error
 
 
+def plain(value: Any) -> Any:
+    """A value of a config in plain Python."""
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+
+
 def target_of(node: DictConfig) -> Any:
     """The class or function that a config node names; None where it cannot be found, which the instantiation tells."""
     admit_modules(_targets(node))
@@ -91,8 +96,7 @@ def _refuse_wrong_types(node: DictConfig) -> None:
         if name not in node or OmegaConf.is_missing(node, name):
             continue
         value = node[name]
-        plain = OmegaConf.to_container(value, resolve=True) if isinstance(value, DictConfig | ListConfig) else value
-        if not suits(plain, hint):
+        if not suits(plain(value), hint):
             got = "null" if value is None else value
             raise UsageError(f"{node._get_full_key(name)}={got}; allowed: {in_words(hint)}")
 

@@ -18,6 +18,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 from invdyn_cli.verbs.launch import config_folder, search_path
+from invdyn_cli.verbs.objects import plain
 
 OBJECTS = {"control": "invdyn_cli.control.Sweep"}
 """Verbs whose own options are the fields of an object."""
@@ -199,8 +200,7 @@ def _options(node: DictConfig, place: str, texts: Mapping[str, str]) -> Iterator
 
 def _shown(value: Any) -> str:
     """A value in the syntax of the command line."""
-    if OmegaConf.is_config(value):
-        value = OmegaConf.to_container(value, resolve=True)
+    value = plain(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{k}: {_shown(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
