@@ -45,9 +45,7 @@ def read_log(
     log = _header(path, root)
     channels = {name: _channels(path, name, groups[name]) for name in chosen}
     for name, stored in channels.items():
-        if len(shape := stored["t"].shape or ()) != 1 or not shape[0]:
-            got = f"{path}: trajectory {name!r}: t has shape {shape}"
-            raise LogError(f"{got}; allowed: (T,) with at least one sample")
+        _refuse_clock(stored["t"].shape or (), f"{path}: trajectory {name!r}")
     if check:
         _refuse_header(log, str(path))
         for name, stored in channels.items():
@@ -127,12 +125,15 @@ def _refuse_header(log: Log, where: str) -> None:
         raise LogError(f"{where}: drive gains {np.asarray(gain).tolist()}; allowed: {n} numbers [N m/A], none 0")
 
 
-def _refuse_shapes(n: int, channels: Mapping[str, Any], where: str) -> None:
-    """Compare the shapes of the channels (arrays, or what a file declares) with t and the number of joints."""
-    shape = np.shape(channels["t"])
+def _refuse_clock(shape: tuple[int, ...], where: str) -> None:
     if len(shape) != 1 or not shape[0]:
         raise LogError(f"{where}: t has shape {shape}; allowed: (T,) with at least one sample")
-    samples = shape[0]
+
+
+def _refuse_shapes(n: int, channels: Mapping[str, Any], where: str) -> None:
+    """Compare the shapes of the channels (arrays, or what a file declares) with t and the number of joints."""
+    _refuse_clock(np.shape(channels["t"]), where)
+    samples = np.shape(channels["t"])[0]
     for channel in (*CHANNELS, "stage"):
         if channels.get(channel) is None:
             continue

@@ -6,7 +6,7 @@ Pure black is for data alone, text is dark grey.
 
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -74,6 +74,11 @@ def save(figure: Figure, path: Path) -> Path:
     else:
         figure.savefig(drawn, dpi=110, format=path.suffix[1:])
     return write_file(path, drawn.getvalue())
+
+
+def save_all(figure: Figure, folder: Path, name: str, formats: Iterable[str]) -> list[Path]:
+    """Write a figure in each of these formats (png, svg, pdf): its files."""
+    return [save(figure, folder / f"{name}.{suffix}") for suffix in formats]
 
 
 def plain(name: str) -> str:

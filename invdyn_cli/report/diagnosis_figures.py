@@ -29,7 +29,7 @@ from invdyn_cli.report.canvas import (
     label_below,
     panel_grid,
     plain,
-    save,
+    save_all,
     shape_of,
     thinned,
 )
@@ -94,10 +94,7 @@ def _draw_some(diagnosis: Diagnosis, folder: Path, formats: Sequence[str], part:
     written = []
     with house_style():
         for name, made in list(_figures(diagnosis).items())[part]:
-            figure = made()
-            for suffix in formats:
-                written.append(folder / f"{name}.{suffix}")
-                save(figure, written[-1])
+            written += save_all(made(), folder, name, formats)
     return written
 
 

@@ -41,7 +41,7 @@ from invdyn_cli.report.canvas import (
     name_joints,
     panel_grid,
     plain,
-    save,
+    save_all,
     shape_of,
     thinned,
     titled_figure,
@@ -52,16 +52,11 @@ from invdyn_cli.types import Prediction, RunRecord
 
 def draw_all(record: RunRecord, folder: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Draw every figure that the record has data for into `folder`, once per format (png, svg, pdf): their paths."""
-    folder = Path(folder)
     written = []
     with house_style():
         for name, drawing in DRAWINGS.items():
-            figure = drawing(record)
-            if figure is None:
-                continue
-            for suffix in formats:
-                written.append(folder / f"{name}.{suffix}")
-                save(figure, written[-1])
+            if (figure := drawing(record)) is not None:
+                written += save_all(figure, Path(folder), name, formats)
     return written
 
 

@@ -41,7 +41,6 @@ class Line:
         y: (T,), NaN where there is none.
         colour: its name in `html.STYLE`.
         width: [px].
-        dashed: whether it is.
         frames: whether the panel's axis is fitted to it; the others widen it by at most its range either way.
     """
 
@@ -49,7 +48,6 @@ class Line:
     y: np.ndarray
     colour: str
     width: float = 1.2
-    dashed: bool = False
     frames: bool = True
 
 
@@ -240,7 +238,7 @@ def _panel(panel: Panel, pick: _Thinned, t: np.ndarray) -> dict[str, Any]:
         "quantity": panel.quantity, "note": panel.note, "joint": panel.joint,
         "height": panel.height, "zero": panel.zero, "marks": [mark(x) for x in panel.marks],
         "lines": [
-            {"name": x.name, "colour": x.colour, "width": x.width, "dashed": x.dashed, "frames": x.frames,
+            {"name": x.name, "colour": x.colour, "width": x.width, "frames": x.frames,
              "y": _packed(pick.values(x.y))}
             for x in panel.lines
         ],

@@ -94,7 +94,6 @@
     curve(t, y, from, to, look) {
       const g = this.g;
       g.strokeStyle = colour(look.colour); g.lineWidth = look.width || 1.6; g.lineJoin = "round";
-      g.setLineDash(look.dashed ? [6, 3] : []);
       g.beginPath();
       for (let k = from, on = false; k <= to; k++) {
         if (y[k] !== y[k]) { on = false; continue; }
@@ -102,7 +101,7 @@
         if (on) g.lineTo(a, b); else { g.moveTo(a, b); if (!(y[k + 1] === y[k + 1])) g.lineTo(a + 1, b); }
         on = true;
       }
-      g.stroke(); g.setLineDash([]);
+      g.stroke();
     }
     selected(a, b) { /* a box between two corners, in pixels */
       this.over.fillStyle = colour("blue"); this.over.globalAlpha = 0.18;

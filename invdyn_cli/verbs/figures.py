@@ -11,7 +11,7 @@ from omegaconf import DictConfig, ListConfig
 from invdyn_cli.errors import LogError, UsageError
 from invdyn_cli.files import write_file
 from invdyn_cli.report import bars, comparison, curves, paper, repetitions
-from invdyn_cli.report.canvas import save
+from invdyn_cli.report.canvas import save_all
 from invdyn_cli.report.comparison import Grid
 from invdyn_cli.report.paper import Exhibit
 from invdyn_cli.verbs import published, screen, tables
@@ -77,9 +77,7 @@ def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Drawn]:
     drawn = []
     for name, spec in specs:
         figure = _figure(done, spec, courses)
-        paths = [folder / f"{name}.{suffix}" for suffix in formats]
-        for path in paths:
-            save(figure, path)
+        paths = save_all(figure, folder, name, formats)
         drawn.append(Drawn(paths, spec.get("caption", paper.CAPTION)))
     return drawn
 
