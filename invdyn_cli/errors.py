@@ -7,6 +7,7 @@ Failures of numerics are not exceptions but sentences in a result (`Fit.warnings
 import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
+from functools import partial
 
 LONGEST = 700
 """Largest number of characters of the input and of the advice in a message: names may come from any file."""
@@ -25,7 +26,7 @@ class InvdynError(Exception):
         return f"{got}. Try: {shortened(' '.join(self.advice.split()), LONGEST)}" if self.advice else got
 
     def __reduce__(self):
-        return _rebuild, (type(self), self.got, self.advice)
+        return partial(type(self), advice=self.advice), (self.got,)
 
 
 class UsageError(InvdynError):
@@ -42,10 +43,6 @@ class LogError(InvdynError):
 
 class RunFileError(InvdynError):
     """A run.h5 that cannot be read or written."""
-
-
-def _rebuild(kind: type[InvdynError], got: str, advice: str) -> InvdynError:
-    return kind(got, advice=advice)
 
 
 def shortened(text: object, most: int = 80) -> str:

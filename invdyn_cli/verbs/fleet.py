@@ -14,9 +14,8 @@ from invdyn_cli.functions.diagnosing import DIAGNOSIS, REPORT
 from invdyn_cli.report import fleet
 from invdyn_cli.report.fleet import Diagnosed
 from invdyn_cli.types import Finding, Quantity
-from invdyn_cli.verbs import folders
 from invdyn_cli.verbs.screen import Screen
-from invdyn_cli.verbs.sweep import STATUS, run_side_by_side
+from invdyn_cli.verbs.sweep import STATUS, end, run_side_by_side
 
 
 class Fleet(Callback):
@@ -43,10 +42,7 @@ class Fleet(Callback):
             console.print(line)
         console.whole(f"page: {folder / REPORT}")
         console.whole(folder)
-        if any(one.verdict != "failed" for one in logs):
-            folders.point_to(folder)
-        if any(one.verdict == "failed" for one in logs):
-            raise SystemExit(2)
+        end(folder, [one.verdict == "failed" for one in logs])
 
 
 def _diagnosed(folder: Path) -> Diagnosed:

@@ -178,10 +178,18 @@ class Summary(Callback):
         console.print(tables.sweep_table(named))
         write_page(named, folder)
         console.whole(folder)
-        if any(row["status"] != "failed" for row in rows):
-            folders.point_to(folder)
-        if any(row["status"] == "failed" for row in rows):
-            raise SystemExit(2)
+        end(folder, [row["status"] == "failed" for row in rows])
+
+
+def end(folder: Path, failed: Sequence[bool]) -> None:
+    """Let outputs/latest lead to a sweep in which not every job failed.
+
+    Raises SystemExit with exit code 2 if one did.
+    """
+    if not all(failed):
+        folders.point_to(folder)
+    if any(failed):
+        raise SystemExit(2)
 
 
 def write_page(rows: Sequence[Mapping[str, Any]], folder: Path) -> Path:
