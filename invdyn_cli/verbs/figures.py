@@ -1,7 +1,6 @@
 """invdyn figures: the figures of experiments/*.yaml, and the page that compares all of them with the paper."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +20,6 @@ from invdyn_cli.verbs.objects import trusted
 from invdyn_cli.verbs.published import Published
 from invdyn_cli.verbs.run import refuse_formats
 from invdyn_cli.verbs.screen import Screen
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A figure: its file in every format, and its caption."""
-
-    paths: Sequence[Path]
-    caption: str
 
 
 def main(argv: Sequence[str]) -> int:
@@ -58,7 +49,7 @@ def task(config: DictConfig) -> None:
         with screen.stages() as stage:
             stage(f"draw {name}")
             drawn = _draw(done, Path(config.folder), sorted({"png", *config.formats}))
-        for path in (path for one in drawn for path in one.paths):
+        for path, _ in drawn:
             console.whole(path)
         exhibits.append(_exhibit(done, drawn))
         if picked := done.spec.get("paper_tables"):
@@ -67,18 +58,18 @@ def task(config: DictConfig) -> None:
     console.whole(written)
 
 
-def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[Drawn]:
-    """The experiment's `figure` as NAME, its `figures` as NAME_FILE, once per format; nothing where it has none."""
+def _draw(done: Published, folder: Path, formats: Sequence[str]) -> list[tuple[Path, str]]:
+    """Files and captions of the experiment's `figure` as NAME, its `figures` as NAME_FILE, once per format; none where
+    it has none."""
     specs = [(done.name, done.spec["figure"])] if "figure" in done.spec else []
     specs += [(f"{done.name}_{spec['file']}", spec) for spec in done.spec.get("figures", ())]
     courses: list[curves.Run] = []
     if any(spec.get("kind") == "curves" for _, spec in specs):
         courses = [(labels, curves.course(record)) for labels, record in done.records()]
-    drawn = []
+    drawn: list[tuple[Path, str]] = []
     for name, spec in specs:
         figure = _figure(done, spec, courses)
-        paths = save_all(figure, folder, name, formats)
-        drawn.append(Drawn(paths, spec.get("caption", paper.CAPTION)))
+        drawn += [(path, spec.get("caption", paper.CAPTION)) for path in save_all(figure, folder, name, formats)]
     return drawn
 
 
@@ -92,12 +83,12 @@ def _figure(done: Published, spec: Mapping[str, Any], courses: Sequence[curves.R
     return bars.draw(spec, done.spec.get("statements", ()), done.jobs)
 
 
-def _exhibit(done: Published, drawn: Sequence[Drawn]) -> Exhibit:
+def _exhibit(done: Published, drawn: Sequence[tuple[Path, str]]) -> Exhibit:
     return Exhibit(
         done.spec["title"],
         done.spec["source"],
         _command(done.name),
-        figures=tuple((path, one.caption) for one in drawn for path in one.paths if path.suffix == ".png"),
+        figures=tuple(one for one in drawn if one[0].suffix == ".png"),
         table=done.table,
         verdicts=done.verdicts,
     )
