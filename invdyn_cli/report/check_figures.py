@@ -31,7 +31,7 @@ from invdyn_cli.report.canvas import (
     thinned,
 )
 from invdyn_cli.report.check_marks import draw_marks, draw_recordings
-from invdyn_cli.report.checked_log import CheckedLog
+from invdyn_cli.report.checked_log import CheckedLog, joined
 from invdyn_cli.report.tables import significant
 from invdyn_cli.types import Motion
 
@@ -110,8 +110,7 @@ def channel(drawn: CheckedLog, name: str) -> Figure | None:
         base = new if share and comparable else logged
         if share > MANY and comparable:
             _lines(drawn, axes, new, BLUE, f"{name} as corrected", 0.9)
-        values = np.concatenate([np.zeros(0), *(y for _, y in logged)])
-        limit_around(axes, np.concatenate([np.zeros(0), *(y for _, y in base)]), values, 1e-6)
+        limit_around(axes, joined(base)[1], joined(logged)[1], 1e-6)
         axes.set_title(plain(joints[j]))
         axes.set_ylabel(f"{QUANTITIES[name]} [{drawn.logged_unit(name, j)}]")
         axes.margins(x=0.01)

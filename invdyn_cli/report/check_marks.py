@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from invdyn_cli.recording.rows import runs
 from invdyn_cli.report.canvas import GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILLION, plain
-from invdyn_cli.report.checked_log import CheckedLog, Pieces
+from invdyn_cli.report.checked_log import CheckedLog, Pieces, joined
 
 MOST_MARKS = 400
 """Drawn samples of one mark."""
@@ -39,8 +39,7 @@ def draw_marks(drawn: CheckedLog, axes: Axes, name: str, joint: int | None, piec
     """The marks of a channel's joint: samples, spans, and what holds of the whole channel above the panel."""
     whole, level = [], 0
     low, high = axes.get_ylim()
-    rows = np.concatenate([np.zeros(0, int), *(r for r, _ in pieces or ())])
-    values = np.concatenate([np.zeros(0), *(y for _, y in pieces or ())])
+    rows, values = joined(pieces or [])
     for one in drawn.marks:
         if one.check == "gaps" and one.rows is not None:
             for a, b in drawn.time[longest_gaps(drawn, one.rows)].tolist():

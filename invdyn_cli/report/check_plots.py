@@ -9,7 +9,7 @@ import numpy as np
 from invdyn_cli.diagnosis.checks.samples import gather
 from invdyn_cli.report.check_figures import MANY, QUANTITIES
 from invdyn_cli.report.check_marks import LOOKS, MOST_MARKS, longest_gaps, spans
-from invdyn_cli.report.checked_log import CheckedLog, Pieces
+from invdyn_cli.report.checked_log import CheckedLog
 from invdyn_cli.report.interactive import Cloud, Line, Mark, Panel, Timeline, plots
 from invdyn_cli.report.posture import posture
 from invdyn_cli.report.tables import significant
@@ -27,8 +27,7 @@ MODEL_NOTE = (
 
 def channel_plots(drawn: CheckedLog) -> str:
     """Every channel over time, as HTML; "" where there is no row to draw."""
-    total = int(drawn.starts[-1])
-    if not total:
+    if not drawn.starts[-1]:
         return ""
     log = drawn.log
     names = [(int(row), raw.name) for row, raw in zip(drawn.starts, log.trajectories, strict=False) if len(raw.t)]
@@ -38,19 +37,19 @@ def channel_plots(drawn: CheckedLog) -> str:
             logged = drawn.column(log, channel, j)
             if not logged:
                 continue
-            lines = [Line(f"{channel} as logged", _dense(logged, total), "ink", 1.3)]
+            lines = [Line(f"{channel} as logged", drawn.dense(logged), "ink", 1.3)]
             marks, note = _marks(drawn, channel, j, lines[0].y)
             share, comparable = drawn.corrected_share(channel, j)
             if comparable and (share > MANY or any(x.name == "outliers" for x in marks)):
-                new = _dense(drawn.column(drawn.corrected, channel, j), total)
+                new = drawn.dense(drawn.column(drawn.corrected, channel, j))
                 lines = [replace(lines[0], width=2.6, frames=False), Line(f"{channel} as corrected", new, "blue", 1.1)]
             if channel == "q" and (asked := drawn.column(log, "q_ref", j)):
-                lines.insert(0, Line("q_ref as logged", _dense(asked, total), "orange", 3.5, frames=False))
+                lines.insert(0, Line("q_ref as logged", drawn.dense(asked), "orange", 3.5, frames=False))
             unit = drawn.logged_unit(channel, j)
             known = unit != "as logged"  # else the shorter name: a panel has no room for more
             quantity = f"{QUANTITIES[channel] if known else channel} [{unit}]"
             panels.append(Panel(joint, quantity, lines, marks, note, joint=j, height=105))
-    q = np.stack([_dense(drawn.column(drawn.corrected, "q", j), total) for j in range(len(log.joints))], axis=1)
+    q = np.stack([drawn.dense(drawn.column(drawn.corrected, "q", j)) for j in range(len(log.joints))], axis=1)
     return plots(time, panels, arm=posture(drawn.robot, time, q), label="the log over time")
 
 
@@ -82,14 +81,6 @@ def model_plots(drawn: CheckedLog) -> str:
     return plots(
         time, panels, [*over_model, *visited], posture(robot, time, q), "measured torque and the model's", MODEL_NOTE
     )
-
-
-def _dense(pieces: Pieces, total: int) -> np.ndarray:
-    """A column over all rows of the log, NaN where it has no value."""
-    out = np.full(total, np.nan)
-    for rows, values in pieces:
-        out[rows] = values
-    return out
 
 
 def _marks(drawn: CheckedLog, channel: str, joint: int, y: np.ndarray) -> tuple[list[Mark], str]:

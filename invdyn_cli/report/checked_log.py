@@ -18,6 +18,12 @@ Pieces = list[tuple[np.ndarray, np.ndarray]]
 """(rows, values) of stretches of a channel."""
 
 
+def joined(pieces: Pieces) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and values of all stretches together."""
+    rows, values = zip((np.zeros(0, int), np.zeros(0)), *pieces, strict=True)
+    return np.concatenate(rows), np.concatenate(values)
+
+
 @dataclass(frozen=True)
 class CheckedLog:
     """A log as recorded and as corrected (`marks.located`), its marks and its robot, ready to be drawn."""
@@ -104,16 +110,20 @@ class CheckedLog:
             out += [(rows[p], np.asarray(x[p, joint], float)) for p in pieces if len(p)]
         return out
 
+    def dense(self, pieces: Pieces) -> np.ndarray:
+        """(rows of the log,) of a channel's values, NaN where it has none."""
+        rows, values = joined(pieces)
+        out = np.full(int(self.starts[-1]), np.nan)
+        out[rows] = values
+        return out
+
     def corrected_share(self, channel: str, joint: int) -> tuple[float, bool]:
         """Share of a column's values that were corrected, and whether both can be drawn on one axis."""
         logged, new = self.column(self.log, channel, joint), self.column(self.corrected, channel, joint)
         if not logged or not new:
             return 0.0, False
-        rows, y = (np.concatenate(x) for x in zip(*new, strict=True))
-        was = np.full(int(self.starts[-1]), np.nan)
-        for at, values in logged:
-            was[at] = values
-        was = was[rows]
+        rows, y = joined(new)
+        was = self.dense(logged)[rows]
         both = np.isfinite(was)
         was, y = was[both], y[both]
         if not len(y):
