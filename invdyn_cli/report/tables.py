@@ -156,12 +156,17 @@ def load_rows(record: RunRecord) -> list[tuple[str, ...]]:
 def load_table(record: RunRecord) -> Table | None:
     """The loads that were reported; None if there are none."""
     rows = load_rows(record)
-    table = Table(title="Loads", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in LOAD_HEADS:
+    return text_table(LOAD_HEADS, rows, title="Loads", title_justify="left") if rows else None
+
+
+def text_table(heads: Iterable[str], rows: Iterable[Iterable[str]], **options: Any) -> Table:
+    """Texts that fold under their heads; `options` as rich's Table has them."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, **options)
+    for head in heads:
         table.add_column(Text(head), overflow="fold")
     for row in rows:
         table.add_row(*map(Text, row))
-    return table if rows else None
+    return table
 
 
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -4,10 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
 from invdyn_cli.data.recorded import RealLog
 from invdyn_cli.errors import shortened
 from invdyn_cli.files import write_file
@@ -15,6 +11,7 @@ from invdyn_cli.formats.columns import GIVEN, NONE, ColumnMap
 from invdyn_cli.formats.map_file import to_yaml
 from invdyn_cli.formats.reading import import_one, is_foreign
 from invdyn_cli.log import CHANNELS, Log
+from invdyn_cli.report.tables import text_table
 from invdyn_cli.verbs.screen import Screen
 
 Maps = list[tuple[Path, ColumnMap]]
@@ -44,7 +41,7 @@ def keep(maps: Maps, folder: Path, console: Screen) -> None:
 
 def show(log: Log, columns: ColumnMap, console: Screen) -> None:
     """The map as a table, the size of the log, and the notes."""
-    console.print(_table(columns))
+    console.print(text_table(("channel", "columns", "unit", "sign", "how known"), _rows(columns)))
     rows = sum(len(one.t) for one in log.trajectories)
     torque = "no torque" if columns.channel("tau").columns in ((), (NONE,)) else f"torque in {log.torque_unit}"
     side = columns.known.get("torque_side", "not said")
@@ -55,15 +52,6 @@ def show(log: Log, columns: ColumnMap, console: Screen) -> None:
     )
     for note in columns.notes:
         console.warn(note)
-
-
-def _table(columns: ColumnMap) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in ("channel", "columns", "unit", "sign", "how known"):
-        table.add_column(head, overflow="fold")
-    for row in _rows(columns):
-        table.add_row(*map(Text, row))
-    return table
 
 
 def _rows(columns: ColumnMap) -> Iterator[tuple[str, ...]]:
