@@ -70,10 +70,11 @@ def draw(spec: Mapping[str, Any], runs: Sequence[Run]) -> Figure:
         axes.set_ylabel(f"NMSE of {BLOCK} samples,\nmean over joints")
         if weighed:
             _weights(panels[1], weighed, [x for labels, x in runs if matches(labels, weighed["each"])])
+        begins = runs[0][1].begins if runs else {}
         for panel in panels:
-            mark_stages(panel, _begins([x for _, x in runs]), named=panel is axes)
+            mark_stages(panel, begins, named=panel is axes)
             panel.margins(x=0.01)
-        panels[-1].set_xlabel("samples of a repetition" if len(_begins([x for _, x in runs])) > 1 else "samples")
+        panels[-1].set_xlabel("samples of a repetition" if len(begins) > 1 else "samples")
         add_legend(figure, *panels)
     return figure
 
@@ -118,10 +119,6 @@ def _weights(axes: Axes, spec: Mapping[str, Any], picked: Sequence[Course]) -> N
     axes.axhline(spec["kg"], color=INK, lw=0.9, label=f"true mass, {spec['kg']:g} kg")
     axes.set_ylim(*(share * spec["kg"] for share in spec.get("shares", (0.8, 1.2))))
     axes.set_ylabel("mass [kg]")
-
-
-def _begins(runs: Sequence[Course]) -> Mapping[str, float]:
-    return runs[0].begins if runs else {}
 
 
 def joined(x: Course, by_stage: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
