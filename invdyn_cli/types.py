@@ -23,7 +23,6 @@ class Robot:
     `translation[i]` in the frame of joint `parents[i]` (-1: the base).
 
     Attributes:
-        name: the robot's name.
         joints: names of the n moving joints, parents before children.
         parents: index of each joint's parent joint, -1 for the base.
         prismatic: whether the joint slides (else it turns).
@@ -34,8 +33,7 @@ class Robot:
             rotational inertia about the joint frame's origin [kg, kg m, kg m^2] (Pinocchio's order).
         gravity: (3,) [m/s^2] in the base frame.
         lower, upper: (n,) [rad; m], infinite where the joint has none.
-        velocity_limit: (n,) [rad/s; m/s], infinite where none.
-        effort_limit: (n,) [N m; N], infinite where none.
+        velocity_limit, effort_limit: (n,) [rad/s; m/s] and [N m; N], infinite where none.
         damping, friction: (n,) the URDF's <dynamics> tags [N m s/rad], [N m]; zero unless `dynamics_tags=use`.
         urdf: the whole URDF text it was made from.
         notes: what the reader should know: locked joints, ignored parts.
@@ -355,12 +353,9 @@ class Signals:
     """The data of a diagnosis' pictures: rows of all trajectories one below the other, filtered alike.
 
     Attributes:
-        trajectory: (R,) name of each row's trajectory.
-        t: (R,) [s].
+        trajectory, t: (R,) name of each row's trajectory, and time [s].
         q, qd, qdd: (R, n).
-        tau: (R, n) logged torque.
-        nominal: (R, n) torque of the nominal model.
-        extended: (R, n) torque of the extended model.
+        tau, nominal, extended: (R, n) torque as logged, of the nominal and of the extended model.
         terms: one (R, n) for every named or ambiguous finding, in their order: what it adds to the torque.
         valid: (R, n) bool, False where a joint rests and its friction can be anything.
         held_out: (R,) bool, rows that chose nothing.
