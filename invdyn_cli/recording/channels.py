@@ -43,8 +43,8 @@ def _order(joints: Sequence[str], robot: Robot, notes: list[str]) -> list[int]:
     found = None if counted and robot.columns else matched(joints, robot.joints)
     if found:
         if set(joints) != set(robot.joints):
-            own = listed(joints[k] for k in found)
-            notes.append(f"the log's joints {own} are read as the robot's {listed(robot.joints)}, by their names")
+            own, means = listed(joints[k] for k in found), "numbers" if counted else "names"
+            notes.append(f"the log's joints {own} are read as the robot's {listed(robot.joints)}, by their {means}")
         return found
     known = sorted(set(wanted) & set(joints))
     apart = [] if counted else elsewhere(joints, wanted)

@@ -157,7 +157,9 @@ def error_table(diagnosis: Diagnosis) -> Table:
         others.setdefault(unit, []).append(joint)
     usual = next(iter(others)) if len(others) == 1 else "N m"
     said = usual + "".join(f" ({u} for {', '.join(joints)})" for u, joints in others.items() if u != usual)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held-out data; RMSE in {said}.", style="dim"))
+    table = Table(
+        box=box.SIMPLE_HEAD, pad_edge=False, caption=Text(f"Held-out data, also at rest; RMSE in {said}.", style="dim")
+    )
     table.add_column("joint", overflow="fold", max_width=24)
     for head in (*ERROR_HEADS[:-2], ERROR_HEADS[-1]):  # 80 characters hold all but the NMSE
         table.add_column(Text(head.replace(" ", "\n")), justify="right", no_wrap=True)

@@ -127,7 +127,7 @@ class Stops:
         self._rubbing = [(k, *one) for k, one in every if one[-1].link_coulomb or one[-1].link_damping]
         self.drag = np.zeros(len(gears))
         self._model, self._gears = arm.model, arm.gear
-        self._q, self._qd, self._applied = data.qpos, data.qvel, data.qfrc_applied  # views: MuJoCo makes one at each use
+        self._q, self._qd, self._applied = data.qpos, data.qvel, data.qfrc_applied  # each use makes a view anew
         self._step = float(arm.model.opt.timestep)
         for _, gear in self._teeth:
             most = gear.rotor * (RESOLVED / self._step) ** 2

@@ -66,7 +66,7 @@ def test_what_is_not_claimed_is_told():
     assert all(x in said for x in ("Base tilt", "joint3", "[0.2", "in place of Coulomb friction", "No claims are made"))
     assert claims(diagnosis) == claims(make_diagnosis())
     titles = {name: e.title for name, e in CATALOGUE.items()}
-    assert "With these effects and 2 more that are not claimed, its" in summary(diagnosis, titles)
+    assert "With these effects, and 2 less certain ones only in the written model, its" in summary(diagnosis, titles)
     assert unclaimed_line(make_diagnosis()) is None and unclaimed_section(make_diagnosis()) == ""
 
 

@@ -34,9 +34,9 @@ def doubted(claims: Sequence[Finding], ends: Mapping[str, tuple[float, float]]) 
     return [or_else(one, UNKNOWN) if in_doubt(one) else one for one in claims]
 
 
-def perhaps_unknown(findings: Sequence[Finding]) -> bool:
-    """Whether an anomaly, or what comes and goes, may be of an effect that is not in the catalogue."""
-    return any(UNKNOWN in f.alternatives and (f.window is not None or f.group != "standard") for f in findings)
+def perhaps_unknown(findings: Sequence[Finding]) -> list[Finding]:
+    """The anomalies, and what comes and goes, that may be of an effect that is not in the catalogue."""
+    return [f for f in findings if UNKNOWN in f.alternatives and (f.window is not None or f.group != "standard")]
 
 
 def _at_once(one: Finding, other: Finding) -> bool:

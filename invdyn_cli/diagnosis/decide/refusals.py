@@ -84,7 +84,7 @@ def over_unknown(claim: Claim) -> float:
 
 
 def _why_unknown(claim: Claim) -> str:
-    gains = "most of what it would explain comes from an effect that is not in the catalogue"
+    gains = "most of its gain may come from what stays unexplained on that joint"
     return gains if claim.gain > 0 else ""
 
 

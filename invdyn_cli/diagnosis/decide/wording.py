@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -104,9 +105,10 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         few = [f"{titles[f.effect]} on {f.joint}" for f in usual]
         terms = few if len(few) <= FEW else [several]
         said = [*said, *terms]
-    more = f" and {len(diagnosis.unclaimed)} more that are not claimed" if diagnosis.unclaimed else ""
+    others = len(diagnosis.unclaimed)
+    more = f", and {others} less certain one{'s' * (others > 1)} only in the written model," if others else ","
     if not compares:
-        first = f"The simulation lacks {_listed(said)}. With these effects{more}, its held-out RMS error"
+        first = f"The simulation lacks {_listed(said)}. With these effects{more} its held-out RMS error"
     else:
         has = "has" if len(said) == 1 else "have"
         changed = [f"Since the reference, {_listed(said)} {has} changed."] if said else []
@@ -122,8 +124,9 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     first += "."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
-    doubt = " An effect that is not in the catalogue may be the true cause of one of them."
-    return f"{first} {rest or 'The residual looks like noise.'}{doubt * perhaps_unknown(claims)}"
+    doubted = _grouped([replace(f, status="named") for f in perhaps_unknown(claims)], titles)
+    doubt = f" An effect that is not in the catalogue may act instead of {_listed(doubted)}." if doubted else ""
+    return f"{first} {rest or 'The residual looks like noise.'}{doubt}"
 
 
 def units_of(diagnosis: Diagnosis) -> dict[str, str]:
@@ -172,7 +175,7 @@ def _rest(diagnosis: Diagnosis) -> str:
         said.append(f"An unknown effect remains on {', '.join(shares)}: {most}.")
     if swings:
         where = ", ".join(swings)
-        said.append(f"The residual on {where} is not noise, although no learner predicts it from the motion.")
+        said.append(f"The residual on {where} has a pattern in time, but no learner predicts it from the motion.")
     failed = [x for x in diagnosis.tests if not x.passed]
     if failed and not said:
         where = _listed(list(dict.fromkeys(x.joint for x in failed)))

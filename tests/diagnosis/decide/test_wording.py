@@ -27,6 +27,17 @@ def test_what_may_be_unknown_explains_nothing(alternatives, said):
     assert verdict(cast(Any, made), nothing, np.zeros(1, bool), nothing, None, extended) == said
 
 
+def test_what_may_be_unknown_is_listed():
+    """Of a contact and a friction that both may be of an effect that is not in the catalogue, the contact is listed: a
+    residual with friction alone explains a log."""
+    friction = Finding("coulomb_friction", "b", "ambiguous", group="standard", alternatives=(("unknown",),))
+    found = (replace(CONTACT, alternatives=(("unknown",),)), friction)
+    errors = {"a": {"rmse": 2.0}, "b": {"rmse": 1.0}}
+    diagnosis = Diagnosis("partly_explained", Examination(True, (), {}), found, errors, errors, None, {"a": 0.0})
+    told = summary(diagnosis, {"external_contact": "external contact", "coulomb_friction": "Coulomb friction"})
+    assert told.endswith("An effect that is not in the catalogue may act instead of external contact on a.")
+
+
 @pytest.mark.parametrize(
     ("slides", "said"), [("z", "5 N m over all joints except z."), ("xyz", "6 N over all joints.")]
 )
