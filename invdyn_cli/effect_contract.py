@@ -70,6 +70,8 @@ class AbstractEffect(abc.ABC):
     """Whether its columns depend on the torque that the joint transmits."""
     group: ClassVar[str] = "anomaly"
     """"standard" for what every arm has in addition to its URDF, "anomaly" for what only some arms have."""
+    friction: ClassVar[bool] = False
+    """Whether it is friction, which every joint has in some form."""
     jumps: ClassVar[bool] = False
     """Whether its torque jumps where the joint reverses."""
     load: ClassVar[bool] = False
@@ -81,8 +83,7 @@ class AbstractEffect(abc.ABC):
     is_local: ClassVar[bool] = True
     """Whether it must improve the prediction on its own joint; if not, on the arm as a whole."""
     adds: ClassVar[bool] = True
-    """Whether it adds a torque, its own or that of changed bodies; if not, it changes what is logged or how links
-    move."""
+    """Whether it adds a torque, its own or of changed bodies; if not, it changes what is logged or how links move."""
     yields: ClassVar[bool] = False
     """Whether it lets a link move relative to its motor, in proportion to the load."""
     stays_near: ClassVar[bool] = False
@@ -112,7 +113,6 @@ class AbstractEffect(abc.ABC):
     """Of an effect whose nonlinear parameters are scanned in a log: the values that a design of motions tries."""
     shows: ClassVar[tuple[str, ...]] = ()
     """Tests of the residual (`types.ResidualTest.against`) in which it appears first if a model lacks it."""
-
     lessens: ClassVar[bool] = False
     """Whether there may be less of it than in an earlier log: as a change since then its size has either sign."""
 

@@ -230,7 +230,7 @@ def decided(
         details=_details(case, inquiry, made, few, structured_joints),
     )
     diagnosis = diagnosis if case.gained is None else gains.beside(diagnosis, case.gained)
-    return replace(diagnosis, summary=wording.summary(diagnosis, {name: e.title for name, e in of_name.items()}))
+    return replace(diagnosis, summary=wording.summary(diagnosis, of_name))
 
 
 def _details(

@@ -36,6 +36,7 @@ class CoupledFriction(AbstractTorqueEffect):
 
     name = "coupled_friction"
     title = "coupled friction"
+    friction = True
     meaning = "Friction and inertia of a drive that two joints turn: they share a gear."
     equation = (
         "coulomb sign(s) + damping s + armature ds/dt, s = qd + ratio qd_driver; on the driver (the joint before this "

@@ -42,6 +42,7 @@ class ViscousFriction(AbstractLinearEffect):
 
     name = "viscous_friction"
     title = "viscous friction"
+    friction = True
     meaning = "Friction that grows in proportion to velocity."
     equation = "damping qd"
     reference = ARMSTRONG
@@ -76,6 +77,7 @@ class CoulombFriction(AbstractLinearEffect):
 
     name = "coulomb_friction"
     title = "Coulomb friction"
+    friction = True
     meaning = "Friction against the motion, the same at every speed."
     equation = "coulomb sign(qd)"
     reference = ARMSTRONG
@@ -105,6 +107,7 @@ class AsymmetricCoulombFriction(AbstractLinearEffect):
 
     name = "asymmetric_coulomb_friction"
     title = "asymmetric Coulomb friction"
+    friction = True
     meaning = "Coulomb friction with different levels in the two directions."
     equation = "positive for qd > 0, −negative for qd < 0"
     reference = "Elhami and Brookfield, Proc. IMechE 1996"
@@ -158,6 +161,7 @@ class StribeckFriction(AbstractTorqueEffect):
 
     name = "stribeck_friction"
     title = "Stribeck friction"
+    friction = True
     meaning = "Friction that is higher near standstill and falls as the speed grows."
     equation = "(coulomb + (static − coulomb) exp(−|qd/velocity|^exponent)) sign(qd)"
     reference = "Bo and Pavelescu, Wear 1982; Tustin, J. IEE 1947; " + ARMSTRONG
@@ -231,6 +235,7 @@ class LoadDependentFriction(AbstractLinearEffect):
 
     name = "load_dependent_friction"
     title = "load-dependent friction"
+    friction = True
     meaning = "Friction that grows with the torque that the gear transmits."
     equation = "mu |transmitted torque| sign(qd)"
     loaded = True
@@ -258,6 +263,7 @@ class QuadraticFriction(AbstractLinearEffect):
 
     name = "quadratic_friction"
     title = "quadratic friction"
+    friction = True
     meaning = "Friction that grows with the square of velocity."
     equation = "drag qd |qd|"
     reference = "Waiboer, Aarts and Jonker, Multibody Dynamics 2005"
@@ -290,6 +296,7 @@ class ThermalFrictionDrift(AbstractTorqueEffect):
 
     name = "thermal_friction_drift"
     title = "thermal friction drift"
+    friction = True
     meaning = "Viscous friction that falls as the gear warms up."
     equation = "(warm + (cold − warm) exp(−t/time_constant)) qd"
     reference = "Simoni, Beschi, Legnani and Visioli, IROS 2015; Bittencourt and Gunnarsson, ASME JDSMC 2012"

@@ -34,6 +34,7 @@ class PreslidingHysteresis(AbstractTorqueEffect):
 
     name = "presliding_hysteresis"
     title = "presliding hysteresis"
+    friction = True
     meaning = "Friction that yields like a spring after every reversal, before the joint slides."
     equation = "stiffness z, dz/dt = qd − stiffness/coulomb |qd| z"
     reference = "Dahl, AIAA Journal 1976; Canudas de Wit, Olsson, Åström and Lischinsky, IEEE TAC 1995"

@@ -65,8 +65,7 @@ def test_what_is_not_claimed_is_told():
     said = unclaimed_section(diagnosis)
     assert all(x in said for x in ("Base tilt", "joint3", "[0.2", "in place of Coulomb friction", "No claims are made"))
     assert claims(diagnosis) == claims(make_diagnosis())
-    titles = {name: e.title for name, e in CATALOGUE.items()}
-    assert "With these effects, and 2 less certain ones only in the written model, its" in summary(diagnosis, titles)
+    assert "With these effects, and 2 less certain ones only in the written model, its" in summary(diagnosis, CATALOGUE)
     assert unclaimed_line(make_diagnosis()) is None and unclaimed_section(make_diagnosis()) == ""
 
 
@@ -283,11 +282,10 @@ def test_the_summary_names_every_cause_that_is_a_row():
     term of it, and is told."""
     diagnosis = make_diagnosis()
     link = Finding("link_inertia_error", "joint3", "named", group="standard")
-    titles = {name: effect.title for name, effect in CATALOGUE.items()}
-    said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), titles)
+    said = summary(replace(diagnosis, findings=(link, *diagnosis.findings)), CATALOGUE)
     assert "link inertia error on joint3" in said and "Coulomb friction on " in said and "standard terms" not in said
     (friction,) = in_table(diagnosis)
-    said = summary(replace(diagnosis, findings=(friction,) * 3), titles)
+    said = summary(replace(diagnosis, findings=(friction,) * 3), CATALOGUE)
     assert "lacks standard terms (friction and the like) on 1 joint." in said
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from invdyn_cli.diagnosis.decide.findings import Made
 from invdyn_cli.diagnosis.decide.passing import perhaps_unknown
+from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.05
@@ -67,14 +68,14 @@ def verdict(
     return "explained" if np.all(fine) and not perhaps_unknown(made.findings) else "partly_explained"
 
 
-def summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
-    """The verdict in two or three sentences; `titles` are those of the effects, by name."""
+def summary(diagnosis: Diagnosis, effects: Mapping[str, AbstractEffect]) -> str:
+    """The verdict in two or three sentences; `effects` by name."""
     still = [j for j, share in diagnosis.unexplained.items() if np.isnan(share)]
-    said = _summary(diagnosis, titles)
+    said = _summary(diagnosis, effects)
     return f"{said} Not assessed (too little motion in this log): {', '.join(still)}." if still else said
 
 
-def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
+def _summary(diagnosis: Diagnosis, effects: Mapping[str, AbstractEffect]) -> str:
     claims = [f for f in diagnosis.findings if f.status in CLAIMS]
     units = units_of(diagnosis)
     ((unit, _),) = Counter(units.values()).most_common(1)
@@ -97,12 +98,12 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     usual = in_table(diagnosis)
     new = [f for f in claims if compares and f.window is not None]
     shown = [f for f in claims if not any(f is x for x in (*usual, *new))]
-    said = _grouped(shown, titles)
+    said = _grouped(shown, effects)
     said = said if len(said) <= MOST_SAID + 1 else [*said[:MOST_SAID], f"{len(said) - MOST_SAID} other effects"]
     if usual:
         joints = len({f.joint for f in usual})
         several = f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}"
-        few = [f"{titles[f.effect]} on {f.joint}" for f in usual]
+        few = [f"{effects[f.effect].title} on {f.joint}" for f in usual]
         terms = few if len(few) <= FEW else [several]
         said = [*said, *terms]
     others = len(diagnosis.unclaimed)
@@ -113,7 +114,7 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
         has = "has" if len(said) == 1 else "have"
         changed = [f"Since the reference, {_listed(said)} {has} changed."] if said else []
         if new:
-            changed.append(f"In this log only, and only for a time, there is {_listed(_grouped(new, titles))}.")
+            changed.append(f"In this log only, and only for a time, there is {_listed(_grouped(new, effects))}.")
         first = f"{' '.join(changed)} With that, the held-out RMS error of a model of both logs"
     first += f" {'falls' if after < before else 'goes'} from {before:.3g} to {after:.3g} {unit} over {over}"
     ratios = {j: tables[1][j]["rmse"] / x["rmse"] for j, x in tables[0].items() if x["rmse"] > 0}
@@ -124,7 +125,10 @@ def _summary(diagnosis: Diagnosis, titles: Mapping[str, str]) -> str:
     first += "."
     if diagnosis.verdict == "explained" and rest:
         return f"{first} The residual is not pure noise, but it is small compared with these effects."
-    doubted = _grouped([replace(f, status="named") for f in perhaps_unknown(claims)], titles)
+    rubs = all(f.group == "standard" or effects[f.effect].friction for f in claims)
+    if rubs and diagnosis.verdict != "explained" and not compares:
+        first += " No other cause than friction was found."
+    doubted = _grouped([replace(f, status="named") for f in perhaps_unknown(claims)], effects)
     doubt = f" An effect that is not in the catalogue may act instead of {_listed(doubted)}." if doubted else ""
     return f"{first} {rest or 'The residual looks like noise.'}{doubt}"
 
@@ -135,13 +139,13 @@ def units_of(diagnosis: Diagnosis) -> dict[str, str]:
     return {joint: own.get("unit", "N m") for joint, own in terms.items()}
 
 
-def _grouped(findings: Sequence[Finding], titles: Mapping[str, str]) -> list[str]:
+def _grouped(findings: Sequence[Finding], effects: Mapping[str, AbstractEffect]) -> list[str]:
     """Effects with their joints, in the order of the findings: 'Coulomb friction on joint1 and joint2', 'viscous
     friction on 7 joints'."""
     joints: dict[str, list[str]] = {}
     for f in findings:
         doubt = " (or an alternative)" if f.status == "ambiguous" else ""
-        joints.setdefault(titles[f.effect] + doubt, []).extend([f.joint] if f.joint else [])
+        joints.setdefault(effects[f.effect].title + doubt, []).extend([f.joint] if f.joint else [])
     where = {title: list(dict.fromkeys(own)) for title, own in joints.items()}
     return [
         title + (f" on {_listed(own) if len(own) <= FEW else f'{len(own)} joints'}" if own else "")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from invdyn_cli.diagnosis.decide.wording import summary, verdict
+from invdyn_cli.effects.catalogue import EFFECTS
 from invdyn_cli.types import Diagnosis, Examination, Finding, Gain
 
 CONTACT = Finding("external_contact", "a", "ambiguous", window=(4.0, 9.0), trajectory="one")
@@ -34,8 +35,17 @@ def test_what_may_be_unknown_is_listed():
     found = (replace(CONTACT, alternatives=(("unknown",),)), friction)
     errors = {"a": {"rmse": 2.0}, "b": {"rmse": 1.0}}
     diagnosis = Diagnosis("partly_explained", Examination(True, (), {}), found, errors, errors, None, {"a": 0.0})
-    told = summary(diagnosis, {"external_contact": "external contact", "coulomb_friction": "Coulomb friction"})
+    told = summary(diagnosis, EFFECTS)
     assert told.endswith("An effect that is not in the catalogue may act instead of external contact on a.")
+
+
+@pytest.mark.parametrize("other", ["torque_ripple", "quadratic_friction"])
+def test_a_log_of_friction_alone_says_so(other):
+    """Where a residual is no noise, the summary says that nothing but friction was found, or not: beside a ripple."""
+    found = tuple(Finding(x, "a", "named") for x in ("coulomb_friction", "presliding_hysteresis", other))
+    errors = {"a": {"rmse": 2.0}}
+    diagnosis = Diagnosis("partly_explained", Examination(True, (), {}), found, errors, errors, None, {"a": 0.5})
+    assert ("No other cause than friction was found." in summary(diagnosis, EFFECTS)) == (other == "quadratic_friction")
 
 
 @pytest.mark.parametrize(
@@ -72,7 +82,7 @@ def test_what_most_arms_do_not_have_is_said_first():
     errors, still = {"a": {"rmse": 1.0}, "b": {"rmse": 1.0}}, {"a": 0.0, "b": 0.0}
     found = (friction, ripple)
     made = Diagnosis("explained", Examination(True, (), {}), found, errors, errors, None, still, standard={"a": row})
-    said = summary(made, {"torque_ripple": "torque ripple", "coulomb_friction": "Coulomb friction"})
+    said = summary(made, EFFECTS)
     assert said.startswith("The simulation lacks torque ripple on b and Coulomb friction on a.")
 
 
@@ -85,4 +95,4 @@ def test_the_joint_that_gains_is_named_where_others_hide_it(others, said):
     before, after = ({"a": {"rmse": np.sqrt(2) * others}, "b": {"rmse": x}} for x in (1.0, 0.5))
     still = {"a": 0.0, "b": 0.0}
     made = Diagnosis("explained", Examination(True, (), {}), found, before, after, None, still)
-    assert said in summary(made, {"torque_gain_error": "torque gain"})
+    assert said in summary(made, EFFECTS)
