@@ -77,7 +77,7 @@ class InverseDynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         robot = load_urdf(self.robot) if isinstance(self.robot, str | Path) else self.robot
         model = make_model(self.model)
         if robot is None and model.needs_robot:
-            advice = "robot='arm.urdf', or a model that needs none ('ffnn', 'dbm')"
+            advice = "robot='arm.urdf', or a model that needs no robot ('ffnn', 'dbm')"
             raise UsageError(f"the model {type(model).__name__} needs the robot's kinematics", advice=advice)
         tau = np.asarray(y, float).reshape(len(X), -1)
         joints = robot.joints if robot else tuple(f"joint_{j + 1}" for j in range(tau.shape[1]))

@@ -61,11 +61,13 @@ def run(
         who = "this data source" if source.needs_robot else f"the model {type(model).__name__}"
         raise UsageError(
             f"{who} needs the robot's kinematics, but these data have no URDF",
-            advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
+            advice="robot=urdf robot.path=arm.urdf, or a model that needs no robot (model=ffnn)",
         )
     if model.has_memory and adaptation.adapts:
-        got = f"{type(model).__name__} has a memory along a recording, and an adaptation takes samples one by one"
-        raise UsageError(got, advice="adaptation=batch, or a model without memory")
+        got = f"{type(model).__name__} needs the earlier samples of a recording"
+        raise UsageError(
+            f"{got}, but an adaptation takes samples one by one", advice="adaptation=batch, or a model without memory"
+        )
     started = time.perf_counter()
     splits = prepared.splits if prepared else source.load(robot, stage("data"))
     if "test" not in splits.tests:

@@ -54,8 +54,8 @@ def online(
         UsageError: for a model that goes along a recording.
     """
     if model.has_memory:
-        got = f"{type(model).__name__} has a memory along a recording, and a loop asks for one sample at a time"
-        raise UsageError(got, advice="a model without memory")
+        got = f"{type(model).__name__} needs the earlier samples of a recording"
+        raise UsageError(f"{got}, but a control loop evaluates one sample at a time", advice="a model without memory")
     if cutoff is not None and not 0 < cutoff < rate / 2:
         raise ValueError(f"cutoff={cutoff} Hz; allowed: above 0 and below half the rate, {rate / 2:g} Hz")
     sections = np.empty((0, 6)) if cutoff is None else butterworth(rate, cutoff, order)

@@ -292,7 +292,10 @@ def _library(
     kept = np.flatnonzero(np.all(np.abs(scenes.torque).max(axis=2) <= allowed.torque[:, None], axis=0))
     if len(kept) < FEWEST:
         got = f"only {len(kept)} of {LIBRARY} random motions stay within the effort limits of {robot.name}"
-        raise UsageError(f"{got}; needed: {FEWEST}", advice="effort limits in the URDF that can carry the arm's weight")
+        raise UsageError(
+            f"{got}; needed: {FEWEST}",
+            advice="effort limits in the URDF that are large enough to hold the arm's weight",
+        )
     kept = kept[np.arange(LIBRARY) % len(kept)]  # of one number: programs are compiled for it
     motion = Motion(*(np.asarray(x)[:, kept] for x in (scenes.motion.q, scenes.motion.qd, scenes.motion.qdd)))
     return [made[k] for k in kept], replace(scenes, t=scenes.t[kept], motion=motion, torque=scenes.torque[:, kept])

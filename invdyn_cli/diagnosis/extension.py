@@ -90,7 +90,7 @@ def urdf_of(model: ExtendedModel) -> tuple[str, tuple[str, ...]]:
         said += [f"{joint or 'whole arm'}: {one.effect.title} {x}" for x in (terms.lost, without) if x]
     if not np.array_equal(robot.gravity, heavier.gravity):
         gravity = ",".join(f"{x:.5g}" for x in np.asarray(heavier.gravity))
-        said.append(f"whole arm: a URDF has no gravity; load it with robot.gravity=[{gravity}]")
+        said.append(f"whole arm: a URDF does not contain gravity; load the URDF with robot.gravity=[{gravity}]")
     text, refused = urdf.with_changes(robot.urdf, change, _dynamics(model))
     return text, (*said, *refused)
 

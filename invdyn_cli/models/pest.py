@@ -123,7 +123,7 @@ class Pest(AbstractModel):
         if robot is None:
             raise UsageError(
                 "model=pest needs the robot's kinematics, but these data have no URDF",
-                advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
+                advice="robot=urdf robot.path=arm.urdf, or a model that needs no robot (model=ffnn)",
             )
         design, solution = self._solved(robot, dataset, lambda done, note: progress(0.6 * done, note))
         covariance, details = regression.uncertainty(

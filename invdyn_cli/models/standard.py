@@ -84,7 +84,7 @@ class Standard(AbstractModel):
         if robot is None:
             raise UsageError(
                 "model=standard needs the robot's URDF, but these data have none",
-                advice="robot=urdf robot.path=arm.urdf, or a model that needs none (model=ffnn)",
+                advice="robot=urdf robot.path=arm.urdf, or a model that needs no robot (model=ffnn)",
             )
         motions = []
         for k, one in enumerate(dataset.trajectories):

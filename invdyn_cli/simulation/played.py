@@ -70,7 +70,7 @@ def read_csv(path: str | Path, joints: tuple[str, ...]) -> tuple[np.ndarray, np.
     for name in ("t", *joints):
         if names.count(name) != 1:
             got = f"{path}: {names.count(name)} columns {name!r}, in a file of {listed(names)}"
-            raise UsageError(f"{got}; allowed: one for t and one for each joint{closest(name, names)}")
+            raise UsageError(f"{got}; allowed: one column for t and one for each joint{closest(name, names)}")
     try:
         table = np.array([[float(x) for x in row] for row in rows[1:]])
     except ValueError as error:

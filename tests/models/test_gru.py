@@ -109,7 +109,7 @@ class Held(AbstractSource):
 
 def test_is_not_adapted(data):
     """An adaptation takes samples one by one and would lose the memory: said in a line, and batch works."""
-    with pytest.raises(UsageError, match="Gru has a memory along a recording"):
+    with pytest.raises(UsageError, match="Gru needs the earlier samples of a recording"):
         experiment.run(Held(data), SMALL, Rls(), data.robot)
     record = experiment.run(Held(data), SMALL, Batch(), data.robot)
     said = [SMALL.predict(record.fit, x.motion) for x in data.trajectories]

@@ -50,7 +50,7 @@ def test_one_effect_in_full(command):
         ("viscous_friction", "damping [N m s/rad]", "damping [N m s/rad]"),
         ("rotor_inertia", "armature [kg m^2 of the rotor]", "a URDF cannot contain it"),
         ("payload", "a body on the last link", "inertials"),
-        ("base_tilt", "gravity", "a URDF has no gravity"),
+        ("base_tilt", "gravity", "a URDF does not contain gravity"),
     ],
 )
 def test_what_files_for_simulators_contain(name, mjcf, urdf):

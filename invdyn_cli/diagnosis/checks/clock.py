@@ -92,7 +92,8 @@ class Duplicates(AbstractCheck):
                         threshold=self.share,
                         seen=f"{repeated.sum()} rows ({100 * part:.2g} %) have exactly the q and tau of the row "
                         "before, although the arm moves",
-                        meaning="the log is written faster than its source, or lost samples repeat the last one",
+                        meaning="the log is written at a higher rate than its source, or each lost sample is replaced "
+                        "by a copy of the last one",
                         advice="logging at the source's own rate",
                         source="own choice: noise on all channels does not repeat by chance",
                     )

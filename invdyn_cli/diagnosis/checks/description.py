@@ -60,7 +60,7 @@ class Description(AbstractCheck):
         samples = gather(log, robot, 1024) if log.trajectories and "gravity" not in log.compensated else None
         judged = self._joints(samples, doubted(log, robot))
         if samples is None or len(judged) < 2:
-            why = f"too few joints whose torque is in N m and follows the URDF's: {NOT_COMPARED}"
+            why = f"too few joints whose torque is in N m and follows the torque computed from the URDF: {NOT_COMPARED}"
             return [*found, self.skipped(why)]
         gravity = self._gravity(samples, robot, judged)
         gone = any(NOT_COMPARED in one.seen for one in gravity)

@@ -79,7 +79,11 @@ class TimeOffset(AbstractCheck):
         for session in sessions.values():
             shifts = [self._timed(replace(log, trajectories=(raw,)), raw, robot) for raw in session]
             found += self._session(log, [x for x in shifts if x is not None], session)
-        return found or [self.skipped("no joint's torque follows the URDF's well enough to measure its delay", "tau")]
+        return found or [
+            self.skipped(
+                "no joint's torque follows the one computed from the URDF well enough to measure its delay", "tau"
+            )
+        ]
 
     def correct(self, log: Log, found: Sequence[Check], robot: Robot | None) -> tuple[Log, list[str]]:
         """Give the torque the time at which it drove."""

@@ -76,7 +76,7 @@ class TorqueUnits(AbstractCheck):
         if missing:
             return [self._without_gains(ratios)]
         if len(judged) < min(2, robot.dofs):
-            return [self.skipped("fewer than two joints whose torque follows the URDF's", "tau")]
+            return [self.skipped("fewer than two joints whose torque follows the one computed from the URDF", "tau")]
         found = self._judged(log, names, factors, ratios, judged, beside)
         left = [name for name in log.joints if name not in ratios]
         if left:
