@@ -97,7 +97,7 @@ def test_a_spring_is_seen_behind_which_the_link_rubs():
     assert sized >= 2
 
 
-@pytest.mark.parametrize(("bits", "seed"), [(13, 0), (16, 1)])
+@pytest.mark.parametrize(("bits", "seed"), [(13, 0), pytest.param(16, 1, marks=pytest.mark.benchmark)])
 def test_none_where_no_gear_yields(bits, seed):
     """Coarse encoders make torque that goes with the acceleration, as a soft gear does."""
     assert worn(seed, bits)[0].gear is None
