@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.columns import gears
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.findings import Made, joined
-from invdyn_cli.diagnosis.residual_tests import around
+from invdyn_cli.diagnosis.residual_tests import LAGS, changes_of_sign
 from invdyn_cli.diagnosis.standard import Beside
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.recording.rows import runs
@@ -103,17 +103,26 @@ def told(evidence: Evidence, made: Made, more: Beside, effects: Mapping[str, Abs
 def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) -> Blows | None:
     """The squared residual (R,) of a joint after changes of sign of its `load` (R,); None where these are too few, or
     where it is no larger than elsewhere."""
-    t, used = evidence.on_rows("t"), evidence.valid[:, joint]
-    if not used.any():
+    valid = evidence.valid[:, joint]
+    if not valid.any():
         return None
-    since, turned = (around(x, evidence.piece, t, used, "").over for x in (load, evidence.on_rows("qd")[:, joint]))
-    used = used & ~(np.abs(turned) < REVERSAL)
-    after, far, before = used & (since >= 0) & (since < FLIGHT), used & ~np.isfinite(since), used & (since < BEFORE)
-    events, squares = runs(after), left**2
+
+    def within(x: np.ndarray, low: float, high: float) -> np.ndarray:
+        """(R,) whether a quantity (R,) changed its sign so long ago [s]."""
+        there = np.zeros(len(x), bool)
+        for lag, _ in changes_of_sign(x, evidence.piece, evidence.on_rows("t"), valid):
+            there |= (lag >= low) & (lag < high)
+        return there
+
+    used = valid & ~within(evidence.on_rows("qd")[:, joint], -REVERSAL, REVERSAL)
+    after = within(load, 0.0, FLIGHT)
+    before, far = used & ~after & within(load, LAGS[0], BEFORE), used & ~within(load, LAGS[0], LAGS[-1])
+    events, after, squares = [np.arange(*x)[used[slice(*x)]] for x in runs(after)], used & after, left**2
+    events = [x for x in events if len(x)]
     if len(events) < FEWEST or far.sum() < after.sum():
         return None
     quiet = max(_mostly(squares[x]) for x in (far, before) if x.any())
-    loud = [np.mean(squares[start:end]) > LOUDER * quiet for start, end in events]
+    loud = [np.mean(squares[x]) > LOUDER * quiet for x in events]
     if not quiet > 0 or np.mean(loud) < MOSTLY:
         return None
     there = float(np.sum(squares[after]))

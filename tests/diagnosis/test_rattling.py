@@ -72,6 +72,21 @@ def test_blows_are_those_after_changes_of_load(moments):
         assert found is None
 
 
+def test_load_that_changes_its_sign_for_a_moment_is_one_change():
+    """A load that is negative for 0.1 s, several times: a blow after its return shows play, although none falls while
+    it is negative."""
+    t, m = moved()
+    evidence = evidence_of(log_of(raw(t, m, torque=0.005)), ["viscous_friction"], cutoffs=(40.0,))
+    rows, j = evidence.on_rows("t"), changes_most()
+    turned = np.flatnonzero(np.diff(np.sign(evidence.on_rows("qd")[:, j])) != 0)
+    starts = np.arange(rows[0] + 1, rows[-1] - 1, 1.5)
+    starts = starts[[np.abs(rows[turned] - x).min() > 0.5 for x in starts]]
+    negative = np.any([(rows >= x) & (rows < x + 0.1) for x in starts], axis=0)
+    left = 0.01 * np.random.default_rng(4).standard_normal(len(rows)) + struck(rows, starts + 0.1, 4)
+    found = blows(evidence, left, np.where(negative, -1.0, 1.0), j)
+    assert found is not None and found.changes_of_load == len(starts) >= 5
+
+
 @pytest.mark.parametrize("moments", usually(["load"], ["load", "velocity", "random"]))
 def test_play_that_no_formula_predicts_is_told(moments):
     """A diagnosis tells play of unknown size, or an effect that the catalogue lacks, on the joint with blows after

@@ -16,7 +16,7 @@ PREDICTABLE, SMALL = 0.15, 0.05
 share of the nominal model's error, in N m (docs/decisions/060)."""
 
 MOST_SAID = 4
-"""Largest number of effects in the summary's first sentence."""
+"""Largest number of effects in the summary's first sentence, and of residual tests in its last one."""
 
 CLAIMS = ("named", "ambiguous")
 """Statuses of findings that claim an effect; the others say what the log cannot show."""
@@ -180,11 +180,14 @@ def _rest(diagnosis: Diagnosis) -> str:
     if swings:
         where = ", ".join(swings)
         said.append(f"The residual on {where} has a pattern in time, but no learner predicts it from the motion.")
-    failed = [x for x in diagnosis.tests if not x.passed]
-    if failed and not said:
+    told = {*moments, *shares, *swings}
+    failed = sorted((x for x in diagnosis.tests if not x.passed and x.joint not in told), key=lambda x: -x.torque)
+    if failed:
         where = _listed(list(dict.fromkeys(x.joint for x in failed)))
-        names = _listed(list(dict.fromkeys(test_words(x.against) for x in failed)))
-        said.append(f"The residual on {where} is not noise according to these tests: {names}.")
+        names = list(dict.fromkeys(test_words(x.against) for x in failed))
+        if len(names) > MOST_SAID:
+            names = [*names[: MOST_SAID - 1], f"{len(names) - MOST_SAID + 1} others"]
+        said.append(f"The residual on {where} is not noise according to these tests: {_listed(names)}.")
     return " ".join(said)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from invdyn_cli.diagnosis.decide.wording import summary, verdict
 from invdyn_cli.effects.catalogue import EFFECTS
-from invdyn_cli.types import Diagnosis, Examination, Finding, Gain
+from invdyn_cli.types import Diagnosis, Examination, Finding, Gain, ResidualTest
 
 CONTACT = Finding("external_contact", "a", "ambiguous", window=(4.0, 9.0), trajectory="one")
 
@@ -37,6 +37,20 @@ def test_what_may_be_unknown_is_listed():
     diagnosis = Diagnosis("partly_explained", Examination(True, (), {}), found, errors, errors, None, {"a": 0.0})
     told = summary(diagnosis, EFFECTS)
     assert told.endswith("An effect that is not in the catalogue may act instead of external contact on a.")
+
+
+def test_joints_that_fail_tests_are_listed_too():
+    """Beside a joint on which a learner finds something, the summary lists the other joint that fails residual tests,
+    with the tests that find most; of more than four it tells the number."""
+    against = ("level", "velocity", "angle", "load", "reversals")
+    empty = np.zeros((3, 0))
+    tests = [ResidualTest("b", x, 9.0, 1.0, 1e-9, size, 0.1, False, (), "", empty) for size, x in enumerate(against, 1)]
+    errors = {"a": {"rmse": 2.0}, "b": {"rmse": 1.0}}
+    still = {"a": 0.5, "b": 0.0}
+    made = Diagnosis("nothing_found", Examination(True, (), {}), (), errors, errors, None, still, tests=tuple(tests))
+    told = summary(made, {})
+    assert "An unknown effect remains on a:" in told
+    assert told.endswith("on b is not noise according to these tests: reversals, load torque, angle and 2 others.")
 
 
 @pytest.mark.parametrize("other", ["torque_ripple", "quadratic_friction"])
