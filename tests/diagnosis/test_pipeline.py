@@ -151,6 +151,7 @@ def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
     assert diagnosis.summary.startswith("In this log only, and only for a time, there is torque gain change on axis2.")
 
 
+@pytest.mark.benchmark  # a drive that was weak since a reference is looked for always
 @pytest.mark.parametrize("weak_at_rest", usually([True], [True, False]))
 def test_a_drive_that_was_weak_while_its_joint_moved(robot, weak_at_rest):
     """Joints that sweep one after the other: a drive that is weak from a second before its joint moves has, while that
@@ -169,6 +170,7 @@ def test_a_drive_that_was_weak_while_its_joint_moved(robot, weak_at_rest):
     assert "torque_gain_error" in possible and ("torque_gain_change" in possible) is not weak_at_rest
 
 
+@pytest.mark.benchmark  # a payload and a Stribeck friction that came are looked for always
 def test_friction_that_fell_since_a_reference(robot, rubbing):
     """A joint that has lost a part of its viscous friction, drawn at random, has a negative change within 5 %, and
     the written model has the friction that is left. Without a reference negative friction is refused."""
@@ -265,6 +267,7 @@ GANTRY = """<robot name="gantry"><link name="base"/>
 <limit lower="-0.5" upper="0.5" velocity="1.0" effort="900"/></joint></robot>"""
 
 
+@pytest.mark.benchmark  # tests of naming.simplified have the same of a made-up pool
 def test_the_rotor_of_a_slide_is_no_weak_drive(tmp_path):
     """A slide pushes one mass: a rotor, drawn at random, makes the same force as a drive that gives a part of what is
     logged, and every drive has one. Friction is then told as it is, within 3 %; the gain is the alternative, and if a

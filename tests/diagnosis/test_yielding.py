@@ -84,6 +84,7 @@ def test_play_is_seen_behind_which_the_link_rubs():
     assert sized >= 2
 
 
+@pytest.mark.benchmark  # play behind which the link rubs, above, is harder to see
 def test_a_spring_is_seen_behind_which_the_link_rubs():
     """So is a spring, with half to all of the friction on the link: on three arms, with its joint and, on at least two,
     its stiffness within 15 %."""
