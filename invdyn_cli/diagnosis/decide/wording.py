@@ -13,7 +13,8 @@ from invdyn_cli.types import Diagnosis, Finding
 
 PREDICTABLE, SMALL = 0.15, 0.05
 """The residual counts as explained if the learner predicts less than this share of its variance, or less than this
-share of the nominal model's error, in N m (docs/decisions/060)."""
+share of the nominal model's error, in N m (docs/decisions/060); residual tests that find less are not in the summary
+if it tells of a learner."""
 
 MOST_SAID = 4
 """Largest number of effects in the summary's first sentence, and of residual tests in its last one."""
@@ -180,9 +181,10 @@ def _rest(diagnosis: Diagnosis) -> str:
     if swings:
         where = ", ".join(swings)
         said.append(f"The residual on {where} has a pattern in time, but no learner predicts it from the motion.")
-    told = {*moments, *shares, *swings}
-    failed = sorted((x for x in diagnosis.tests if not x.passed and x.joint not in told), key=lambda x: -x.torque)
+    told, least = {*moments, *shares, *swings}, PREDICTABLE if said else 0.0
+    failed = [x for x in diagnosis.tests if not x.passed and x.share >= least and x.joint not in told]
     if failed:
+        failed.sort(key=lambda x: -x.torque)
         where = _listed(list(dict.fromkeys(x.joint for x in failed)))
         names = list(dict.fromkeys(test_words(x.against) for x in failed))
         if len(names) > MOST_SAID:

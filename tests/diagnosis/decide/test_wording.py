@@ -40,13 +40,14 @@ def test_what_may_be_unknown_is_listed():
 
 
 def test_joints_that_fail_tests_are_listed_too():
-    """Beside a joint on which a learner finds something, the summary lists the other joint that fails residual tests,
-    with the tests that find most; of more than four it tells the number."""
+    """Beside a joint on which a learner finds something, the summary lists another one whose residual tests find as
+    large a share, with those that find most; of more than four it tells the number."""
     against = ("level", "velocity", "angle", "load", "reversals")
-    empty = np.zeros((3, 0))
-    tests = [ResidualTest("b", x, 9.0, 1.0, 1e-9, size, 0.1, False, (), "", empty) for size, x in enumerate(against, 1)]
-    errors = {"a": {"rmse": 2.0}, "b": {"rmse": 1.0}}
-    still = {"a": 0.5, "b": 0.0}
+    test = ResidualTest("b", "level", 9.0, 1.0, 1e-9, 1.0, 0.2, False, (), "", np.zeros((3, 0)))
+    tests = [replace(test, against=x, torque=size) for size, x in enumerate(against, 1)]
+    tests.append(replace(test, joint="c", share=0.1))
+    errors = {"a": {"rmse": 2.0}, "b": {"rmse": 1.0}, "c": {"rmse": 1.0}}
+    still = {"a": 0.5, "b": 0.0, "c": 0.0}
     made = Diagnosis("nothing_found", Examination(True, (), {}), (), errors, errors, None, still, tests=tuple(tests))
     told = summary(made, {})
     assert "An unknown effect remains on a:" in told
