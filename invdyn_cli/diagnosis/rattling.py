@@ -31,9 +31,9 @@ REVERSAL = 0.1
 """[s] around a joint's own reversal of velocity that does not count: friction is known least there."""
 
 LOUDER = 10.0
-"""Squares after a change of sign, in those far from one and in those before, of which blows are the cause. On 240 joints
-of 52 logs without play, three of real arms, they were at most 11 times as large and at most 37 % of all; on the joints
-of 13 plays that bounced 37 to 670 times, and 70 to 99 %."""
+"""Squares after a change of sign, in those far from one and in those before, of which blows are the cause. On 240
+joints of 52 logs without play, three of real arms, they were at most 11 times as large and at most 37 % of all; on the
+joints of 13 plays that bounced 37 to 670 times, and 70 to 99 %."""
 
 CALM = 0.9
 """Share of the other rows, without the largest squares: the load also changes its sign by too little to be seen."""
