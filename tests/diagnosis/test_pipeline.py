@@ -445,7 +445,7 @@ def test_nothing_is_corrected_on_request(loaded, robot):
 def test_friction_that_a_log_calls_compensated_and_has():
     """A drive that subtracts Coulomb friction, says so, and leaves 1 N m of it: that is told on every joint of the worn
     arm, not searched for."""
-    robot, (t, m) = analytic.arm(), analytic.moved(seconds=20.0, rate=200.0)
+    robot, (t, m) = analytic.arm(), analytic.moved(seconds=8.0, rate=200.0)
     other = replace(robot, inertial=robot.inertial * np.random.default_rng(3).uniform(0.85, 1.15, 3)[:, None])
     friction = np.sign(m.qd) + 0.4 * m.qd + analytic.beyond(robot, other, m)
     log = analytic.log_of(analytic.raw(t, m, lambda *_: friction, torque=0.05, position=1e-5))

@@ -80,7 +80,7 @@ def crept():
     given = [{"coulomb": level, "transition": 0.008} for level in LEVELS]
     hidden = [Hidden("coulomb_friction", joint, x) for joint, x in zip(arm().joints, given, strict=True)]
     noise = Noise(position=1e-6, torque=(0.02,) * arm().dofs)
-    log = plant.record(arm(), [PickPlace()], hidden, duration=40.0, rate=500.0, seed=3, noise=noise)
+    log = plant.record(arm(), [PickPlace()], hidden, duration=25.0, rate=500.0, seed=3, noise=noise)
     return diagnose(log, arm())
 
 
