@@ -386,9 +386,11 @@ def perhaps_stribeck(inquiry: Inquiry, claimed: Hypothesis, found: Finding) -> F
 
 
 def joined(made: Made, found: Sequence[Finding], terms: Sequence[np.ndarray]) -> Made:
-    """With further claims, and what each adds to the torque (R, n), behind those that are there."""
+    """With further claims, and what each adds to the torque (R, n): anomalies behind those that are there, and standard
+    terms behind all."""
     claimed = {(x.effect, x.joint) for x in found}
     count = len(made.terms)
     unseen = (x for x in made.findings[count:] if (x.effect, x.joint) not in claimed)
-    together = (*made.findings[:count], *found, *unseen)
-    return replace(made, findings=together, terms=(*made.terms, *terms))
+    every = [*zip(made.findings[:count], made.terms, strict=True), *zip(found, terms, strict=True)]
+    every.sort(key=lambda x: x[0].group == "standard")
+    return replace(made, findings=(*(x for x, _ in every), *unseen), terms=tuple(x for _, x in every))

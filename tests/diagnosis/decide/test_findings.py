@@ -9,7 +9,7 @@ import pytest
 
 from invdyn_cli.diagnosis.columns.evidence import held_out
 from invdyn_cli.diagnosis.columns.gears import inertia_on
-from invdyn_cli.diagnosis.decide.findings import _moves_others_more, _special_cases, perhaps_stribeck
+from invdyn_cli.diagnosis.decide.findings import Made, _moves_others_more, _special_cases, joined, perhaps_stribeck
 from invdyn_cli.diagnosis.decide.gain import gain_of
 from invdyn_cli.diagnosis.search.inquiry import Inquiry
 from invdyn_cli.effects.catalogue import EFFECTS
@@ -27,6 +27,20 @@ def test_rest_is_no_gain_and_no_loss():
     before, after = (np.where(evidence.valid, x, y) for x, y in ((2.0, 5.0), (1.0, 50.0)))
     gain = gain_of(evidence, 0, before, after)
     assert gain is not None and (gain.rmse_before, gain.rmse_after) == pytest.approx((2.0, 1.0))
+
+
+def test_anomalies_stand_before_standard_terms():
+    """An anomaly that is claimed later stands behind those that are there, and before friction; each keeps what it adds
+    to the torque, and what the log cannot show stays last."""
+    ripple, friction = Finding("torque_ripple", "a", "named"), Finding("viscous_friction", "a", "named")
+    friction, unseen = replace(friction, group="standard"), Finding("payload", None, "not_excited")
+    play = Finding("backlash", "b", "ambiguous")
+    one, two, three = np.eye(3)
+    none = np.zeros(3)
+    made = Made((ripple, friction, unseen), (), (), (), (one, two), none, none, none, none, (), ())
+    found = joined(made, [play], [three])
+    assert found.findings == (ripple, play, friction, unseen)
+    np.testing.assert_array_equal(found.terms, (one, three, two))
 
 
 @pytest.mark.parametrize("joint", range(3))
