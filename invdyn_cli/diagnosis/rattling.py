@@ -15,7 +15,7 @@ from invdyn_cli.diagnosis.columns import gears
 from invdyn_cli.diagnosis.columns.evidence import Evidence
 from invdyn_cli.diagnosis.decide.doubt import UNKNOWN, or_else
 from invdyn_cli.diagnosis.decide.findings import Made, joined
-from invdyn_cli.diagnosis.residual_tests import LAGS, changes_of_sign
+from invdyn_cli.diagnosis.residual_tests import LAGS, near_changes_of_sign
 from invdyn_cli.diagnosis.standard import Beside
 from invdyn_cli.interfaces import AbstractEffect
 from invdyn_cli.recording.rows import runs
@@ -110,8 +110,8 @@ def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) ->
     def within(x: np.ndarray, low: float, high: float) -> np.ndarray:
         """(R,) whether a quantity (R,) changed its sign so long ago [s]."""
         there = np.zeros(len(x), bool)
-        for lag, _ in changes_of_sign(x, evidence.piece, evidence.on_rows("t"), valid):
-            there |= (lag >= low) & (lag < high)
+        for near, lag, _ in near_changes_of_sign(x, evidence.piece, evidence.on_rows("t"), valid):
+            there[near] |= (lag >= low) & (lag < high)
         return there
 
     used = valid & ~within(evidence.on_rows("qd")[:, joint], -REVERSAL, REVERSAL)

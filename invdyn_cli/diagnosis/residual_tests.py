@@ -176,28 +176,30 @@ def _hats(x: np.ndarray, used: np.ndarray, knots: int = KNOTS) -> np.ndarray:
     return np.stack([np.interp(x, at, row) for row in np.eye(len(at))], axis=1)
 
 
-def changes_of_sign(
+def near_changes_of_sign(
     x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray
-) -> Iterator[tuple[np.ndarray, float]]:
-    """For every change of sign of a quantity (R,), but for small ones: the time since then [s] (R,), NaN in other
-    pieces, and the new sign."""
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """For every change of sign of a quantity (R,), but for small ones: the rows (k,) around it (LAGS), the time since
+    then [s] (k,), and the new sign."""
     least = SWING * float(np.quantile(np.abs(x[used]), 0.9))
     ticks = np.round(1e6 * t)  # [us]: else a clock's last digit decides on which side of a limit a row is
     for number in np.unique(piece):
         own = np.flatnonzero(piece == number)
-        far = own[np.abs(x[own]) > least]
+        clock, far = ticks[own], own[np.abs(x[own]) > least]
         turns = np.flatnonzero(np.diff(np.sign(x[far])) != 0)
         for before, after in zip(far[turns], far[turns + 1], strict=True):
             event = before + int(np.argmax(np.sign(x[before : after + 1]) == np.sign(x[after])))
-            yield np.where(piece == number, (ticks - ticks[event]) / 1e6, np.nan), float(np.sign(x[after]))
+            start, end = np.searchsorted(clock, ticks[event] + 1e6 * np.array([LAGS[0], LAGS[-1]]))
+            near = own[start:end]
+            yield near, (ticks[near] - ticks[event]) / 1e6, float(np.sign(x[after]))
 
 
 def around(x: np.ndarray, piece: np.ndarray, t: np.ndarray, used: np.ndarray, quantity: str) -> Basis:
     """Indicators of the time since a quantity (R,) changed its sign, as they are and with the new sign."""
     since, way = np.full(len(x), np.nan), np.zeros(len(x))
-    for lag, sign in changes_of_sign(x, piece, t, used):
-        closer = (lag >= LAGS[0]) & (lag < LAGS[-1]) & ~(np.abs(since) <= np.abs(lag))
-        since[closer], way[closer] = lag[closer], sign
+    for near, lag, sign in near_changes_of_sign(x, piece, t, used):
+        closer = ~(np.abs(since[near]) <= np.abs(lag))
+        since[near[closer]], way[near[closer]] = lag[closer], sign
     inside = np.stack([(since >= low) & (since < high) for low, high in pairwise(LAGS)], axis=1).astype(float)
     columns = np.hstack([inside, inside * way[:, None]])
     return Basis(columns if np.isfinite(since).any() else columns[:, :0], since, quantity, way)
