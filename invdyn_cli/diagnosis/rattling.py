@@ -107,18 +107,22 @@ def blows(evidence: Evidence, left: np.ndarray, load: np.ndarray, joint: int) ->
     if not valid.any():
         return None
 
-    def within(x: np.ndarray, low: float, high: float) -> np.ndarray:
-        """(R,) whether a quantity (R,) changed its sign so long ago [s]."""
-        there = np.zeros(len(x), bool)
-        for near, lag, _ in near_changes_of_sign(x, evidence.piece, evidence.on_rows("t"), valid):
+    turned, changed = (
+        list(near_changes_of_sign(x, evidence.piece, evidence.on_rows("t"), valid))
+        for x in (evidence.on_rows("qd")[:, joint], load)
+    )
+
+    def within(changes: list[tuple[np.ndarray, np.ndarray, float]], low: float, high: float) -> np.ndarray:
+        """(R,) whether a change of sign was so long ago [s]."""
+        there = np.zeros(len(valid), bool)
+        for near, lag, _ in changes:
             there[near] |= (lag >= low) & (lag < high)
         return there
 
-    used = valid & ~within(evidence.on_rows("qd")[:, joint], -REVERSAL, REVERSAL)
-    after = within(load, 0.0, FLIGHT)
-    before, far = used & ~after & within(load, LAGS[0], BEFORE), used & ~within(load, LAGS[0], LAGS[-1])
-    events, after, squares = [np.arange(*x)[used[slice(*x)]] for x in runs(after)], used & after, left**2
-    events = [x for x in events if len(x)]
+    used, after, squares = valid & ~within(turned, -REVERSAL, REVERSAL), within(changed, 0.0, FLIGHT), left**2
+    before, far = used & ~after & within(changed, LAGS[0], BEFORE), used & ~within(changed, LAGS[0], LAGS[-1])
+    events = [x[used[x]] for x in (np.arange(*run) for run in runs(after)) if used[x].any()]
+    after = used & after
     if len(events) < FEWEST or far.sum() < after.sum():
         return None
     quiet = max(_mostly(squares[x]) for x in (far, before) if x.any())

@@ -183,13 +183,14 @@ def near_changes_of_sign(
     then [s] (k,), and the new sign."""
     least = SWING * float(np.quantile(np.abs(x[used]), 0.9))
     ticks = np.round(1e6 * t)  # [us]: else a clock's last digit decides on which side of a limit a row is
+    reach = 1e6 * np.array([LAGS[0], LAGS[-1]])
     for number in np.unique(piece):
         own = np.flatnonzero(piece == number)
         clock, far = ticks[own], own[np.abs(x[own]) > least]
         turns = np.flatnonzero(np.diff(np.sign(x[far])) != 0)
         for before, after in zip(far[turns], far[turns + 1], strict=True):
             event = before + int(np.argmax(np.sign(x[before : after + 1]) == np.sign(x[after])))
-            start, end = np.searchsorted(clock, ticks[event] + 1e6 * np.array([LAGS[0], LAGS[-1]]))
+            start, end = np.searchsorted(clock, ticks[event] + reach)
             near = own[start:end]
             yield near, (ticks[near] - ticks[event]) / 1e6, float(np.sign(x[after]))
 

@@ -22,7 +22,6 @@ from invdyn_cli.simulation.hidden import Hidden
 from invdyn_cli.simulation.plant import record
 from invdyn_cli.simulation.references import ConstantSpeed, Multisine
 from invdyn_cli.simulation.sensors import Noise
-from tests.commands import usually
 from tests.diagnosis import analytic
 from tests.diagnosis.analytic import said
 
@@ -152,7 +151,7 @@ def test_a_drive_that_was_weak_for_a_time_since_a_reference(robot, rubbing):
 
 
 @pytest.mark.benchmark  # a drive that was weak since a reference is looked for always
-@pytest.mark.parametrize("weak_at_rest", usually([True], [True, False]))
+@pytest.mark.parametrize("weak_at_rest", [True, False])
 def test_a_drive_that_was_weak_while_its_joint_moved(robot, weak_at_rest):
     """Joints that sweep one after the other: a drive that is weak from a second before its joint moves has, while that
     rests, the torque of a sound one, so that it may have become weak. Of one that always is, this is not said."""

@@ -65,7 +65,7 @@ def mass_matrix(model: LagrangianNet, fit: Fit, q: np.ndarray) -> np.ndarray:
 
 
 def test_mass_matrix_is_positive_definite(data):
-    """The mass matrix is symmetric and positive definite, whatever was learned."""
+    """The mass matrix is symmetric and positive definite, with random weights, too: nothing of it was learned."""
     columns = mass_matrix(SMALL, fresh(SMALL, data), np.array([0.3, -1.0, 2.0]))
     np.testing.assert_allclose(columns, columns.T, atol=1e-5 * np.abs(columns).max())
     assert np.linalg.eigvalsh(columns).min() > 0

@@ -16,8 +16,9 @@ PREDICTABLE, SMALL = 0.15, 0.05
 share of the nominal model's error, in N m (docs/decisions/060); residual tests that find less are not in the summary
 if it tells of a learner."""
 
-MOST_SAID = 4
-"""Largest number of effects in the summary's first sentence, and of residual tests in its last one."""
+MOST_SAID, MOST_TESTS = 4, 3
+"""Numbers of effects in the summary's first sentence, and of residual tests in its last one, that are named where there
+are at least two more."""
 
 CLAIMS = ("named", "ambiguous")
 """Statuses of findings that claim an effect; the others say what the log cannot show."""
@@ -100,7 +101,7 @@ def _summary(diagnosis: Diagnosis, effects: Mapping[str, AbstractEffect]) -> str
     new = [f for f in claims if compares and f.window is not None]
     shown = [f for f in claims if not any(f is x for x in (*usual, *new))]
     said = _grouped(shown, effects)
-    said = said if len(said) <= MOST_SAID + 1 else [*said[:MOST_SAID], f"{len(said) - MOST_SAID} other effects"]
+    said = _first(said, MOST_SAID, "other effects")
     if usual:
         joints = len({f.joint for f in usual})
         several = f"standard terms (friction and the like) on {joints} joint{'s' * (joints > 1)}"
@@ -186,9 +187,7 @@ def _rest(diagnosis: Diagnosis) -> str:
     if failed:
         failed.sort(key=lambda x: -x.torque)
         where = _listed(list(dict.fromkeys(x.joint for x in failed)))
-        names = list(dict.fromkeys(test_words(x.against) for x in failed))
-        if len(names) > MOST_SAID:
-            names = [*names[: MOST_SAID - 1], f"{len(names) - MOST_SAID + 1} others"]
+        names = _first(list(dict.fromkeys(test_words(x.against) for x in failed)), MOST_TESTS, "others")
         said.append(f"The residual on {where} is not noise according to these tests: {_listed(names)}.")
     return " ".join(said)
 
@@ -196,6 +195,11 @@ def _rest(diagnosis: Diagnosis) -> str:
 def test_words(against: str) -> str:
     """What a residual test examines, in words."""
     return TEST_WORDS.get(against, against.replace("_", " "))
+
+
+def _first(words: Sequence[str], most: int, others: str) -> Sequence[str]:
+    """The words, or the first of them and the number of the others, if these are at least two."""
+    return words if len(words) <= most + 1 else [*words[:most], f"{len(words) - most} {others}"]
 
 
 def _listed(words: Sequence[str]) -> str:
